@@ -1,0 +1,58 @@
+"""Influence coefficients of a part, the only thing that the production path needs from the finite elements."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["InfluenceCoefficients"]
+
+
+@dataclass(frozen=True)
+class InfluenceCoefficients:
+    """Compliance of one free part at its retained functionals.
+
+    The readings of the functionals under forces ``f`` on them are ``y = H f + G q`` with ``Gᵀ f = 0``: `H` was
+    computed on some statically determinate support, whose reactions vanish because the forces, fixture reactions
+    included, balance; ``q`` is the rigid-body motion. ``H = L K⁻¹ Lᵀ`` is equation (2) of the paper.
+
+    Attributes
+    ----------
+    part : str
+    H : (n, n) array
+        Symmetric; mm/N for displacement rows under forces, rad/N, rad/(N mm) for rotations.
+    G : (n, 6) array
+        Readings of the six rigid-body modes (translations along x, y, z, rotations about x, y, z through the
+        centroid).
+    provenance : dict
+        What the coefficients were computed from (element, sizes, versions), for the record.
+    """
+
+    part: str
+    H: np.ndarray
+    G: np.ndarray
+    provenance: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        n = len(self.H)
+        if self.H.shape != (n, n) or self.G.shape != (n, 6):
+            raise ValueError(f"part {self.part!r}: H {self.H.shape} and G {self.G.shape} do not fit together")
+        if not (np.isfinite(self.H).all() and np.isfinite(self.G).all()):
+            raise ValueError(f"part {self.part!r}: the influence coefficients hold values that are not finite")
+
+    def save(self, path) -> None:
+        """Write to one ``.npz`` file; a reader never sees it half written."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_suffix(".partial.npz")
+        np.savez(temporary, H=self.H, G=self.G, part=self.part, provenance=json.dumps(self.provenance))
+        temporary.replace(path)
+
+    @classmethod
+    def load(cls, path) -> InfluenceCoefficients:
+        """Read what :meth:`save` wrote."""
+        with np.load(path) as data:
+            return cls(str(data["part"]), data["H"], data["G"], json.loads(str(data["provenance"])))
