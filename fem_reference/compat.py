@@ -1,0 +1,104 @@
+"""Every call that differs between the supported dolfinx versions: 0.5 (Debian 12) and 0.9 (Debian 13).
+
+Nothing else in the project looks at a version number.
+"""
+
+from __future__ import annotations
+
+import logging
+from contextlib import contextmanager
+
+import dolfinx
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from dolfinx.fem import petsc as fem_petsc
+from mpi4py import MPI
+from petsc4py import PETSc
+
+SUPPORTED = {(0, 5): "Debian 12", (0, 9): "Debian 13"}
+
+_version = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
+if _version not in SUPPORTED:
+    raise ImportError(
+        f"fem_reference: dolfinx {dolfinx.__version__} is not supported; install one of "
+        + ", ".join(f"{major}.{minor} ({system})" for (major, minor), system in SUPPORTED.items())
+        + " with apt-get install python3-dolfinx"
+    )
+
+_LEGACY = _version == (0, 5)  # UFL's own element classes, adjacency lists; afterwards basix.ufl and plain arrays
+if not _LEGACY:
+    import basix.ufl
+
+_COMPILER_TIMEOUT = 120  # s; with one process per part, all but one wait for the compiler
+
+
+@contextmanager
+def _quietly():
+    """Silence the form compiler, which logs every pass, and undo what it does to the root logger."""
+    level, disabled = logging.root.level, logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(disabled)
+        logging.root.setLevel(level)
+
+
+def shell_mesh(comm: MPI.Comm, points: np.ndarray, triangles: np.ndarray) -> dmesh.Mesh:
+    """Flat triangles in space. `points` (n, 3) and `triangles` (k, 3) are read on rank 0 of `comm` only."""
+    if comm.rank != 0:
+        points, triangles = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    points = np.ascontiguousarray(points, dtype=float)
+    triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+    if _LEGACY:
+        coordinates = ufl.VectorElement("Lagrange", ufl.Cell("triangle", 3), 1)
+    else:
+        coordinates = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,))
+    with _quietly():
+        return dmesh.create_mesh(comm, triangles, points, ufl.Mesh(coordinates))
+
+
+def lagrange_6(mesh: dmesh.Mesh) -> fem.FunctionSpace:
+    """Linear Lagrange elements with six components: (u1, u2, u3, θ1, θ2, θ3) at each vertex."""
+    if _LEGACY:
+        return _function_space(mesh, ufl.VectorElement("Lagrange", mesh.ufl_cell(), 1, dim=6))
+    return _function_space(mesh, basix.ufl.element("Lagrange", "triangle", 1, shape=(6,)))
+
+
+def p2_crouzeix_raviart(mesh: dmesh.Mesh) -> fem.FunctionSpace:
+    """Quadratic displacement (3 components) × Crouzeix–Raviart rotation (3 components)."""
+    if _LEGACY:
+        cell = mesh.ufl_cell()
+        displacement = ufl.VectorElement("Lagrange", cell, 2, dim=3)
+        rotation = ufl.VectorElement("CR", cell, 1, dim=3)
+        return _function_space(mesh, ufl.MixedElement([displacement, rotation]))
+    displacement = basix.ufl.element("Lagrange", "triangle", 2, shape=(3,))
+    rotation = basix.ufl.element("CR", "triangle", 1, shape=(3,))
+    return _function_space(mesh, basix.ufl.mixed_element([displacement, rotation]))
+
+
+def _function_space(mesh, element) -> fem.FunctionSpace:
+    with _quietly():
+        return (fem.FunctionSpace if _LEGACY else fem.functionspace)(mesh, element)
+
+
+def cell_dofs(dofmap) -> np.ndarray:
+    """Local numbers of each cell's freedoms, (cells, freedoms per cell), of a dof map or of the mesh geometry's."""
+    table = getattr(dofmap, "list", dofmap)
+    return np.asarray(table.array.reshape(table.num_nodes, -1) if _LEGACY else table)
+
+
+def compile_form(form) -> fem.Form:
+    """Compile a UFL form, or fetch it from the user's cache."""
+    options = {"timeout": _COMPILER_TIMEOUT}
+    with _quietly():
+        return fem.form(form, jit_params=options) if _LEGACY else fem.form(form, jit_options=options)
+
+
+def assemble_matrix(form) -> PETSc.Mat:
+    """Assembled AIJ matrix of a UFL bilinear form, no boundary conditions."""
+    matrix = fem_petsc.assemble_matrix(compile_form(form))
+    matrix.assemble()
+    return matrix
