@@ -1,0 +1,161 @@
+"""How far a force is from obeying its contact law: one scale-free number, and the physics behind it.
+
+With ``u = S f + b`` and ``û`` the displacement that the law makes complementary to the force (:mod:`mic.contact.laws`),
+``f`` is a solution exactly when it is a fixed point of the projection,
+
+.. math::
+
+    F_k(f) = f_k - P_K\\bigl(f_k - \\rho_k \\hat u_k\\bigr) = 0, \\qquad \\rho_k = 1 / \\|S_{kk}\\|_2 .
+
+``ρ_k`` turns a displacement into the force that would cause it at that contact, so every term is a force.  The residual is
+
+.. math::
+
+    r = \\frac{\\|D^{-1} F(f)\\|}{\\max\\bigl(\\|D^{-1} f\\|, \\|D^{-1} F(0)\\|\\bigr)}, \\qquad D_k = \\rho_k^{1/2} .
+
+``D⁻¹`` makes contacts of different compliance commensurate: ``‖D⁻¹ f‖²`` is twice the energy stored in the contacts' own
+compliances.  ``F(0)`` is the force with which each overlapping contact alone would answer ``b``; open contacts have none, so
+a wide gap somewhere cannot hide an error elsewhere.  Hence: ``r`` does not change with the units of force or length; the
+zero force has ``r = 1`` wherever anything overlaps, and ``r = 0`` exactly, by definition of 0/0, in an open scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mic.contact.laws import Law, complementary_displacement, project_on_cone
+
+__all__ = ["Certificate", "certify", "contact_stiffness"]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was measured on a force; scalars for one sample, (n,) arrays for a batch.
+
+    The residual judges the law that was asked for.  The other four measure Coulomb's own conditions (9) and (10), whatever
+    the law, so that they show what a solution of ``associated`` gives up.
+
+    Attributes
+    ----------
+    residual : float or (n,) array
+        Scale-free natural-map residual [1].
+    penetration : float or (n,) array
+        Largest overlap ``max(0, -u_n)`` [length].
+    cone_violation : float or (n,) array
+        Largest excess ``‖f_t‖ - μ f_n``, never negative [force].
+    complementarity : float or (n,) array
+        Largest ``|f_n u_n|``: force across a gap [force × length].
+    slip_error : float or (n,) array
+        Largest ``|μ f_n ‖u_t‖ + f_t·u_t|``, the work by which friction fails to oppose slip [force × length].
+    """
+
+    residual: np.ndarray
+    penetration: np.ndarray
+    cone_violation: np.ndarray
+    complementarity: np.ndarray
+    slip_error: np.ndarray
+
+
+def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:
+    """``ρ_k = 1/‖S_kk‖₂`` per contact, with ``S_kk`` the normal entry alone for the frictionless law.
+
+    A contact whose block vanishes has no compliance of its own and takes the mean of the others.
+
+    Returns
+    -------
+    (m,) array
+        Stiffness [force / length]; one everywhere if ``S`` has no diagonal block at all.
+    """
+    m = len(S) // dimension
+    blocks = S.reshape(m, dimension, m, dimension)[np.arange(m), :, np.arange(m), :]
+    if law is Law.FRICTIONLESS:
+        blocks = blocks[:, :1, :1]
+    compliance = np.linalg.norm(blocks, 2, axis=(1, 2)) if m else np.zeros(0)
+    vanishing = compliance <= np.finfo(float).eps * compliance.max(initial=0.0)
+    if vanishing.all():
+        return np.ones(m)
+    compliance[vanishing] = compliance[~vanishing].mean()
+    return 1.0 / compliance
+
+
+def certify(S, b, mu, force, law="coulomb", dimension=3) -> Certificate:
+    """Measure how well ``force`` solves the contact problem ``(S, b, mu)``.
+
+    Parameters
+    ----------
+    S : (3m, 3m) array
+        Compliance, symmetric positive semidefinite, contact by contact in the order n, t1, t2 [length / force].
+    b : (3m,) or (n, 3m) array
+        Relative displacements without contact forces, gap included [length].
+    mu : float or (m,) array
+        Coefficients of friction; of no effect on the frictionless law.
+    force : array shaped like ``b``
+        Contact forces [force].
+    law : {"coulomb", "associated", "frictionless"}
+        The law to judge by.
+    dimension : {3, 1}
+        1 if ``S`` and ``b`` hold only the normal rows, (m, m) and (n, m).
+
+    Returns
+    -------
+    Certificate
+        Scalars if ``b`` is one sample, (n,) arrays otherwise.  A force that is not finite has an infinite residual.
+    """
+    law = Law(law)
+    S, b, force = (np.asarray(a, dtype=float) for a in (S, b, force))
+    m = len(S) // dimension
+    mu = np.zeros(m) if law is Law.FRICTIONLESS else np.broadcast_to(np.asarray(mu, dtype=float), (m,))
+    stiffness = contact_stiffness(S, law, dimension)
+    certificate, _ = measure(S, np.atleast_2d(b), mu, np.atleast_2d(force), law, stiffness, dimension)
+    if b.ndim == 2:
+        return certificate
+    return Certificate(**{name: float(values[0]) for name, values in vars(certificate).items()})
+
+
+def measure(S, b, mu, force, law, stiffness, dimension):
+    """:func:`certify` on a batch with the stiffnesses known; returns the certificate and ``u = S f + b`` (n, d m)."""
+    displacement = force @ S + b
+    n, m = len(b), len(S) // dimension
+    f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
+    if law is Law.FRICTIONLESS:
+        u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
+
+    def natural_map(f, u):
+        complementary = complementary_displacement(u, mu, law)
+        value = f - project_on_cone(f - stiffness[:, None] * complementary, mu)
+        # Free contacts are exact solutions of every law; say so without rounding.
+        opening = u[..., 0] if law is not Law.ASSOCIATED else u[..., 0] - mu * np.hypot(u[..., 1], u[..., 2])
+        free = (f == 0.0).all(-1) & (opening >= 0.0)
+        return np.where(free[..., None], 0.0, value)
+
+    def energy_norm(f):
+        return np.sqrt(np.einsum("nki,nki,k->n", f, f, 1.0 / stiffness))
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = energy_norm(natural_map(f, u))
+        scale = np.maximum(energy_norm(f), energy_norm(natural_map(np.zeros_like(f), u0)))
+        residual = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)
+        residual[~np.isfinite(residual)] = np.inf
+        slip = np.hypot(u[..., 1], u[..., 2])
+        traction = np.hypot(f[..., 1], f[..., 2])
+        work = mu * f[..., 0] * slip + f[..., 1] * u[..., 1] + f[..., 2] * u[..., 2]
+        certificate = Certificate(
+            residual=residual,
+            penetration=np.max(np.maximum(0.0, -u[..., 0]), axis=1, initial=0.0),
+            cone_violation=np.max(traction - mu * f[..., 0], axis=1, initial=0.0),
+            complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
+            slip_error=np.max(np.abs(work), axis=1, initial=0.0),
+        )
+    return certificate, displacement
+
+
+def _as_contacts(a: np.ndarray, n: int, m: int, dimension: int) -> np.ndarray:
+    """(n, d m) → (n, m, 3), tangential components zero where there are none."""
+    if dimension == 3:
+        return a.reshape(n, m, 3)
+    full = np.zeros((n, m, 3))
+    full[..., 0] = a
+    return full
+

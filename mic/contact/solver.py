@@ -1,0 +1,180 @@
+"""The front door: check the input, scale once, solve many right-hand sides, certify every sample."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from mic.contact.backends import BACKENDS, ConeProgramme
+from mic.contact.certificate import contact_stiffness, measure
+from mic.contact.laws import Law
+from mic.contact.native import NativeSolver
+from mic.contact.solution import ContactSolution, Status
+
+__all__ = ["ContactSolver", "solve"]
+
+#: Relative asymmetry ``max|S - Sᵀ| / max|S|`` beyond rounding, symmetrised with a warning; and beyond which S is refused.
+ASYMMETRY_WARNED, ASYMMETRY_REFUSED = 1e-10, 1e-2
+
+
+class ContactSolver:
+    """One compliance, prepared once; many right-hand sides.
+
+    Solves ``u = S f + b`` together with the contact law that ties ``f`` to ``u`` contact by contact
+    (:mod:`mic.contact.laws`).
+
+    Parameters
+    ----------
+    S : (3m, 3m) array, or (m, m) for ``dimension`` 1
+        Compliance: relative displacements per contact force, symmetric positive semidefinite, contact by contact in the
+        order n, t1, t2 [length / force].
+    mu : float or (m,) array
+        Coefficients of friction, ``>= 0``.
+    law : {"coulomb", "associated", "frictionless"}
+        ``coulomb`` is Coulomb's law proper; ``associated`` the cone programme (13); ``frictionless`` the programme (12), which
+        takes forces from the normal block alone and still returns all displacements.
+    backend : {"native", "ecos", "osqp", "clarabel", "scs"}
+        ``native`` solves every law; the others, where installed, reproduce and cross-check the convex ones.
+    tol : float
+        Largest certificate residual of a converged sample.
+    threads : int
+        Threads over the samples of a batch (native backend).
+    dimension : {3, 1}
+        1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs ``law="frictionless"``.
+
+    Raises
+    ------
+    ValueError
+        Naming the argument that has the wrong shape, is not finite, negative, or unknown.
+    ImportError
+        If the backend is not installed.
+    """
+
+    def __init__(self, S, mu, law="coulomb", backend="native", tol=1e-10, threads=1, dimension=3):
+        self.law = _one_of("law", law, Law)
+        if backend != "native" and backend not in BACKENDS:
+            raise ValueError(f"backend must be native, {', '.join(BACKENDS)}; got {backend!r}")
+        if dimension not in (1, 3):
+            raise ValueError(f"dimension must be 3 or 1; got {dimension!r}")
+        if dimension == 1 and self.law is not Law.FRICTIONLESS:
+            raise ValueError(f"dimension 1 has no tangential rows, so law must be frictionless; got {self.law.value!r}")
+        if not (np.isscalar(tol) and np.isfinite(tol) and tol > 0.0):
+            raise ValueError(f"tol must be a positive number; got {tol!r}")
+        if not (isinstance(threads, (int, np.integer)) and threads >= 1):
+            raise ValueError(f"threads must be a positive integer; got {threads!r}")
+        self.dimension, self.tol = dimension, float(tol)
+        self.S = _checked_compliance(S, dimension)
+        self.contacts = len(self.S) // dimension
+        self.mu = _checked_friction(mu, self.contacts)
+        if self.law is Law.FRICTIONLESS:
+            self.mu = np.zeros(self.contacts)
+        self._stiffness = contact_stiffness(self.S, self.law, dimension)
+        if backend == "native":
+            self._backend = NativeSolver(self.S, self.mu, self.law, self.tol, int(threads), dimension)
+        else:
+            self._backend = ConeProgramme(self.S, self.mu, self.law, backend, dimension)
+
+    def solve(self, b, guess=None) -> ContactSolution:
+        """Solve for one right-hand side or a batch of them.
+
+        Each sample is solved by itself: neither its answer nor its failure touches the others.
+
+        Parameters
+        ----------
+        b : (3m,) or (n, 3m) array
+            Relative displacements without contact forces, gaps included [length].
+        guess : array shaped like ``b``, optional
+            Forces to start from.
+
+        Returns
+        -------
+        ContactSolution
+        """
+        b = _checked_rows("b", b, len(self.S))
+        rows = np.atleast_2d(b)
+        if guess is not None:
+            guess = _checked_rows("guess", guess, len(self.S))
+            if guess.shape != b.shape:
+                raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
+            guess = np.atleast_2d(guess)
+        force, iterations = self._backend.solve(rows, guess)
+        certificate, displacement = measure(
+            self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
+        converged = certificate.residual <= self.tol
+        status = np.full(len(rows), Status.NOT_CONVERGED, dtype=object)
+        status[converged] = Status.CONVERGED
+        values = dict(force=force, displacement=displacement, converged=converged, status=status, iterations=iterations,
+                      **vars(certificate))
+        if b.ndim == 1:
+            values = {name: value[0] for name, value in values.items()}
+            values["converged"] = bool(values["converged"])
+            values["iterations"] = int(values["iterations"])
+            for name in vars(certificate):
+                values[name] = float(values[name])
+        return ContactSolution(**values)
+
+
+def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, threads=1, dimension=3) -> ContactSolution:
+    """Solve one contact problem, or a batch that shares ``S``; see :class:`ContactSolver` for the arguments.
+
+    Examples
+    --------
+    One contact, pressed together by 1 mm and dragged by 1 mm, slides: the friction force is ``μ f_n``.
+
+    >>> sol = solve(np.eye(3), [-1.0, 1.0, 0.0], mu=0.27)
+    >>> sol.force.round(6).tolist()
+    [1.0, -0.27, 0.0]
+    """
+    return ContactSolver(S, mu, law, backend, tol, threads, dimension).solve(b, guess)
+
+
+def _one_of(name, value, enumeration):
+    try:
+        return enumeration(value)
+    except ValueError:
+        raise ValueError(f"{name} must be one of {', '.join(e.value for e in enumeration)}; got {value!r}") from None
+
+
+def _checked_array(name, value):
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers") from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} contains NaN or infinite entries")
+    return array
+
+
+def _checked_compliance(S, dimension):
+    S = _checked_array("S", S)
+    if S.ndim != 2 or S.shape[0] != S.shape[1] or len(S) % dimension:
+        rows = "m" if dimension == 1 else "3m"
+        raise ValueError(f"S must be square with {rows} rows and columns; got shape {S.shape}")
+    largest = np.abs(S).max(initial=0.0)
+    if (S.diagonal() < 0.0).any():
+        raise ValueError("S must be positive semidefinite; it has a negative diagonal entry")
+    asymmetry = np.abs(S - S.T).max(initial=0.0)
+    if asymmetry > ASYMMETRY_REFUSED * largest:
+        raise ValueError(f"S must be symmetric; it differs from its transpose by {asymmetry / largest:.1e} of its largest entry, "
+                         f"above the limit of {ASYMMETRY_REFUSED:g}")
+    if asymmetry > ASYMMETRY_WARNED * largest:
+        warnings.warn(f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised",
+                      stacklevel=3)
+    return 0.5 * (S + S.T)
+
+
+def _checked_friction(mu, contacts):
+    mu = _checked_array("mu", mu)
+    if mu.shape not in ((), (contacts,)):
+        raise ValueError(f"mu must be a number or have one entry per contact, ({contacts},); got shape {mu.shape}")
+    if (mu < 0.0).any():
+        raise ValueError("mu must not be negative")
+    return np.broadcast_to(mu, (contacts,)).copy()
+
+
+def _checked_rows(name, value, size):
+    value = _checked_array(name, value)
+    if value.ndim not in (1, 2) or value.shape[-1] != size:
+        raise ValueError(f"{name} must have shape ({size},) or (n, {size}) to match S; got {value.shape}")
+    return value
