@@ -1,0 +1,43 @@
+"""Variation simulation of sheet-metal assemblies with frictional contact, by the method of influence coefficients.
+
+>>> import mic
+>>> scene = mic.load_scene("meshes/wheelhouse/scene.toml")     # doctest: +SKIP
+>>> model = mic.reduce(scene)                                   # doctest: +SKIP
+>>> model.evaluate({"F1": 20.0}).measurements                   # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from mic.reduced import ReducedModel
+from mic.scene import Scene, SceneError, load_scene
+
+__all__ = ["ReducedModel", "Scene", "SceneError", "cache_folder", "load_scene", "reduce"]
+
+
+def cache_folder() -> Path:
+    """Where meshes and influence coefficients are kept: ``$MIC_CACHE``, or the user's cache folder."""
+    if "MIC_CACHE" in os.environ:
+        return Path(os.environ["MIC_CACHE"])
+    from platformdirs import user_cache_path
+
+    return user_cache_path("mic")
+
+
+def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
+    """Build the reduced model of a scene: meshes, contact pairs, influence coefficients.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path, optional
+        Folder of generated meshes and influence coefficients; default :func:`cache_folder`.
+    """
+    from mic.assembly import assemble
+    from mic.influence import influence_coefficients
+
+    cache = cache or cache_folder()
+    assembly = assemble(scene, cache)
+    return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])

@@ -56,3 +56,49 @@ class InfluenceCoefficients:
         """Read what :meth:`save` wrote."""
         with np.load(path) as data:
             return cls(str(data["part"]), data["H"], data["G"], json.loads(str(data["provenance"])))
+
+
+def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[str, InfluenceCoefficients], dict[str, bool]]:
+    """Influence coefficients of all parts, from the cache where they fit, else from the finite elements.
+
+    Parameters
+    ----------
+    assembly : mic.assembly.Assembly
+    cache : Path
+        Folder of cached coefficients; each file is named by the hash of everything that it depends on.
+    progress : callable, optional
+        Called with one line of text before each part that is computed.
+
+    Returns
+    -------
+    coefficients : dict
+        By part name.
+    cached : dict
+        By part name: whether the cache had them.
+
+    Raises
+    ------
+    ImportError
+        If they must be computed and no finite elements are installed; the message says how to install them.
+    """
+    coefficients, cached = {}, {}
+    for part in assembly.parts:
+        path = cache / "influence" / f"{part.fingerprint()}.npz"
+        cached[part.name] = path.is_file()
+        if not cached[part.name]:
+            if progress:
+                progress(f"influence coefficients of {part.name}: {len(part.functionals)} functionals, {len(part.surface.points)} nodes")
+            _compute(part).save(path)
+        coefficients[part.name] = InfluenceCoefficients.load(path)
+    return coefficients, cached
+
+
+def _compute(part) -> InfluenceCoefficients:
+    try:
+        from fem_reference.part import ShellPart
+    except ImportError as error:
+        raise ImportError(f"part {part.name!r}: no cached influence coefficients fit, and the finite elements that compute them are "
+                          f"not installed ({error}); on Debian: apt-get install python3-dolfinx, or copy a cache folder") from error
+    shell = ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element)
+    H, G = shell.influence(part.functionals)
+    return InfluenceCoefficients(part.name, H, G, {"element": part.element, "nodes": len(part.surface.points), "freedoms": int(shell.ndof)})
