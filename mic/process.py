@@ -11,7 +11,7 @@ A tangential *shape* deviation is not a motion and does not enter b_t: it would 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -161,7 +161,16 @@ class Evaluation:
     failed: np.ndarray
     functional_force: np.ndarray
     motion: np.ndarray
-    reasons: list[str] = field(default_factory=list)
+
+    @classmethod
+    def join(cls, pieces: list[Evaluation]) -> Evaluation:
+        """Evaluations of one law, put one after the other."""
+        def stack(name):
+            return np.concatenate([getattr(piece, name) for piece in pieces])
+
+        resolutions = {stage: Resolution(stage, *(np.concatenate([getattr(piece.resolutions[stage], f.name) for piece in pieces])
+                                                  for f in fields(Resolution)[1:])) for stage in pieces[0].resolutions}
+        return cls(pieces[0].law, stack("deviations"), resolutions, *(stack(f.name) for f in fields(cls)[3:]))
 
 
 @dataclass(frozen=True)
@@ -296,6 +305,18 @@ class Process:
         shape_motion = np.linalg.lstsq(model.G, model.shape - model.H @ model.shape_forces, rcond=None)[0]
         return Evaluation(self.law, deviations, resolutions, measured, failed,
                           np.asarray(forces) + deviations @ model.shape_forces.T, motion + deviations @ shape_motion.T)
+
+    def blank(self, deviations: np.ndarray, reason: str) -> Evaluation:
+        """The evaluation of samples that could not be computed: failed, all values NaN, the reason as their status."""
+        model = self.model
+        n, m, d = len(deviations), len(model.contacts), model.contacts.dimension
+        nan = np.full((n, m, d), np.nan)
+        resolutions = {p.plan.name: Resolution(p.plan.name, nan, nan, np.zeros((n, m), np.int8), np.full(n, np.nan), np.zeros(n, bool),
+                                               np.zeros(n, int), np.full(n, reason, dtype=object), np.full((n, p.bilateral.shape[0]), np.nan))
+                       for p in self.stages if p.solver is not None}
+        measured = len(model.scene.measurements) if model.scene.stages[-1].kind == "measure" else 0
+        return Evaluation(self.law, deviations, resolutions, np.full((n, measured), np.nan), np.ones(n, bool),
+                          np.full((n, model.H.shape[0]), np.nan), np.full((n, model.G.shape[1]), np.nan))
 
     def _targets(self, deviations):
         """Prescribed positions of locators and stroke clamps (n, ·), and clamp forces (n, ·)."""

@@ -85,14 +85,17 @@ class ReducedModel:
     def _processes(self) -> dict:
         return {}
 
-    def process(self, law: str | None = None, tol: float = 1e-10):
-        """The prepared process under a contact law (default: the first that the scene's report names)."""
+    def process(self, law: str | None = None, tol: float = 1e-10, backend: str = "native", threads: int = 1):
+        """The prepared process under a contact law (default: the first that the scene's report names).
+
+        The other arguments are those of :class:`mic.process.Process`.
+        """
         from mic.process import Process
 
         law = law or self.scene.report.laws[0]
-        key = (law, tol)
+        key = (law, tol, backend, threads)
         if key not in self._processes:
-            self._processes[key] = Process(self, law, tol=tol)
+            self._processes[key] = Process(self, law, tol, backend, threads)
         return self._processes[key]
 
     def evaluate(self, deviations, law: str | None = None):

@@ -102,8 +102,9 @@ class ContactSolver:
         certificate, displacement = measure(
             self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
         converged = certificate.residual <= self.tol
-        status = np.full(len(rows), Status.NOT_CONVERGED, dtype=object)
-        status[converged] = Status.CONVERGED
+        status = np.empty(len(rows), dtype=object)
+        for sample, success in enumerate(converged):
+            status[sample] = Status.CONVERGED if success else Status.NOT_CONVERGED
         values = dict(force=force, displacement=displacement, converged=converged, status=status, iterations=iterations,
                       **vars(certificate))
         if b.ndim == 1:
