@@ -22,8 +22,8 @@ from the wheel on the outer part's panel.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,8 +62,7 @@ CROWNS = {"inner": {"tread": 7.0}, "outer": {"panel": 2.0, "brim": 2.5}}  # radi
 INNER_NARROWING = 0.12  # the inner part is deeper by this share at the rear foot, shallower at the front foot
 
 
-@dataclass(frozen=True)
-class Pressing:
+class Pressing(NamedTuple):
     """A local bulge ``height * (1 - q^2)^3`` with elliptic support.
 
     Attributes
@@ -110,8 +109,7 @@ GROWTH = 0.3  # mm of size per mm of distance
 # --- the analytic surface ----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     """A straight line (``turn == 0``) or an arc of a profile."""
 
     name: str  # of the straight region; empty for a bend
@@ -367,3 +365,122 @@ def _mesh_strips(u_range, v_lines, v_samples, sizes):
     clockwise = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     return uv, triangles
+
+
+# --- proposed fixture, joints and measurement points --------------------------------------------------------------------
+
+WELDS = {"W1": -86.0, "W2": -38.0, "W3": 24.0, "W4": 54.0, "W5": 92.0}  # arch angle, degrees
+ZONES = {"CZ1": (-78.0, -46.0), "CZ2": (-26.0, 14.0), "CZ3": (60.0, 84.0)}  # front, top, rear: arch angles, degrees
+CLAMPS = {"CZ1": (-70.0, -54.0), "CZ2": (-16.0, 4.0), "CZ3": (66.0, 78.0)}  # two in each zone
+X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+_EDGE = 3.0 / FLANGE_WIDTH  # fraction: 3 mm inside the flange's free edge, where a 5 mm wide spot still lies on the sheet
+
+# name: (region, arch angle, fraction of the region, direction; None = the sheet's normal, else projected on the sheet)
+# A1-A3, B1, B2, C1 hold the part statically determinately (3-2-1); A4-A8 complete the 8-2-1 scheme.
+LOCATORS = {
+    "inner": {
+        "A1": ("face", -82.0, 0.5, None),
+        "A2": ("face", 86.0, 0.5, None),
+        "A3": ("face", 2.0, 0.5, None),
+        "A4": ("tread", -84.0, 0.3, None),
+        "A5": ("tread", 90.0, 0.3, None),
+        "A6": ("tread", -30.0, 0.3, None),
+        "A7": ("tread", 36.0, 0.3, None),
+        "A8": ("flange", 34.0, 0.5, None),
+        "B1": ("face", -72.0, 0.3, Z),
+        "B2": ("face", 76.0, 0.3, Z),
+        "C1": ("face", -8.0, 0.3, X),
+    },
+    "outer": {
+        "A1": ("wall", -84.0, 0.4, None),
+        "A2": ("wall", 90.0, 0.4, None),
+        "A3": ("wall", 2.0, 0.4, None),
+        "A4": ("brim", -66.0, 0.5, None),
+        "A5": ("brim", 72.0, 0.5, None),
+        "A6": ("brim", -28.0, 0.5, None),
+        "A7": ("brim", 32.0, 0.5, None),
+        "A8": ("flange", 44.0, 0.5, None),
+        "B1": ("wall", -76.0, 0.4, Z),
+        "B2": ("wall", 82.0, 0.4, Z),
+        "C1": ("wall", -8.0, 0.4, X),
+    },
+}
+CORRECTIVE_FORCES = {
+    "F1": ("inner", "flange", -62.0, _EDGE),
+    "F2": ("inner", "flange", -6.0, _EDGE),
+    "F3": ("inner", "flange", 72.0, _EDGE),
+    "F4": ("outer", "panel", -62.0, 0.5),
+    "F5": ("outer", "panel", -6.0, 0.5),
+    "F6": ("outer", "panel", 72.0, 0.5),
+}
+MEASUREMENTS = {
+    "M1": ("outer", "flange", -92.0, _EDGE),
+    "M2": ("outer", "flange", -42.0, _EDGE),
+    "M3": ("outer", "flange", 18.0, _EDGE),
+    "M4": ("outer", "flange", 57.0, _EDGE),
+    "M5": ("outer", "flange", 97.0, _EDGE),
+    "M6": ("outer", "wall", -45.0, 0.85),
+    "M7": ("outer", "wall", 50.0, 0.85),
+    "M8": ("inner", "tread", 22.0, 0.3),
+}
+
+
+def layout() -> dict[str, list[dict]]:
+    """The proposed fixture, joints, corrective forces and measurement points.
+
+    Returns
+    -------
+    dict
+        Lists ``locators``, ``clamps``, ``welds``, ``zones``, ``deviations`` and ``measurements`` of dicts with name,
+        part(s), ``point`` or ``path`` (mm; on the nominal mid-surface, for welds and zones on the surface where the
+        sheets touch) and ``direction`` (unit vector).
+    """
+    tables = {key: [] for key in ("locators", "clamps", "welds", "zones", "deviations", "measurements")}
+    for part, locators in LOCATORS.items():
+        for name, (region, angle, fraction, direction) in locators.items():
+            point, normal = surface_point(part, region, angle, fraction)
+            if direction is None:
+                direction = normal
+            else:
+                direction = np.array(direction) - (np.array(direction) @ normal) * normal
+                direction /= np.linalg.norm(direction)
+            tables["locators"].append({"name": f"{part}-{name}", "part": part, "point": point, "direction": direction})
+    for zone, angles in CLAMPS.items():
+        for i, angle in enumerate(angles, 1):
+            inner, outer, normal = flange_point(angle, FLANGE_WIDTH / 2)
+            name = f"{zone}-{i}"  # tongs: each of the two pads pushes its sheet against the other
+            tables["clamps"].append({"name": f"{name}-inner", "part": "inner", "point": inner, "direction": normal})
+            tables["clamps"].append({"name": f"{name}-outer", "part": "outer", "point": outer, "direction": -normal})
+    for name, angle in WELDS.items():
+        inner, outer, _ = flange_point(angle, FLANGE_WIDTH / 2)
+        tables["welds"].append({"name": name, "parts": ["inner", "outer"], "point": (inner + outer) / 2})
+    for name, (first, last) in ZONES.items():
+        inner, outer, _ = flange_point(np.linspace(first, last, 9), FLANGE_WIDTH / 2)
+        tables["zones"].append({"name": name, "parts": ["inner", "outer"], "path": (inner + outer) / 2})
+    for key, places in (("deviations", CORRECTIVE_FORCES), ("measurements", MEASUREMENTS)):
+        for name, (part, region, angle, fraction) in places.items():
+            point, normal = surface_point(part, region, angle, fraction)
+            tables[key].append({"name": name, "part": part, "point": point, "direction": normal})
+    return tables
+
+
+def main():
+    """Print :func:`layout` as TOML."""
+
+    def toml(value):
+        if isinstance(value, str):
+            return f'"{value}"'
+        if isinstance(value, (list, np.ndarray)):
+            return f"[{', '.join(toml(item) for item in value)}]"
+        return f"{value:.3f}".replace("-0.000", "0.000")
+
+    for key, rows in layout().items():
+        for row in rows:
+            print(f"[[{key}]]")
+            for name, value in row.items():
+                print(f"{name} = {toml(value)}")
+            print()
+
+
+if __name__ == "__main__":
+    main()

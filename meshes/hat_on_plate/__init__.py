@@ -1,0 +1,1 @@
+"""A hat section standing on a plate."""

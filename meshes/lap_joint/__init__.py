@@ -1,0 +1,1 @@
+"""Two flat strips in a lap joint."""
