@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["InfluenceCoefficients"]
+__all__ = ["InfluenceCoefficients", "influence_coefficients", "is_cached"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[s
     """
     coefficients, cached = {}, {}
     for part in assembly.parts:
-        path = cache / "influence" / f"{part.fingerprint()}.npz"
+        path = _cached_file(part, cache)
         cached[part.name] = path.is_file()
         if not cached[part.name]:
             if progress:
@@ -91,6 +91,15 @@ def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[s
             _compute(part).save(path)
         coefficients[part.name] = InfluenceCoefficients.load(path)
     return coefficients, cached
+
+
+def is_cached(part, cache: Path) -> bool:
+    """Whether the cache folder holds the part's influence coefficients."""
+    return _cached_file(part, cache).is_file()
+
+
+def _cached_file(part, cache):
+    return cache / "influence" / f"{part.fingerprint()}.npz"
 
 
 def _compute(part) -> InfluenceCoefficients:
