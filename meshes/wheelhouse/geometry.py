@@ -405,13 +405,14 @@ LOCATORS = {
         "C1": ("wall", -8.0, 0.4, X),
     },
 }
+# At the flange's soft free edge; on the inner part at the feet, which open by springback.
 CORRECTIVE_FORCES = {
-    "F1": ("inner", "flange", -62.0, _EDGE),
+    "F1": ("inner", "flange", -91.0, _EDGE),
     "F2": ("inner", "flange", -6.0, _EDGE),
-    "F3": ("inner", "flange", 72.0, _EDGE),
-    "F4": ("outer", "panel", -62.0, 0.5),
-    "F5": ("outer", "panel", -6.0, 0.5),
-    "F6": ("outer", "panel", 72.0, 0.5),
+    "F3": ("inner", "flange", 97.0, _EDGE),
+    "F4": ("outer", "flange", -78.0, _EDGE),
+    "F5": ("outer", "flange", 4.0, _EDGE),
+    "F6": ("outer", "flange", 84.0, _EDGE),
 }
 MEASUREMENTS = {
     "M1": ("outer", "flange", -92.0, _EDGE),
