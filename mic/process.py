@@ -72,9 +72,9 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
     plans, held, pushed = [], [], []
     for stage in scene.stages:
         closing = []
-        if stage.kind == "locate":
-            locators = list(range(len(scene.locators)))
-        elif stage.kind == "clamp":
+        if stage.kind in ("locate", "clamp"):
+            locators = locators + [i for i, locator in enumerate(scene.locators) if locator.stage == stage.name]
+        if stage.kind == "clamp":
             named = [i for i, clamp in enumerate(scene.clamps) if clamp.stage == stage.name]
             strokes = strokes + [i for i in named if scene.clamps[i].force is None]
             forces = forces + [i for i in named if scene.clamps[i].force is not None]

@@ -168,11 +168,26 @@ class ReducedModel:
                        tuple(header["weld_size"]), data["weld_gap"], data["shape"], data["shape_forces"])
 
 
+def datum_locators(assembly, part: str, G: np.ndarray) -> np.ndarray:
+    """(6,) rows of the locators that a part's shape is measured from: six that hold it, of those it is set down on.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    part : str
+    G : (F, 6) array
+        Rigid-body readings of the part.
+    """
+    scene = assembly.scene
+    own = np.array([i for i, item in enumerate(scene.locators) if item.part == part and item.stage == scene.stages[0].name])
+    return own[statically_determinate(assembly.rows["locator"][own], G)]
+
+
 def _shape_deviations(assembly, H, G):
     """Readings (F, p), and functional forces (F, p), of the shape that each unit corrective force gives its part.
 
-    The part is held on a statically determinate choice of its locators while the force acts; the deformed shape is then
-    the part's stress-free shape. A deviation is measured from the locators, so it vanishes at those chosen.
+    The part is held on a statically determinate choice of the locators that it is set down on while the force acts; the
+    deformed shape is then the part's stress-free shape. A deviation is measured from the locators, so it vanishes there.
     """
     scene, F = assembly.scene, len(H)
     shape, forces = np.zeros((F, len(scene.deviations))), np.zeros((F, len(scene.deviations)))
@@ -183,9 +198,8 @@ def _shape_deviations(assembly, H, G):
         if not own:
             continue
         block = slice(assembly.offsets[p], assembly.offsets[p + 1])
-        locators = assembly.rows["locator"][[i for i, locator in enumerate(scene.locators) if locator.part == part.name]]
         modes = G[:, 6 * p:6 * p + 6]
-        support = locators[statically_determinate(locators, modes)]
+        support = assembly.rows["locator"][datum_locators(assembly, part.name, modes)]
         load = assembly.rows["force"][[force_row[scene.deviations[j].name] for j in own]]
         stage = eliminate(H[block, block], modes[block], support[:, block], csr_matrix((0, block.stop - block.start)),
                           load[:, block], identity[block, block])

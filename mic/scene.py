@@ -81,13 +81,18 @@ class Fixture(_Table):
 
 
 class Locator(_Table):
-    """A bilateral support of a part in one direction, over a pad of the given radius."""
+    """A bilateral support of a part in one direction, over a pad of the given radius.
+
+    It engages in the named stage: those of the locate stage place the part (a 3-2-1 scheme), further ones of an N-2-1
+    scheme close when the clamps do and force the part.
+    """
 
     name: Name
     part: Name
     point: Vector
     direction: Vector
     radius: NonNegative = 4.0
+    stage: Name = "locate"
 
     _direction = field_validator("direction")(_unit)
 
@@ -162,8 +167,9 @@ class Zone(_Table):
 class Stage(_Table):
     """One step of the process.
 
-    ``locate`` engages all locators; ``clamp`` closes the clamps that name the stage; ``weld`` makes the welds that name
-    it; ``release`` opens all clamps and every locator but `keep`; ``measure`` reads the measurements.
+    ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that name
+    it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`; ``measure`` reads
+    the measurements.
     """
 
     kind: Literal["locate", "clamp", "weld", "release", "measure"]
@@ -184,7 +190,7 @@ class Deviation(_Table):
     """One random source of variation, of normal or uniform distribution with the given mean and sigma.
 
     ``force`` (N, at `point` along `direction`, over `radius`) shapes a part as a corrective force would, the part held on
-    a statically determinate choice of its locators; ``locator`` and ``clamp`` move the named element along its direction
+    a statically determinate choice of the locators that it is set down on; ``locator`` and ``clamp`` move the named element along its direction
     (mm; N for a clamp with a force).
     """
 
@@ -280,7 +286,7 @@ class Scene(_Table):
         clamps = _unique("clamps", self.clamps)
         for key in ("welds", "zones", "deviations", "measurements"):
             _unique(key, getattr(self, key))
-        stages = _unique("stages", self.stages)
+        _unique("stages", self.stages)
         for key in ("locators", "clamps", "measurements", "deviations"):
             for i, item in enumerate(getattr(self, key)):
                 if item.part is not None:
@@ -296,13 +302,12 @@ class Scene(_Table):
         for i, item in enumerate(self.deviations):
             if item.kind != "force":
                 _known(f"deviations[{i}].target", item.target, locators if item.kind == "locator" else clamps, item.kind)
-        for key in ("clamps", "welds"):
-            kind = key[:-1]
-            of_kind = {stage.name for stage in self.stages if stage.kind == kind}
+        for key, kinds in (("locators", ("locate", "clamp")), ("clamps", ("clamp",)), ("welds", ("weld",))):
+            fitting = [stage.name for stage in self.stages if stage.kind in kinds]
             for i, item in enumerate(getattr(self, key)):
-                if item.stage not in of_kind:
-                    raise ValueError(f"{key}[{i}].stage: no stage of kind {kind!r} is called {item.stage!r}; "
-                                     f"add one to [[stages]] or name one of {sorted(of_kind) or 'none yet'}")
+                if item.stage not in fitting:
+                    raise ValueError(f"{key}[{i}].stage: no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
+                                     f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}")
         for i, stage in enumerate(self.stages):
             for name in stage.keep or ():
                 _known(f"stages[{i}].keep", name, locators, "locator")
@@ -313,20 +318,20 @@ class Scene(_Table):
             raise ValueError("stages: 'measure' may only come last, once")
         if self.measurements and "measure" not in kinds:
             raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
-        self._held(stages)
+        self._held()
         return self
 
-    def _held(self, stages):
-        """Every part needs six independent locators before anything can be computed."""
+    def _held(self):
+        """Every part needs six independent locators when it is set down, before anything can be computed."""
         for i, part in enumerate(self.parts):
-            own = [locator for locator in self.locators if locator.part == part.name]
+            own = [locator for locator in self.locators if locator.part == part.name and locator.stage == self.stages[0].name]
             points = np.array([locator.point for locator in own]).reshape(-1, 3)
             scale = max(1.0, float(np.ptp(points, axis=0).max(initial=0.0)))
             arms = (points - points.mean(0)) / scale if len(own) else points
             rows = np.array([[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)])
             rank = np.linalg.matrix_rank(rows, tol=1e-6) if len(own) else 0
             if rank < 6:
-                raise ValueError(f"parts[{i}] ({part.name}): its {len(own)} locators hold {rank} of its 6 rigid-body motions; "
+                raise ValueError(f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {rank} of its 6 rigid-body motions; "
                                  "add locators (at least a 3-2-1 scheme) until all six are held")
 
 
