@@ -6,8 +6,8 @@ the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ`
 
     (F - 1 f̄ᵀ) C = U Σ Vᵀ ≈ U_r Σ_r V_rᵀ,
 
-so that one solve for ``f̄`` and r for the columns of ``C⁻ᵀ V_r Σ_r`` serve all samples. Rigid motions cost no solve and are kept
-whole, so with ``c(x)`` the r solved fields
+so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no solve and are
+kept whole, so with ``c(x)`` the r solved fields
 
     σ²(x) = g M gᵀ / (n - 1),    g = [c(x), R(x)],    M = [U_r, Q]ᵀ [U_r, Q],    Q the centred motions.
 """
