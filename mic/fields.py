@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.outcome import Outcome
+from mic.outcome import Outcome, kept_parts, read_outcome
 
 __all__ = ["DISCARDED_ENERGY", "Factor", "PartField", "compute_fields", "low_rank", "read_fields", "write_fields"]
 
@@ -129,30 +129,24 @@ def low_rank(force, motion, H, discarded: float = DISCARDED_ENERGY) -> Factor:
     return Factor(mean_force, mean_motion, columns, both.T @ both / max(n - 1, 1), float(tail[rank] / total), n)
 
 
-def compute_fields(outcome: Outcome, assembly) -> list[PartField]:
-    """Mean and 6σ fields of every part under every law, from the forces that the run kept.
+def compute_fields(outcome: Outcome) -> list[PartField]:
+    """Mean and 6σ fields of every part under every law, from the forces and parts that the run kept.
 
     Parameters
     ----------
     outcome : Outcome
-    assembly : mic.assembly.Assembly
-        Of the outcome's scene.
 
     Raises
     ------
     ImportError
         If the finite elements are not installed.
-    ValueError
-        If the assembly is not the one that was run.
     """
     from fem_reference.part import ShellPart
 
     model, found = outcome.model, []
-    if not np.array_equal(assembly.offsets, model.offsets):
-        raise ValueError("the assembly and the run differ in their retained functionals: run the scene again")
     forces = {law: _forces(outcome, law) for law in outcome.laws}
     forces = {law: pair for law, pair in forces.items() if pair is not None and len(pair[0])}
-    for p, part in enumerate(assembly.parts):
+    for p, part in enumerate(kept_parts(outcome)):
         rows, motions = slice(model.offsets[p], model.offsets[p + 1]), slice(6 * p, 6 * p + 6)
         H, G = model.H[rows, rows], model.G[rows, motions]
         factors = {law: low_rank(force[:, rows], motion[:, motions], H) for law, (force, motion) in forces.items()}
@@ -176,25 +170,39 @@ def compute_fields(outcome: Outcome, assembly) -> list[PartField]:
     return found
 
 
-def write_fields(outcome: Outcome, assembly) -> list[PartField]:
-    """Compute the fields and write them into the run folder.
+def write_fields(folder) -> list[PartField]:
+    """Compute the fields of a run folder and write them into it, where its scene asks for them.
 
     ``fields/<law>-<part>.vtu`` holds, at the vertices, ``mean``, ``six_sigma``, ``six_sigma_magnitude`` and
-    ``six_sigma_normal`` in mm; ``fields/<part>.vtu`` the nominal surface alone.
+    ``six_sigma_normal`` in mm; ``fields/<part>.vtu`` the nominal surface alone. Where the finite elements are missing,
+    ``fields/fields.json`` says so and no field is written.
 
-    Parameters, errors
-        As :func:`compute_fields`.
+    Parameters
+    ----------
+    folder : path-like
+        As :func:`mic.montecarlo.run` and :func:`mic.outcome.keep_inputs` left it.
     """
     import meshio
 
-    found = compute_fields(outcome, assembly)
+    outcome = read_outcome(folder)
     folder = outcome.folder / "fields"
     folder.mkdir(exist_ok=True)
-    for old in folder.glob("*.vtu"):
+    for old in [*folder.glob("*.vtu"), *folder.glob("fields.json")]:
         old.unlink()
-    surfaces = {part.name: part.surface for part in assembly.parts}
+    surfaces = {part.name: part.surface for part in kept_parts(outcome)}
     for name, surface in surfaces.items():
         meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data={"normal": surface.vertex_normals}).write(folder / f"{name}.vtu")
+    found, skipped = [], None
+    if not outcome.model.scene.report.fields:
+        skipped = "The scene does not ask for fields, so none were computed."
+    elif not surfaces:
+        skipped = "The run folder holds no parts.npz, so no fields could be computed: run the scene again."
+    else:
+        try:
+            found = compute_fields(outcome)
+        except ImportError as error:
+            skipped = (f"The finite elements that the fields need are not installed ({error}), so none were computed: install them "
+                       "(Debian: apt-get install python3-dolfinx) and call mic report on this folder.")
     records = []
     for field in found:
         surface = surfaces[field.part]
@@ -202,22 +210,22 @@ def write_fields(outcome: Outcome, assembly) -> list[PartField]:
                 "six_sigma_normal": field.six_sigma_normal}
         meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(folder / f"{field.law}-{field.part}.vtu")
         records.append({name: getattr(field, name) for name in ("law", "part", "rank", "samples", "discarded", "error")})
-    (folder / "fields.json").write_text(json.dumps(records, indent=2) + "\n")
+    (folder / "fields.json").write_text(json.dumps({"skipped": skipped, "fields": records}, indent=2) + "\n")
     return found
 
 
-def read_fields(folder) -> list[PartField]:
-    """The fields of a run folder, as :func:`write_fields` left them; empty where there are none."""
+def read_fields(folder) -> tuple[list[PartField], str | None]:
+    """The fields of a run folder, as :func:`write_fields` left them, and a sentence that says why where there are none."""
     folder = Path(folder) / "fields"
     if not (folder / "fields.json").is_file():
-        return []
+        return [], "No fields were computed for this run."
     import meshio
 
-    found = []
-    for record in json.loads((folder / "fields.json").read_text()):
-        data = meshio.read(folder / f"{record['law']}-{record['part']}.vtu").point_data
-        found.append(PartField(mean=data["mean"], six_sigma=data["six_sigma"], six_sigma_normal=data["six_sigma_normal"], **record))
-    return found
+    record, found = json.loads((folder / "fields.json").read_text()), []
+    for entry in record["fields"]:
+        data = meshio.read(folder / f"{entry['law']}-{entry['part']}.vtu").point_data
+        found.append(PartField(mean=data["mean"], six_sigma=data["six_sigma"], six_sigma_normal=data["six_sigma_normal"], **entry))
+    return found, record["skipped"]
 
 
 def _forces(outcome, law):

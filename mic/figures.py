@@ -21,7 +21,8 @@ from mic.process import STATES
 from mic.statistics import density
 
 __all__ = ["LAW_COLOURS", "PART_COLOURS", "Picture", "assembly_picture", "field_picture", "law_cost_picture", "measurement_picture",
-           "number", "sample_picture", "slip_density_picture", "slip_force_picture", "state_picture", "zone_colour"]
+           "number", "sample_picture", "slip_density_picture", "slip_force_picture", "state_picture", "viewpoint",
+           "zone_colour"]
 
 LAW_COLOURS = {"coulomb": "#0072b2", "associated": "#d55e00", "frictionless": "#5f6b76"}
 LAW_MARKS = {"coulomb": "o", "associated": "s", "frictionless": "^"}
@@ -326,14 +327,19 @@ def measurement_picture(outcome) -> Picture | None:
 # ---------------------------------------------------------------------------------------------- the assembly in space
 
 
+def viewpoint(surfaces) -> np.ndarray:
+    """(3,) unit vector towards the corner of space from which most of the surfaces is seen."""
+    normal = np.concatenate([surface.normals * surface.areas[:, None] for surface in surfaces])
+    corners = [np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+               for a in np.radians([-60, -30, 30, 60, 120, 150, 210, 240]) for e in np.radians([20, 40])]
+    return max(corners, key=lambda d: float(np.abs(normal @ d).sum()))
+
+
 class _View:
-    """Orthographic view of the parts, from the corner of space that shows most of their surface."""
+    """Orthographic view of the parts from their :func:`viewpoint`."""
 
     def __init__(self, surfaces):
-        normal = np.concatenate([surface.normals * surface.areas[:, None] for surface in surfaces])
-        corners = [np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
-                   for a in np.radians([-60, -30, 30, 60, 120, 150, 210, 240]) for e in np.radians([20, 40])]
-        self.eye = max(corners, key=lambda d: float(np.abs(normal @ d).sum()))
+        self.eye = viewpoint(surfaces)
         right = np.cross([0, 0, 1.0], self.eye)
         self.right = right / np.linalg.norm(right)
         self.up = np.cross(self.eye, self.right)

@@ -17,12 +17,14 @@ import numpy as np
 import pandas as pd
 
 from mic import statistics
+from mic.functional import Functionals
+from mic.part import Part
 from mic.process import STATES
 from mic.reduced import ReducedModel
 from mic.statistics import Estimate
-from mic.surface import Surface
+from mic.surface import Patch, Surface
 
-__all__ = ["Outcome", "PUBLISHED", "keep_inputs", "read_outcome", "write_summary"]
+__all__ = ["PUBLISHED", "Outcome", "keep_inputs", "kept_parts", "read_outcome", "write_summary"]
 
 PUBLISHED = "paper.toml"  # published figures beside a scene, to set beside its results
 MEASUREMENT_STATISTICS = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
@@ -266,10 +268,10 @@ def write_summary(outcome: Outcome) -> Path:
 
 
 def keep_inputs(folder, assembly) -> None:
-    """Copy into a run folder what its report needs beside the results, so that the folder can be read on any machine.
+    """Copy into a run folder what fields and report need beside the results, so that the folder can be read on any machine.
 
-    These are the parts' surfaces (``geometry.npz``) and, if the scene's folder has one, the published figures
-    (``paper.toml``) to set beside the results.
+    These are the parts with their retained functionals (``parts.npz``) and, if the scene's folder has one, the published
+    figures (``paper.toml``) to set beside the results.
 
     Parameters
     ----------
@@ -280,8 +282,15 @@ def keep_inputs(folder, assembly) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {}
     for i, part in enumerate(assembly.parts):
-        arrays |= {f"points_{i}": part.surface.points, f"triangles_{i}": part.surface.triangles.astype(np.int32)}
-    np.savez(folder / "geometry.npz", names=[part.name for part in assembly.parts], **arrays)
+        f = part.functionals
+        table = {"points": part.surface.points, "triangles": part.surface.triangles, "patch": f.patch, "direction": f.direction,
+                 "rotation": f.rotation, "side": f.side, "label": np.array(f.label, dtype=str),
+                 "ends": np.cumsum([len(patch.weight) for patch in f.patches])}
+        table |= {name: np.concatenate([getattr(patch, name) for patch in f.patches]) for name in ("triangle", "barycentric", "weight")}
+        arrays |= {f"{i}_{name}": array for name, array in table.items()}
+    temporary = folder / "parts.partial.npz"
+    np.savez(temporary, **arrays)
+    temporary.replace(folder / "parts.npz")
     published = assembly.scene.folder / PUBLISHED
     if published.is_file():
         shutil.copyfile(published, folder / PUBLISHED)
@@ -289,13 +298,22 @@ def keep_inputs(folder, assembly) -> None:
         (folder / PUBLISHED).unlink(missing_ok=True)
 
 
-def read_geometry(folder) -> dict[str, Surface]:
-    """Surfaces of the parts by name, as :func:`keep_inputs` left them; empty if it was not called."""
-    path = Path(folder) / "geometry.npz"
+def kept_parts(outcome: Outcome) -> tuple[Part, ...]:
+    """The parts as :func:`keep_inputs` left them in the run folder; none if it was not called."""
+    path = outcome.folder / "parts.npz"
     if not path.is_file():
-        return {}
+        return ()
+    scene, parts = outcome.model.scene, []
     with np.load(path) as data:
-        return {str(name): Surface(data[f"points_{i}"], data[f"triangles_{i}"]) for i, name in enumerate(data["names"])}
+        for i, part in enumerate(scene.parts):
+            table = {name: data[f"{i}_{name}"] for name in ("points", "triangles", "patch", "direction", "rotation", "side", "label", "ends",
+                                                            "triangle", "barycentric", "weight")}
+            split = [np.split(table[name], table["ends"][:-1]) for name in ("triangle", "barycentric", "weight")]
+            functionals = Functionals(tuple(Patch(*arrays) for arrays in zip(*split)), table["patch"], table["direction"], table["rotation"],
+                                      table["side"], tuple(str(label) for label in table["label"]))
+            parts.append(Part(part.name, Surface(table["points"], table["triangles"]), part.thickness, part.young, part.poisson,
+                              scene.element, functionals))
+    return tuple(parts)
 
 
 def _read(paths, columns):
