@@ -211,22 +211,36 @@ class ShellPart:
         return vstack([csr_matrix((data, indices, indptr), shape=(len(indptr) - 1, self.ndof)) for indptr, indices, data in pieces])
 
     @cached_property
+    def dof_component(self) -> np.ndarray:
+        """(ndof,) what each freedom is: 0, 1, 2 for u along x, y, z and 3, 4, 5 for θ about them."""
+        component = np.empty(self.ndof, dtype=int)
+        component[self._displacement_dofs] = np.arange(3)
+        component[self._rotation_dofs] = np.arange(3, 6)
+        return component
+
+    @cached_property
+    def dof_position(self) -> np.ndarray:
+        """(ndof, 3) where each freedom sits, mm: at a vertex or at the midpoint of an edge."""
+        corners = self.surface.corners
+        midpoints = (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]]) / 2
+        quadratic = np.concatenate([corners, midpoints], axis=1)
+        position = np.empty((self.ndof, 3))
+        position[self._displacement_dofs] = quadratic[:, : self._displacement_dofs.shape[1], None]
+        position[self._rotation_dofs] = (corners if self.element == "dkt-opt" else midpoints)[:, :, None]
+        return position
+
+    @cached_property
     def rigid_modes(self) -> np.ndarray:
         """(ndof, 6): unit translations along x, y, z, then unit rotations about x, y, z through `centroid`.
 
         u = a + ω × (x − c), θ = ω.
         """
-        surface = self.surface
-        corners = surface.points[surface.triangles] - self.centroid  # (k, 3, 3)
-        nodes = corners
-        if self._displacement_dofs.shape[1] == 6:
-            nodes = np.concatenate([corners, (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]]) / 2], axis=1)
         modes = np.zeros((self.ndof, 6))
+        translation = self.dof_component < 3
+        modes[np.arange(self.ndof), self.dof_component] = 1.0
         for axis in range(3):
-            unit = np.eye(3)[axis]
-            modes[self._displacement_dofs, axis] = unit
-            modes[self._displacement_dofs, 3 + axis] = np.cross(unit, nodes)
-            modes[self._rotation_dofs, 3 + axis] = unit
+            velocity = np.cross(np.eye(3)[axis], self.dof_position - self.centroid)
+            modes[translation, 3 + axis] = velocity[translation, self.dof_component[translation]]
         return modes
 
     @cached_property
