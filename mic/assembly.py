@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.functional import Functionals
-from mic.pairing import Side, find_pairs
+from mic.pairing import Side, find_pairs, pair_at
 from mic.part import Part, fixture_surface, part_surface
 from mic.scene import Scene, SceneError
 from mic.surface import Patch
@@ -112,7 +112,7 @@ class _Retained:
     def freeze(self) -> Functionals:
         return Functionals(tuple(self.patches), np.array(self.patch, dtype=np.int64),
                            np.array(self.direction, dtype=float).reshape(-1, 3), np.array(self.rotation, dtype=bool),
-                           np.array(self.side, dtype=np.int64), tuple(self.label))
+                           np.array(self.side, dtype=float), tuple(self.label))
 
 
 def assemble(scene: Scene, cache: Path) -> Assembly:
@@ -186,30 +186,28 @@ def _on_part(key, point, name, surface):
 
 
 def _weld_rows(key, weld, surfaces, thickness, retained, row):
-    """Rows of one weld: n, t1, t2 translations of the facing surfaces, and the rotations where it carries moment."""
-    first, second = weld.parts
+    """Rows of one weld: n, t1, t2 translations at the middle of the gap, and the rotations where it carries moment.
+
+    Both parts are read at the same material-free point, half of any nominal gap off their facing surfaces: otherwise
+    turning the welded assembly as a whole would strain the weld.
+    """
     for name in weld.parts:
         _on_part(key, weld.point, name, surfaces[name])
-    foot = surfaces[first].project(weld.point)
-    opposite = surfaces[second].project(foot.point)
-    step = opposite.point[0] - foot.point[0]
-    normal = surfaces[first].normals[foot.triangle[0]]
-    along = float(step @ normal)
-    n = normal * (np.sign(along) or 1.0)
-    gap = abs(along) - (thickness[first] + thickness[second]) / 2
-    t1 = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-    t1 /= np.linalg.norm(t1)
-    frame = np.column_stack([n, t1, np.cross(n, t1)])
-    functional = {}
-    for name, centre, sign in ((first, foot.point[0], 1), (second, opposite.point[0], -1)):
-        body, surface = retained[name], surfaces[name]
-        patch = body.add_patch(surface.patch(centre, weld.radius, n))
-        side = sign * int(np.sign(surface.normals[surface.project(centre, n).triangle[0]] @ n))
-        functional[name] = [body.add(patch, frame[:, j], f"weld {weld.name} {axis}", rotation, 0 if rotation else side)
-                            for rotation in ((False, True) if weld.moment else (False,)) for j, axis in enumerate(("n", "t1", "t2"))]
-    for j, (a, b) in enumerate(zip(functional[first], functional[second])):
+    try:
+        pair = pair_at(weld.point, weld.radius, *(Side(surfaces[name], thickness[name]) for name in weld.parts))
+    except ValueError as error:
+        raise SceneError(f"{key}.point: {error}; correct the coordinates") from None
+    functional = []
+    for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
+        body = retained[name]
+        index = body.add_patch(patch)
+        middle = side * (1 + pair.gap / thickness[name])
+        functional.append([body.add(index, pair.frame[:, j], f"weld {weld.name} {axis}", rotation, 0.0 if rotation else middle)
+                           for rotation in ((False, True) if weld.moment else (False,)) for j, axis in enumerate(("n", "t1", "t2"))])
+    first, second = weld.parts
+    for j, (a, b) in enumerate(zip(*functional)):
         row("weld", f"{weld.name} {('', 'r')[j // 3]}{('n', 't1', 't2')[j % 3]}", (first, a, -1.0), (second, b, 1.0))
-    return gap
+    return pair.gap
 
 
 def _contact_rows(scene, bodies, thickness, retained, row):

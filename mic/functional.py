@@ -21,7 +21,8 @@ class Functionals:
 
     Row i reads, averaged over ``patches[patch[i]]``,
 
-    - ``d · (u + θ × (s t/2) n)`` where ``rotation[i]`` is false (mm),
+    - ``d · (u + θ × (s t/2) n)`` where ``rotation[i]`` is false (mm): the motion of a point that stands off the
+      mid-surface by ``s`` half-thicknesses,
     - ``d · θ`` where it is true (rad),
 
     with ``d = direction[i]``, ``s = side[i]``, ``t`` the part's thickness and ``n`` the unit normal of the triangle that
@@ -36,8 +37,9 @@ class Functionals:
     direction : (n, 3) array
         Unit directions.
     rotation : (n,) bool array
-    side : (n,) int array
-        -1, 0 or +1: the surface that the row reads, ``side t/2`` along the triangle normals (0: the mid-surface).
+    side : (n,) array
+        Where the row reads, in half-thicknesses along the triangle normals: 0 the mid-surface, -1 and +1 the sheet's
+        two surfaces, beyond that a point off the sheet (the middle of a nominal gap).
     label : tuple of str
         One name per row, such as ``"weld W1 x"``.
     """

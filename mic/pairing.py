@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from mic.surface import Patch, Surface
 
-__all__ = ["ContactPair", "Side", "find_pairs"]
+__all__ = ["ContactPair", "Side", "find_pairs", "pair_at"]
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     if count > len(cloud.area):
         raise ValueError(f"{count} pairs do not fit into the {area:.3g} mm² where the parts face each other; ask for fewer pairs")
     if zone.points:
-        foot = sampled.surface.project(zone.points)
-        centres = foot.point
+        centres = np.array(zone.points)
         lost = np.flatnonzero(cKDTree(cloud.point).query(centres)[0] > np.sqrt(area / count))
         if len(lost):
             raise ValueError(f"points[{lost[0]}] lies where the parts do not face each other; move it, or widen max_gap or the region")
@@ -97,17 +96,48 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
         else:
             seed = own.point[np.argmin(np.linalg.norm(own.point - centre, axis=1))]
             disc = sampled.surface.patch(seed, float(zone.patch), own.normal.mean(0))
-            reading = _project(zone, sampled, other, disc.triangle, disc.barycentric, disc.weight)
+            reading = _project(sampled, other, zone.max_gap, np.radians(zone.max_angle_deg), disc.triangle, disc.barycentric, disc.weight)
             if not len(reading.area):
                 reading = own.take([np.argmin(np.linalg.norm(own.point - centre, axis=1))])
         pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
-    axis = _tangent_axis(np.array([pair.frame[:, 0] for pair in pairs]))
+    _set_tangents(pairs)
+    return pairs
+
+
+def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
+    """The pair at one given point, over a disc of the first surface: where a weld joins two sheets.
+
+    Parameters
+    ----------
+    point : (3,) array
+        mm; projected onto the first surface.
+    radius : float
+        mm.
+    first, second : Side
+
+    Raises
+    ------
+    ValueError
+        If no part of the disc faces the second surface.
+    """
+    disc = first.surface.patch(point, radius)
+    reach = float(second.surface.project(point).distance[0] + first.surface.project(point).distance[0]) + radius
+    reading = _project(first, second, reach, np.pi / 3, disc.triangle, disc.barycentric, disc.weight)
+    if not len(reading.area):
+        raise ValueError("the two parts do not face each other there")
+    pair = _pair(reading, np.pi * radius**2, first, second, swap=False)
+    _set_tangents([pair])
+    return pair
+
+
+def _set_tangents(pairs):
+    """t1 along the global axis that stays farthest from all normals, so that it varies smoothly over a zone."""
+    axis = np.eye(3)[np.argmin(np.abs([pair.frame[:, 0] for pair in pairs]).max(0))]
     for pair in pairs:
         n = pair.frame[:, 0]
         t1 = axis - (axis @ n) * n
         t1 /= np.linalg.norm(t1)
         pair.frame[:, 1:] = np.column_stack([t1, np.cross(n, t1)])
-    return pairs
 
 
 @dataclass(frozen=True)
@@ -134,7 +164,9 @@ def _first_spacing(surface):
 def _facing(zone, sampled, other, spacing):
     surface = sampled.surface
     triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface._reach))
-    cloud = _project(zone, sampled, other, *surface.sample(triangles, spacing), restrict=True)
+    triangle, barycentric, area = surface.sample(triangles, spacing)
+    inside = _in_region(zone, surface.at(triangle, barycentric))
+    cloud = _project(sampled, other, zone.max_gap, np.radians(zone.max_angle_deg), triangle[inside], barycentric[inside], area[inside])
     if not len(cloud.area):
         raise ValueError(f"no contact pair: within the region the two surfaces nowhere face each other with a gap below "
                          f"max_gap = {zone.max_gap} mm and an angle below max_angle_deg = {zone.max_angle_deg}; "
@@ -158,28 +190,20 @@ def _in_region(zone, x, margin=0.0):
     return np.ones(len(x), dtype=bool)
 
 
-def _project(zone, sampled, other, triangle, barycentric, area, restrict=False):
-    """Sampling points with their projections, those that face nothing left out."""
-    surface = sampled.surface
-    point = surface.at(triangle, barycentric)
-    if restrict:
-        keep = _in_region(zone, point)
-        triangle, barycentric, area, point = triangle[keep], barycentric[keep], area[keep], point[keep]
-    normal = surface.normals[triangle]
-    angle = np.radians(zone.max_angle_deg)
-    reach = zone.max_gap + (sampled.thickness + other.thickness) / 2
-    foot = other.surface.project(point, normal, angle)
+def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area):
+    """Sampling points with their closest points on the other surface, those that face nothing left out."""
+    surface, opposite = sampled.surface, other.surface
+    point, normal = surface.at(triangle, barycentric), surface.normals[triangle]
+    foot = opposite.project(point, normal, max_angle)
     step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
     along = np.einsum("ij,ij->i", step, normal)
-    lateral = np.linalg.norm(step - along[:, None] * normal, axis=1)
+    # A closest point on the border of the other surface, off the foot of the perpendicular, faces nothing.
+    across = np.linalg.norm(np.cross(step, opposite.normals[foot.triangle]), axis=1)
+    at_border = ((foot.barycentric < 1e-9) & opposite.border[foot.triangle]).any(1)
+    reach = max_gap + (sampled.thickness + other.thickness) / 2
     with np.errstate(invalid="ignore"):
-        good = (foot.triangle >= 0) & (np.abs(along) <= reach) & (lateral <= np.sin(angle) * foot.distance + 1e-9)
-    if sampled.thickness + other.thickness > 0:
-        sign = np.sign(along)
-    else:
-        sign = np.full(len(along), 1.0)
-    good &= sign != 0
-    sign = np.where(good, sign, 1.0)
+        good = (foot.triangle >= 0) & (np.abs(along) <= reach) & ~(at_border & (across > 1e-3 * foot.distance + 1e-9))
+    sign = np.where(along < 0, -1.0, 1.0)
     return _Cloud(triangle[good], barycentric[good], point[good], (normal * sign[:, None])[good], area[good],
                   (along * sign)[good], foot.triangle[good], foot.barycentric[good])
 
@@ -216,7 +240,3 @@ def _pair(cloud, area, sampled, other, swap):
     return ContactPair(weight @ cloud.point, np.column_stack([n, np.zeros((3, 2))]), float(gap), float(area),
                        tuple(patches), tuple(sides))
 
-
-def _tangent_axis(normals):
-    """The global axis that stays farthest from all normals, so that t1 varies smoothly over a zone."""
-    return np.eye(3)[np.argmin(np.abs(normals).max(0))]

@@ -281,12 +281,13 @@ class Process:
                     free = (v @ response.T.T + load @ response.L.T).reshape(n, m, d)
                     b = free - left
                     b[:, :, 0] = gap + free[:, :, 0]
-                    solution = prepared.solver.solve(b.reshape(n, m * d))
+                    # Where Coulomb's law has several solutions, take the one that continues the state before.
+                    solution = prepared.solver.solve(b.reshape(n, m * d), guess=force)
                     force = solution.force
                     converged &= solution.converged
                     residual, iterations = np.maximum(residual, solution.residual), iterations + solution.iterations
                     left = free + (force @ response.S).reshape(n, m, d)
-            if not resolved and plan.resolves is False and plan.kind == "locate" and m:
+            if plan.kind == "locate" and m:
                 left = (v @ response.T.T + load @ response.L.T).reshape(n, m, d)
             reading = v @ response.T_out.T + load @ response.L_out.T + force @ response.S_out.T
             reaction = v @ response.reaction_T.T + load @ response.reaction_L.T + force @ response.reaction_S.T

@@ -83,7 +83,7 @@ def statically_determinate(rows: csr_matrix, G: np.ndarray) -> np.ndarray:
     reading = (rows @ G) / np.where(column > 0, column, 1)
     length = np.linalg.norm(reading, axis=1)
     reading = reading / np.where(length > 0, length, 1)[:, None]
-    rank = np.linalg.matrix_rank(reading, tol=1e-7) if rows.shape[0] else 0
+    rank = np.linalg.matrix_rank(reading, tol=1e-6) if rows.shape[0] else 0
     if rank < r:
         free = np.linalg.svd(reading, full_matrices=True)[2][rank:].T if rows.shape[0] else np.eye(r)
         error = ValueError(f"{r - rank} rigid-body motions are free")

@@ -131,6 +131,13 @@ class Surface:
         return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
 
     @cached_property
+    def border(self) -> np.ndarray:
+        """(k, 3) bool: whether the edge opposite to each vertex belongs to this triangle alone."""
+        edges = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+        _, index, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        return (count[index.ravel()] == 1).reshape(-1, 3)
+
+    @cached_property
     def diameter(self) -> float:
         """Diagonal of the bounding box, mm."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))

@@ -1,0 +1,148 @@
+"""The process: what must hold whatever the contact solution is, and friction's memory."""
+
+import numpy as np
+import pytest
+
+import mic
+from mic.reduced import ReducedModel
+from mic.variation import draw
+
+
+def with_stages(scene, kinds, **changes):
+    return scene.model_copy(update={"stages": [stage for stage in scene.stages if stage.kind in kinds], **changes})
+
+
+def readings(model, evaluation):
+    """All retained functionals in the last stage, the shape deviation included."""
+    return evaluation.functional_force @ model.H + evaluation.motion @ model.G.T
+
+
+@pytest.mark.parametrize("name", ["lap_model", "hat_model"])
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+def test_forces_balance_and_reproduce_the_measurements(name, law, request):
+    model = request.getfixturevalue(name)
+    evaluation = model.process(law).evaluate(draw(model.scene, 3, 0, 6))
+    force = evaluation.functional_force
+    scale = np.abs(force).sum(axis=1)[:, None] * np.abs(model.G).max(axis=0)
+    assert (np.abs(force @ model.G) <= 1e-9 * scale).all()
+    measured = readings(model, evaluation) @ model.rows["measurement"].T
+    np.testing.assert_allclose(measured, evaluation.measurements, atol=1e-9 * np.abs(evaluation.measurements).max())
+    assert np.abs(evaluation.measurements).max() > 1e-3
+
+
+def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
+    deviations = draw(lap_scene, 3, 0, 4)
+    before = mic.reduce(with_stages(lap_scene, ("locate", "clamp"), welds=[], measurements=[]), cache)
+    clamped = before.process("coulomb").evaluate(deviations)
+    after = lap_model.process("coulomb").evaluate(deviations)
+    # The same functionals stand at other places in the two models: compare the weld's rows through the welded one.
+    resolution = clamped.resolutions["clamp"]
+    np.testing.assert_allclose(resolution.force, after.resolutions["clamp"].force, atol=1e-6 * np.abs(resolution.force).max())
+    welded_only = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "weld"), measurements=[]), cache)
+    at_weld = welded_only.process("coulomb").evaluate(deviations)
+    rows = lap_model.rows["weld"]
+    start = readings(welded_only, at_weld)[:, :] @ welded_only.rows["weld"].T
+    end = readings(lap_model, after) @ rows.T
+    assert np.abs(start).max() > 1e-3
+    np.testing.assert_allclose(end, start, atol=1e-9 * np.abs(start).max())
+
+
+def test_closing_weld_leaves_no_gap(hat_model):
+    evaluation = hat_model.process("coulomb").evaluate(draw(hat_model.scene, 3, 0, 4))
+    first = np.concatenate([[0], np.cumsum(hat_model.weld_size)])[:-1]
+    gap = hat_model.weld_gap + readings(hat_model, evaluation) @ hat_model.rows["weld"][first].T
+    closing = np.array([weld.close for weld in hat_model.scene.welds])
+    assert np.abs(gap[:, closing]).max() < 1e-10
+    assert np.abs(gap[:, ~closing]).max() > 1e-4
+
+
+def test_slip_is_measured_from_where_the_contact_was_left(lap_scene, cache):
+    """Nothing changes in a stage that only repeats its predecessor: with memory, no slip and the same forces."""
+    clamp = lap_scene.stages[1]
+    again = clamp.model_copy(update={"name": "again"})
+    extra = lap_scene.clamps[0].model_copy(update={"name": "idle", "force": 0.0, "stage": "again"})
+    scene = lap_scene.model_copy(update={"stages": [lap_scene.stages[0], clamp, again], "clamps": [*lap_scene.clamps, extra],
+                                         "welds": [], "measurements": []})
+    evaluation = mic.reduce(scene, cache).process("coulomb").evaluate(draw(scene, 3, 0, 4))
+    first, second = evaluation.resolutions["clamp"], evaluation.resolutions["again"]
+    loaded = first.force[:, :, 0] > 1e-3
+    assert np.abs(first.displacement[loaded][:, 1:]).max() > 1e-3
+    # A sliding contact carries its friction force on; once nothing moves, the normal gap and the position stay.
+    np.testing.assert_allclose(second.displacement[loaded][:, 0], first.displacement[loaded][:, 0], atol=1e-6)
+    assert np.abs(second.displacement[loaded][:, 1:]).max() < 0.2 * np.abs(first.displacement[loaded][:, 1:]).max()
+
+
+def test_rough_contact_sticks_and_smooth_contact_slides(lap_scene, cache):
+    def slip(friction, law):
+        zones = [lap_scene.zones[0].model_copy(update={"friction": friction})]
+        model = mic.reduce(lap_scene.model_copy(update={"zones": zones}), cache)
+        resolution = model.process(law).evaluate(draw(lap_scene, 3, 0, 4)).resolutions["clamp"]
+        loaded = resolution.force[:, :, 0] > 1e-2 * resolution.force[:, :, 0].max()
+        return np.linalg.norm(resolution.displacement[loaded][:, 1:], axis=1).max()
+
+    free = slip(0.27, "frictionless")
+    assert slip(50.0, "coulomb") < 1e-6 * free
+    assert slip(1e-9, "coulomb") == pytest.approx(free, rel=1e-4)
+    assert slip(0.27, "coulomb") < 0.999 * free
+
+
+def test_samples_do_not_depend_on_their_batch(hat_model):
+    deviations = draw(hat_model.scene, 5, 0, 7)
+    batch = hat_model.process("coulomb").evaluate(deviations)
+    for i in (0, 3, 6):
+        alone = hat_model.process("coulomb").evaluate(deviations[i:i + 1])
+        np.testing.assert_allclose(alone.measurements[0], batch.measurements[i], atol=1e-10)
+
+
+def test_without_contact_the_answer_is_affine(lap_scene, cache):
+    model = mic.reduce(lap_scene.model_copy(update={"zones": []}), cache)
+    assert len(model.contacts) == 0
+    values = np.array([[0.0, 0, 0], [1, 2, 0.3], [2, 4, 0.6]])
+    zero, one, two = model.evaluate(values).measurements
+    np.testing.assert_allclose(two - zero, 2 * (one - zero), atol=1e-10)
+    assert np.abs(one - zero).max() > 1e-3
+
+
+def test_normals_alone_suffice_without_friction(lap_scene, lap_model, cache):
+    scene = lap_scene.model_copy(update={"report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "slip": False})})
+    lean = mic.reduce(scene, cache)
+    assert lean.contacts.dimension == 1 and lean.rows["contact"].shape[0] * 3 == lap_model.rows["contact"].shape[0]
+    deviations = draw(scene, 3, 0, 5)
+    few, all_rows = lean.process("frictionless").evaluate(deviations), lap_model.process("frictionless").evaluate(deviations)
+    np.testing.assert_allclose(few.measurements, all_rows.measurements, atol=1e-8)
+    np.testing.assert_allclose(few.resolutions["clamp"].force[:, :, 0], all_rows.resolutions["clamp"].force[:, :, 0],
+                               atol=1e-6 * np.abs(few.resolutions["clamp"].force).max())
+
+
+def test_no_release_no_second_resolution(lap_scene, cache):
+    scene = with_stages(lap_scene, ("locate", "clamp", "weld", "measure"))
+    assert list(mic.reduce(scene, cache).evaluate({}).resolutions) == ["clamp"]
+
+
+def test_increments_converge_to_one_path(lap_scene, cache):
+    def measured(increments):
+        stages = [stage.model_copy(update={"increments": increments}) for stage in lap_scene.stages]
+        return mic.reduce(lap_scene.model_copy(update={"stages": stages}), cache).evaluate({}).measurements[0]
+
+    one, many, more = measured(1), measured(16), measured(32)
+    assert np.abs(more - many).max() < 0.5 * np.abs(more - one).max() + 1e-6
+
+
+def test_a_part_left_without_support_is_refused(lap_scene, cache):
+    stages = [stage.model_copy(update={"keep": ["lower-A1", "lower-A2"]}) if stage.kind == "release" else stage for stage in lap_scene.stages]
+    model = mic.reduce(lap_scene.model_copy(update={"stages": stages}), cache)
+    with pytest.raises(mic.SceneError, match=r"stages \(release\): 4 rigid-body motions are free"):
+        model.process("coulomb")
+
+
+@pytest.mark.parametrize("values, word", [({"F9": 1.0}, "'F9' is not a deviation"), ([1.0, 2.0], "expected 3 values"),
+                                          ({"F1": np.nan}, "'F1' is nan"), ([[0, 0, 0], [0, np.inf, 0]], "sample 1, 'F2' is inf")])
+def test_bad_deviations(lap_model, values, word):
+    with pytest.raises(ValueError, match=word):
+        lap_model.evaluate(values)
+
+
+def test_saved_model_gives_the_same_answer(lap_model, tmp_path):
+    lap_model.save(tmp_path / "model.npz")
+    loaded = ReducedModel.load(tmp_path / "model.npz")
+    np.testing.assert_array_equal(loaded.evaluate({"F1": -7.0}).measurements, lap_model.evaluate({"F1": -7.0}).measurements)

@@ -1,0 +1,90 @@
+"""Bad input: one clear error that names the file, the key and the remedy."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import mic
+from mic.assembly import assemble
+
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
+
+# What is wrong, the edit that makes it so, and what the message must name.
+BROKEN = {
+    "negative thickness": (r"thickness = 1\b", "thickness = -1", ["parts[0].thickness", "greater than 0", "-1"]),
+    "unknown key": (r"young = 210000", "yung = 210000", ["parts[0].yung", "unknown key"]),
+    "negative friction": (r"friction = 0.27", "friction = -0.1", ["zones[0].friction", "greater than or equal to 0"]),
+    "NaN deviation": (r"mean = -5", "mean = nan", ["deviations[0].mean", "finite"]),
+    "infinite sigma": (r"sigma = 1.5", "sigma = inf", ["deviations[0].sigma", "finite"]),
+    "zero direction": (r"direction = \[0, 0, -1\]", "direction = [0, 0, 0]", ["clamps[0].direction", "must not be zero"]),
+    "unknown part": (r'part = "upper"', 'part = "uper"', ["locators[6].part", "'uper'", "did you mean 'upper'"]),
+    "locator missing": (r'(name = "lower-C1"[^=]*=[^=]*= [^\n]*\n)direction = \[1, 0, 0\]', r"\1direction = [0, 1, 0]",
+                        ["parts[0] (lower)", "hold 5 of its 6", "add locators"]),
+    "both force and stroke": (r"force = 60", "force = 60\nstroke = 0.1", ["clamps[0]", "either force", "or stroke"]),
+    "unknown stage": (r"force = 60", 'force = 60\nstage = "clmp"', ["clamps[0].stage", "'clmp'", "clamp"]),
+    "two zones of one name": (r"\[\[stages\]\]", '[[zones]]\nname = "lap"\nparts = ["lower", "upper"]\npairs = 3\n\n[[stages]]',
+                              ["zones", "'lap'", "more than once"]),
+    "limits swapped": (r"lower = -1\b", "lower = 2", ["measurements[0]", "lower must be smaller"]),
+    "no pairs": (r"pairs = 24", "", ["zones[0]", "exactly one of pairs"]),
+    "not TOML": (r"\[\[parts\]\]", "[[parts]", ["not valid TOML"]),
+    "syntax of a name": (r'name = "F1"', 'name = "F 1"', ["deviations[0].name"]),
+    "poisson": (r"poisson = 0.3", "poisson = 0.5", ["parts[0].poisson", "less than 0.5"]),
+}
+# Found only once the meshes are there, and still before any solve.
+BROKEN_ON_MESH = {
+    "missing mesh": (r'geometry = "geometry.py"\nsize = "medium"', 'mesh = "nowhere.msh"', ["'lower'", "mesh", "nowhere.msh", "correct the name"]),
+    "unknown size": (r'size = "medium"', 'size = "huge"', ["'lower'", "'huge'", "coarse, medium, fine"]),
+    "weld off the part": (r"point = \[88, 6, 0.5\]", "point = [30, 6, 0.5]", ["welds[0].point", "off part 'upper'", "correct the coordinates"]),
+    "clamp off the part": (r"point = \[72, 12.5, 1\]", "point = [72, 12.5, 40]", ["clamps[0].point", "39 mm off part 'upper'"]),
+    "empty zone": (r"pairs = 24", "pairs = 24\nbox = [[0, 0, -1], [20, 25, 2]]", ["zones[0] (lap)", "no contact pair", "max_gap"]),
+    "too small a gap": (r"pairs = 24", "pairs = 24\nmax_gap = 1e-12\nbox = [[0, 0, -3], [50, 25, 2]]", ["zones[0] (lap)", "no contact pair"]),
+}
+
+
+def edited(tmp_path, pattern, replacement):
+    text = (LAP / "scene.toml").read_text()
+    changed = re.sub(pattern, replacement, text, count=1)
+    assert changed != text, "the edit did not apply"
+    (tmp_path / "scene.toml").write_text(changed)
+    (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
+    return tmp_path / "scene.toml"
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_bad_scene(tmp_path, case):
+    pattern, replacement, words = BROKEN[case]
+    path = edited(tmp_path, pattern, replacement)
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(path)
+    message = str(caught.value)
+    assert str(path) in message
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize("case", BROKEN_ON_MESH)
+def test_bad_scene_found_on_the_mesh(tmp_path, cache, case):
+    pattern, replacement, words = BROKEN_ON_MESH[case]
+    scene = mic.load_scene(edited(tmp_path, pattern, replacement))
+    with pytest.raises(mic.SceneError) as caught:
+        assemble(scene, cache)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_all_problems_are_listed_at_once(tmp_path):
+    path = edited(tmp_path, r"thickness = 1\nyoung = 210000", "thickness = -1\nyung = 1")
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(path)
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_missing_scene():
+    with pytest.raises(mic.SceneError, match="no such scene"):
+        mic.load_scene("nowhere/scene.toml")
+
+
+@pytest.mark.parametrize("name", ["wheelhouse", "lap_joint", "hat_on_plate"])
+def test_shipped_scenes_are_valid(name):
+    assert mic.load_scene(LAP.parent / name).parts

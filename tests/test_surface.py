@@ -1,0 +1,66 @@
+"""Projection and patches against brute force and closed forms."""
+
+import numpy as np
+import pytest
+
+from mic.surface import Surface
+
+
+def plane(n=10, size=10.0, z=0.0):
+    x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1), indexing="ij")
+    i = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
+    return Surface(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]), np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+
+
+def test_projection_finds_the_closest_of_all_triangles():
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(40, 3))
+    surface = Surface(points, rng.permuted(np.tile(np.arange(40), (60, 1)), axis=1)[:, :3])
+    x = rng.normal(size=(30, 3)) * 1.5
+    found = surface.project(x)
+    grid = np.array([[i, j, 60 - i - j] for i in range(61) for j in range(61 - i)]) / 60
+    sampled = np.einsum("gi,kij->kgj", grid, surface.corners).reshape(-1, 3)
+    brute = np.linalg.norm(x[:, None] - sampled, axis=2).min(1)
+    assert (found.distance <= brute + 1e-12).all()
+    assert (found.distance >= brute - 0.08).all()  # the sampling's own coarseness
+    np.testing.assert_allclose(surface.at(found.triangle, found.barycentric), found.point, atol=1e-12)
+
+
+def test_projection_filter_passes_over_triangles_that_face_elsewhere():
+    wall = Surface([[0, 0, 0], [0, 10, 0], [0, 0, 10], [0, 10, 10], [5, 0, 5], [5, 10, 5], [15, 0, 5], [15, 10, 5]],
+                   [[0, 1, 2], [1, 3, 2], [4, 6, 5], [5, 6, 7]])
+    x = [[1.0, 2.0, 4.0]]
+    assert wall.project(x).distance[0] == pytest.approx(1.0)
+    filtered = wall.project(x, [[0, 0, 1.0]])
+    assert filtered.triangle[0] in (2, 3) and filtered.distance[0] == pytest.approx(np.hypot(4, 1))
+    assert wall.project(x, [[0, 1.0, 0]], max_angle=0.1).triangle[0] == -1
+
+
+def test_patch_averages_over_a_disc():
+    surface = plane(20)
+    centre, radius = np.array([5.2, 4.7, 0.3]), 2.0
+    patch = surface.patch(centre, radius)
+    x = surface.at(patch.triangle, patch.barycentric) - [5.2, 4.7, 0]
+    assert patch.weight.sum() == pytest.approx(1, abs=1e-14)
+    np.testing.assert_allclose(patch.weight @ x, 0, atol=0.03)
+    assert patch.weight @ (x**2).sum(1) == pytest.approx(radius**2 / 2, rel=0.03)  # mean r² over a disc
+    assert len(surface.patch(centre, 0.0).weight) == 1
+
+
+def test_patch_stays_on_its_own_sheet():
+    near, far = plane(10), plane(10, z=0.5)
+    both = Surface(np.vstack([near.points, far.points]), np.vstack([near.triangles, far.triangles + len(near.points)]))
+    patch = both.patch([5.0, 5.0, 0.1], 2.0)
+    assert np.abs(both.at(patch.triangle, patch.barycentric)[:, 2]).max() == 0
+
+
+@pytest.mark.parametrize("points, triangles, word", [
+    ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], "no area"),
+    ([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], "not finite"),
+    ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 3]], "outside"),
+    ([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], "shape"),
+])
+def test_unusable_surfaces_are_refused(points, triangles, word):
+    with pytest.raises(ValueError, match=word):
+        Surface(points, triangles)
