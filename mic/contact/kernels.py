@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["local_factors", "solve_frictional", "solve_frictionless"]
+__all__ = ["local_factors", "newton", "solve_frictional", "solve_frictionless", "starting_scale"]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
@@ -313,7 +313,7 @@ def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
 
 
 @_jit
-def _starting_scale(mu, q):
+def starting_scale(mu, q):
     """Norm of ``Φ`` at ``y = 0``: the force with which each overlapping contact alone would answer ``q``."""
     total = 0.0
     for k in range(len(mu)):
@@ -333,7 +333,7 @@ def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, error
     for s in range(first, last):
         q = Q[s]
         y = Y[s]
-        scale = _starting_scale(mu, q)
+        scale = starting_scale(mu, q)
         w = np.dot(W, y) + q
         slip[:] = 0.0
         total = 0

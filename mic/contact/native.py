@@ -10,15 +10,23 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from scipy.optimize import nnls
 from threadpoolctl import threadpool_limits
 
 from mic.contact import kernels
+from mic.contact.interior_point import interior_point
 from mic.contact.laws import Law
 
 __all__ = ["NativeSolver"]
 
 #: The kernels work to this fraction of the tolerance, because their residual and the certificate weigh contacts differently.
 KERNEL_MARGIN = 1e-2
+#: Rounds of Gauss-Seidel and Newton before the patient methods take over.
+ROUNDS = 3
+FIXED_POINT_STEPS, PROXIMAL_STEPS = 8, 40
+#: A pressure ``d`` with ``‖W d‖`` below this share of its work on the overlaps proves infeasibility: balancing the load would
+#: take forces this many times over the natural ones.
+INFEASIBLE_COMPLIANCE = 1e-11
 
 
 class NativeSolver:
@@ -69,17 +77,115 @@ class NativeSolver:
         force[:, ::stride] = Y * self.scaling
         return force, iterations
 
+    def attempts(self, b, force):
+        """Further forces for one sample, by more and more patient methods, each starting from the last.
+
+        A generator: the caller certifies each force and stops at the first that is good enough.
+
+        Parameters
+        ----------
+        b : (d m,) array
+        force : (d m,) array
+            The best force so far.
+
+        Yields
+        ------
+        force : (d m,) array
+        iterations : int
+            Passes that it took.
+        """
+        stride = self.dimension if self.law is Law.FRICTIONLESS else 1
+        q, y = b[::stride] * self.scaling, force[::stride] / self.scaling
+        method = self._attempts_frictionless if self.law is Law.FRICTIONLESS else self._attempts_frictional
+        with threadpool_limits(self.threads):
+            for y, iterations in method(q, y):
+                force = np.zeros_like(b)
+                force[::stride] = y * self.scaling
+                yield force, iterations
+
+    def _attempts_frictionless(self, q, y):
+        yield from self._proximal_points(q, y)
+
+    def _attempts_frictional(self, q, y):
+        mu, W = self.friction, self.W
+        coulomb = self.law is Law.COULOMB
+        # The shift μ‖w_t‖ moves with the iterates, ...
+        z, steps = interior_point(W, q, mu, None if coulomb else np.zeros_like(mu))
+        for polished, more in self._polished(q, z):
+            yield polished, steps + more
+            steps = 0
+        # ... or is held while a convex problem is solved, then moved: De Saxcé's fixed point.
+        if coulomb:
+            shift = np.zeros_like(mu)
+            for _ in range(FIXED_POINT_STEPS):
+                z, steps = interior_point(W, q, mu, shift)
+                for polished, more in self._polished(q, z):
+                    yield polished, steps + more
+                    steps = 0
+                w = W @ z + q
+                shift = np.hypot(w[1::3], w[2::3])
+        for start in (y, z):
+            yield from self._proximal_points(q, start)
+
+    def _polished(self, q, y):
+        """Newton from ``y``, plain and damped."""
+        scale = kernels.starting_scale(self.friction, q)
+        for damping in (1e-9, 1e-6):
+            z, w = y.copy(), self.W @ y + q
+            _, steps = kernels.newton(self.law is Law.ASSOCIATED, self.W, q, self.friction, z, w, damping, scale,
+                                      1e-14, 20)
+            yield z, steps
+
+    def _proximal_points(self, q, y):
+        """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, move there, and lower ``α`` while that succeeds."""
+        alpha, identity = 1e-1, np.eye(len(q))
+        errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
+        for _ in range(PROXIMAL_STEPS):
+            W, Q, Y = self.W + alpha * identity, (q - alpha * y)[None], y[None].copy()
+            self._run_kernel(W, Q, Y, 1e-13, 0, 1, 3, errors, counts)
+            step = np.linalg.norm(Y[0] - y)
+            solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
+            y = Y[0]
+            yield y, int(counts[0])
+            alpha = max(0.2 * alpha, 1e-9) if solved else min(5.0 * alpha, 10.0)
+
+    def _run_kernel(self, W, Q, Y, tol, first, last, rounds, errors, iterations):
+        if self.law is Law.FRICTIONLESS:
+            kernels.solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations)
+        else:
+            factors = self.factors if W is self.W else kernels.local_factors(W)
+            kernels.solve_frictional(self.law is Law.ASSOCIATED, W, factors, Q, self.friction, Y, tol, first, last, rounds,
+                                     errors, iterations)
+
+    def infeasible(self, b) -> bool:
+        """Whether no force at all can keep the contacts from penetrating.
+
+        Farkas' lemma: some pressures ``d >= 0`` move nothing, ``S d = 0``, and do work on the overlaps, ``b·d < 0``; then
+        ``u·d = b·d < 0`` for every force, so that some ``u_n < 0``.  Found by non-negative least squares,
+        ``min ‖W d‖² + (q·d/‖q‖ + 1)²``.  Sufficient for all three laws, and necessary for the frictionless one.
+        """
+        size = 1 if self.law is Law.FRICTIONLESS else 3
+        stride = self.dimension if self.law is Law.FRICTIONLESS else 1
+        q = b[::stride] * self.scaling
+        overlap = q[::size]
+        if not (overlap < 0.0).any():
+            return False
+        overlap = overlap / np.linalg.norm(overlap)
+        matrix = np.vstack([self.W[:, ::size], overlap])
+        try:
+            d, _ = nnls(matrix, np.append(np.zeros(len(self.W)), -1.0))
+        except RuntimeError:  # no convergence: nothing proven
+            return False
+        work = overlap @ d
+        return work < -0.5 and np.linalg.norm(self.W[:, ::size] @ d) <= INFEASIBLE_COMPLIANCE * -work
+
     def _iterate(self, Q, Y):
         n = len(Q)
         tol = KERNEL_MARGIN * self.tol
         errors, iterations = np.zeros(n), np.zeros(n, dtype=np.int64)
 
         def run(first, last):
-            if self.law is Law.FRICTIONLESS:
-                kernels.solve_frictionless(self.W, Q, Y, tol, first, last, 6, errors, iterations)
-            else:
-                kernels.solve_frictional(self.law is Law.ASSOCIATED, self.W, self.factors, Q, self.friction, Y, tol,
-                                         first, last, 6, errors, iterations)
+            self._run_kernel(self.W, Q, Y, tol, first, last, ROUNDS, errors, iterations)
 
         with threadpool_limits(1):
             if self.threads == 1:

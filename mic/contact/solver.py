@@ -99,12 +99,15 @@ class ContactSolver:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
         force, iterations = self._backend.solve(rows, guess)
-        certificate, displacement = measure(
-            self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
-        converged = certificate.residual <= self.tol
+        certificate, displacement = self._measure(rows, force)
         status = np.empty(len(rows), dtype=object)
-        for sample, success in enumerate(converged):
-            status[sample] = Status.CONVERGED if success else Status.NOT_CONVERGED
+        for sample, residual in enumerate(certificate.residual):
+            status[sample] = Status.CONVERGED if residual <= self.tol else Status.NOT_CONVERGED
+        if isinstance(self._backend, NativeSolver):
+            for sample in np.flatnonzero(certificate.residual > self.tol):
+                status[sample] = self._persist(rows[sample], force[sample], iterations[sample:sample + 1])
+            certificate, displacement = self._measure(rows, force)
+        converged = np.array([outcome is Status.CONVERGED for outcome in status], dtype=bool)
         values = dict(force=force, displacement=displacement, converged=converged, status=status, iterations=iterations,
                       **vars(certificate))
         if b.ndim == 1:
@@ -114,6 +117,24 @@ class ContactSolver:
             for name in vars(certificate):
                 values[name] = float(values[name])
         return ContactSolution(**values)
+
+    def _measure(self, rows, force):
+        return measure(self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
+
+    def _persist(self, b, force, iterations):
+        """Work on one sample that did not converge; improve ``force`` and ``iterations`` in place, return its status."""
+        if self._backend.infeasible(b):
+            return Status.INFEASIBLE
+        best = self._measure(b[None], force[None])[0].residual[0]
+        for candidate, count in self._backend.attempts(b, force.copy()):
+            iterations += count
+            residual = self._measure(b[None], candidate[None])[0].residual[0]
+            if residual < best:
+                best = residual
+                force[:] = candidate
+            if best <= self.tol:
+                return Status.CONVERGED
+        return Status.NOT_CONVERGED
 
 
 def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, threads=1, dimension=3) -> ContactSolution:
