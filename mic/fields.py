@@ -24,6 +24,7 @@ from mic.outcome import Outcome, kept_parts, read_outcome
 
 __all__ = ["DISCARDED_ENERGY", "Factor", "PartField", "compute_fields", "low_rank", "read_fields", "write_fields"]
 
+FORMAT = 1
 DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
 
 
@@ -177,6 +178,8 @@ def write_fields(folder) -> list[PartField]:
     ``six_sigma_normal`` in mm; ``fields/<part>.vtu`` the nominal surface alone. Where the finite elements are missing,
     ``fields/fields.json`` says so and no field is written.
 
+    Fields that are there already, of the same model and samples, are kept.
+
     Parameters
     ----------
     folder : path-like
@@ -186,6 +189,9 @@ def write_fields(folder) -> list[PartField]:
 
     outcome = read_outcome(folder)
     folder = outcome.folder / "fields"
+    basis = [FORMAT, outcome.record["fingerprint"], {law: len(outcome.valid(law)) for law in outcome.laws}, DISCARDED_ENERGY]
+    if _record(folder).get("basis") == basis:
+        return read_fields(outcome.folder)[0]
     folder.mkdir(exist_ok=True)
     for old in [*folder.glob("*.vtu"), *folder.glob("fields.json")]:
         old.unlink()
@@ -210,22 +216,28 @@ def write_fields(folder) -> list[PartField]:
                 "six_sigma_normal": field.six_sigma_normal}
         meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(folder / f"{field.law}-{field.part}.vtu")
         records.append({name: getattr(field, name) for name in ("law", "part", "rank", "samples", "discarded", "error")})
-    (folder / "fields.json").write_text(json.dumps({"skipped": skipped, "fields": records}, indent=2) + "\n")
+    # An assembly without its fields, for want of finite elements or parts, is tried again.
+    (folder / "fields.json").write_text(json.dumps({"basis": basis if found else None, "skipped": skipped, "fields": records}, indent=2) + "\n")
     return found
 
 
 def read_fields(folder) -> tuple[list[PartField], str | None]:
     """The fields of a run folder, as :func:`write_fields` left them, and a sentence that says why where there are none."""
-    folder = Path(folder) / "fields"
-    if not (folder / "fields.json").is_file():
+    folder, found = Path(folder) / "fields", []
+    record = _record(folder)
+    if not record:
         return [], "No fields were computed for this run."
     import meshio
 
-    record, found = json.loads((folder / "fields.json").read_text()), []
     for entry in record["fields"]:
         data = meshio.read(folder / f"{entry['law']}-{entry['part']}.vtu").point_data
         found.append(PartField(mean=data["mean"], six_sigma=data["six_sigma"], six_sigma_normal=data["six_sigma_normal"], **entry))
     return found, record["skipped"]
+
+
+def _record(folder):
+    path = folder / "fields.json"
+    return json.loads(path.read_text()) if path.is_file() else {}
 
 
 def _forces(outcome, law):

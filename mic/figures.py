@@ -9,13 +9,16 @@ from __future__ import annotations
 import base64
 import io
 from dataclasses import dataclass
+from functools import wraps
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.collections import PolyCollection
+from matplotlib import colormaps, rc_context
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import TriMesh
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.tri import Triangulation
 
 from mic.process import STATES
 from mic.statistics import density
@@ -27,7 +30,7 @@ __all__ = ["LAW_COLOURS", "PART_COLOURS", "Picture", "assembly_picture", "field_
 LAW_COLOURS = {"coulomb": "#0072b2", "associated": "#d55e00", "frictionless": "#5f6b76"}
 LAW_MARKS = {"coulomb": "o", "associated": "s", "frictionless": "^"}
 STATE_COLOURS = {"open": "#dfe4ea", "stick": "#56a37c", "slip": "#c8553d"}
-PART_COLOURS = ("#9db8d2", "#d9c7a3", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
+PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
 ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3", "#8a2be2", "#6f7f00")
 STYLE = {"font.family": "DejaVu Sans", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
          "axes.edgecolor": "#58626e", "axes.grid": True, "grid.color": "#e8ebef", "grid.linewidth": 0.7, "axes.axisbelow": True,
@@ -82,9 +85,20 @@ def number(value, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}".replace("-", "−")
 
 
+def _styled(draw):
+    """Draw under the pictures' own style, whatever the user's matplotlib settings."""
+    @wraps(draw)
+    def drawn(*args):
+        with rc_context(STYLE):
+            return draw(*args)
+
+    return drawn
+
+
 # ---------------------------------------------------------------------------------------------- statistics of the contacts
 
 
+@_styled
 def slip_density_picture(outcome, stage) -> Picture | None:
     """Probability density of each zone's RMS slip, one panel per zone (Fig. 7 of the paper)."""
     if not outcome.has_slip:
@@ -116,6 +130,7 @@ def slip_density_picture(outcome, stage) -> Picture | None:
                 f"Kernel densities of the RMS slip over {outcome.record['samples']} samples; dashed: means. " + _slip_sentence(outcome, stage))
 
 
+@_styled
 def slip_force_picture(outcome, stage, published) -> Picture | None:
     """Mean and 6σ of the friction force at each contact, against a measured range where one is published (Fig. 4)."""
     laws = [law for law in outcome.laws if law != "frictionless"]
@@ -133,13 +148,13 @@ def slip_force_picture(outcome, stage, published) -> Picture | None:
         rows = table[table["law"] == law]
         for ax, name in zip(axes, ("mean_slip_force", "six_sigma_slip_force")):
             ax.plot(rows["contact"], rows[name], LAW_MARKS[law], ms=3.6, mew=0, color=LAW_COLOURS[law], alpha=0.85, label=law)
-    axes[0].set_ylabel("mean ‖f_t‖ (N)")
-    axes[1].set_ylabel("6σ of ‖f_t‖ (N)")
+    axes[0].set_ylabel(r"mean $\Vert f_t\Vert$ (N)")
+    axes[1].set_ylabel(r"6σ of $\Vert f_t\Vert$ (N)")
     axes[1].set_xlabel("contact")
     axes[0].set_ylim(0)
     axes[1].set_ylim(0)
     _zone_strips(outcome, axes)
-    axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.08))
+    axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.16), borderaxespad=0)
     rows = table[table["law"] == laws[0]]
     force = rows["mean_slip_force"].to_numpy()
     active = force >= ACTIVE
@@ -152,6 +167,7 @@ def slip_force_picture(outcome, stage, published) -> Picture | None:
     return _svg(fig, "slip-force", f"Friction force at each contact, stage {stage}", text + ".")
 
 
+@_styled
 def sample_picture(outcome, stage, quantity) -> Picture | None:
     """Forces (``"f"``) or displacements (``"u"``) of one sample at each contact, with friction and without (Figs. 5 and 6)."""
     frictional = next((law for law in outcome.laws if law != "frictionless"), None)
@@ -169,10 +185,9 @@ def sample_picture(outcome, stage, quantity) -> Picture | None:
         row = int(np.flatnonzero(outcome.valid(law)["sample"].to_numpy() == common[0])[0])
         for ax, axis in zip(axes, axes_names):
             values[law, axis] = outcome.contact(law, stage, f"{quantity}_{axis}")[row]
-            ax.plot(values[law, axis], LAW_MARKS[law] + "-", ms=3.4, mew=0, lw=0.6, color=LAW_COLOURS[law], alpha=0.85)
-    names = {"n": "n", "t1": "t1", "t2": "t2"}
+            ax.plot(*_by_zone(outcome, values[law, axis]), LAW_MARKS[law] + "-", ms=3.4, mew=0, lw=0.6, color=LAW_COLOURS[law], alpha=0.85)
     for ax, axis in zip(axes, axes_names):
-        ax.set_ylabel(f"{quantity}_{names[axis]} ({unit})")
+        ax.set_ylabel(f"${quantity}_{{{axis}}}$ ({unit})")
     axes[-1].set_xlabel("contact")
     _zone_strips(outcome, axes)
     _law_legend(fig, laws)
@@ -185,6 +200,7 @@ def sample_picture(outcome, stage, quantity) -> Picture | None:
     return _svg(fig, f"one-sample-{quantity}", f"{title} of one sample at each contact", text + ".")
 
 
+@_styled
 def state_picture(outcome) -> Picture | None:
     """Share of the samples in which each contact is open, sticking or slipping, one panel per stage and law."""
     if not len(outcome.model.contacts) or not outcome.stages:
@@ -205,7 +221,7 @@ def state_picture(outcome) -> Picture | None:
             ax.stairs(top, edges, baseline=base, fill=True, color=STATE_COLOURS[state], lw=0)
             base = top
         ax.set(xlim=(edges[0], edges[-1]), ylim=(0, 1))
-        ax.set_title(f"{law}, {stage}", color=LAW_COLOURS[law])
+        ax.set_title(f"{law}, {stage}", color=LAW_COLOURS[law], pad=8)
         ax.grid(False)
         if i % laws == 0:
             ax.set_ylabel("share of samples")
@@ -220,14 +236,14 @@ def state_picture(outcome) -> Picture | None:
                 + ". Without friction every closed contact slips.")
 
 
+@_styled
 def law_cost_picture(outcome, stage) -> Picture | None:
     """What the associated law (13) costs against Coulomb's: gaps at loaded contacts, normal forces, states."""
     cost = law_cost(outcome, stage)
     if cost is None:
         return None
-    with rc_context(STYLE):
-        fig = Figure(figsize=(10.5, 3.1), layout="constrained")
-        gap, force, state = fig.subplots(1, 3)
+    fig = Figure(figsize=(10.5, 3.1), layout="constrained")
+    gap, force, state = fig.subplots(1, 3)
     gaps = np.maximum(cost["gaps"], 0) * 1e3
     upper = max(np.quantile(gaps, 0.995), 1e-9) if len(gaps) else 1.0
     gap.hist(np.minimum(gaps, upper), bins=40, color=LAW_COLOURS["associated"], alpha=0.8)
@@ -238,7 +254,7 @@ def law_cost_picture(outcome, stage) -> Picture | None:
     top = max(x.max(initial=0), y.max(initial=0), 1e-9) * 1.04
     force.hexbin(x, y, gridsize=45, bins="log", mincnt=1, cmap="YlOrBr", extent=(0, top, 0, top), lw=0.1)
     force.plot([0, top], [0, top], color="#333", lw=0.8)
-    force.set(xlabel="f_n, coulomb (N)", ylabel="f_n, associated (N)", title="Normal forces", xlim=(0, top), ylim=(0, top))
+    force.set(xlabel="$f_n$, coulomb (N)", ylabel="$f_n$, associated (N)", title="Normal forces", xlim=(0, top), ylim=(0, top))
     matrix = cost["states"]
     state.imshow(np.sqrt(matrix), cmap="Oranges", vmin=0, vmax=1)
     for i in range(3):
@@ -281,6 +297,7 @@ def law_cost(outcome, stage) -> dict | None:
             "force_error": ratio, "total_error": balance, "sentence": sentence}
 
 
+@_styled
 def measurement_picture(outcome) -> Picture | None:
     """Histogram of every key characteristic with its limits; of the least capable where there are many."""
     table = outcome.measurement_statistics
@@ -347,36 +364,36 @@ class _View:
     def flat(self, points):
         return np.column_stack([points @ self.right, points @ self.up])
 
-    def draw(self, ax, surfaces, colours, alpha=1.0):
-        """Triangles of all surfaces, far ones first, each shaded by its slope; colours: one rgb per surface, or (k, 3) each."""
-        polygons, depth, rgb = [], [], []
+    def draw(self, ax, surfaces, colours, shading):
+        """Triangles of all surfaces, far ones first; colours: one rgb per surface, or one per vertex; the share `shading` of
+        their brightness depends on the slope."""
         light = self.eye + 0.35 * self.up - 0.45 * self.right
         light /= np.linalg.norm(light)
-        for surface, colour in zip(surfaces, colours):
-            shade = 0.5 + 0.5 * np.abs(surface.normals @ light)
-            rgb.append(np.broadcast_to(colour, (len(surface.triangles), 3)) * shade[:, None])
-            polygons.append(self.flat(surface.points)[surface.triangles])
-            depth.append((surface.points @ self.eye)[surface.triangles].mean(axis=1))
-        order = np.argsort(np.concatenate(depth))
-        rgb = np.concatenate(rgb)[order].clip(0, 1)
-        ax.add_collection(PolyCollection(np.concatenate(polygons)[order], facecolors=rgb, edgecolors=rgb, linewidths=0.3, alpha=alpha,
-                                         antialiaseds=False))
+        start = np.cumsum([0] + [len(surface.points) for surface in surfaces])
+        points = np.concatenate([surface.points for surface in surfaces])
+        triangles = np.concatenate([surface.triangles + first for surface, first in zip(surfaces, start)])
+        rgba = np.concatenate([np.column_stack([colour * (1 - shading + shading * np.abs(surface.vertex_normals @ light))[:, None], np.ones(len(surface.points))])
+                               for surface, colour in zip(surfaces, colours)])
+        order = np.argsort((points @ self.eye)[triangles].mean(axis=1))
+        mesh = TriMesh(Triangulation(*self.flat(points).T, triangles[order]))
+        mesh.set_facecolor(rgba.clip(0, 1))
+        ax.add_collection(mesh)
         ax.autoscale_view()
         ax.set_aspect("equal")
         ax.set_axis_off()
 
 
+@_styled
 def assembly_picture(outcome, surfaces) -> Picture | None:
     """The parts with locators, clamps, welds, contact pairs and measurement points."""
     if not surfaces:
         return None
     scene, contacts = outcome.model.scene, outcome.model.contacts
     view = _View(list(surfaces.values()))
-    with rc_context(STYLE):
-        fig = Figure(figsize=(10.5, 7.0), layout="constrained")
-        ax = fig.subplots()
-    colours = [to_rgb(PART_COLOURS[i % len(PART_COLOURS)]) for i in range(len(surfaces))]
-    view.draw(ax, list(surfaces.values()), colours)
+    fig = Figure(figsize=(10.5, 6.6), layout="constrained")
+    ax = fig.subplots()
+    colours = [np.array(to_rgb(PART_COLOURS[i % len(PART_COLOURS)])) for i in range(len(surfaces))]
+    view.draw(ax, list(surfaces.values()), colours, 0.5)
     size = max(surface.diameter for surface in surfaces.values())
     handles = [Line2D([], [], marker="s", ls="", ms=9, color=colour, label=name) for name, colour in zip(surfaces, colours)]
     for z, zone in enumerate(scene.zones):
@@ -412,14 +429,14 @@ def assembly_picture(outcome, surfaces) -> Picture | None:
     return _png(fig, "assembly", "The assembly", text, 110)
 
 
+@_styled
 def field_picture(surfaces, fields, law) -> Picture | None:
     """Mean and 6σ displacement magnitude of every part under one law."""
     fields = {field.part: field for field in fields if field.law == law}
     if not fields or not surfaces:
         return None
-    with rc_context(STYLE):
-        fig = Figure(figsize=(10.5, 3.6 * 2), layout="constrained")
-        axes = np.atleast_2d(fig.subplots(2, len(fields), squeeze=False))
+    fig = Figure(figsize=(10.5, 7.2), layout="constrained")
+    axes = fig.subplots(2, len(fields), squeeze=False)
     texts = []
     for row, (quantity, label, cmap) in enumerate((("mean", "mean displacement (mm)", "viridis"), ("six_sigma_magnitude", "6σ displacement (mm)", "inferno"))):
         values = {part: np.linalg.norm(field.mean, axis=1) if quantity == "mean" else field.six_sigma_magnitude for part, field in fields.items()}
@@ -428,10 +445,9 @@ def field_picture(surfaces, fields, law) -> Picture | None:
         scale = Normalize(0.0, float(known.max(initial=0.0)) or 1.0)
         for ax, (part, value) in zip(axes[row], values.items()):
             surface = surfaces[part]
-            colour = _colour_map(cmap)(scale(np.nan_to_num(value[surface.triangles].mean(axis=1))))[:, :3]
-            _View([surface]).draw(ax, [surface], [colour])
+            _View([surface]).draw(ax, [surface], [colormaps[cmap](scale(np.nan_to_num(value)))[:, :3]], 0.2)
             ax.set_title(part)
-        fig.colorbar(_mappable(scale, cmap), ax=list(axes[row]), label=label, shrink=0.8)
+        fig.colorbar(ScalarMappable(scale, cmap), ax=list(axes[row]), label=label, shrink=0.8)
         if len(known):
             part = max(values, key=lambda name: np.nan_to_num(values[name]).max())
             x, y, z = surfaces[part].points[int(np.argmax(np.nan_to_num(values[part])))]
@@ -465,44 +481,36 @@ def _slip_sentence(outcome, stage):
 def _panels(count, columns, size, **kwargs):
     """A figure with `count` axes of the given size in inches, row by row."""
     rows = -(-count // columns)
-    with rc_context(STYLE):
-        fig = Figure(figsize=(max(columns * size[0], 5.0), rows * size[1] + 0.35), layout="constrained")
-        axes = fig.subplots(rows, columns, squeeze=False, **kwargs).ravel()
+    fig = Figure(figsize=(max(columns * size[0], 5.0), rows * size[1] + 0.35), layout="constrained")
+    axes = fig.subplots(rows, columns, squeeze=False, **kwargs).ravel()
     for ax in axes[count:]:
         ax.set_axis_off()
     return fig, list(axes[:count])
 
 
 def _zone_strips(outcome, axes, names=True):
-    """Mark which contacts belong to which zone."""
+    """Mark above the axes which contacts belong to which zone."""
     zone = outcome.model.contacts.zone
-    for i, name in enumerate(outcome.zones):
-        members = np.flatnonzero(zone == i)
-        if not len(members):
-            continue
-        for j, ax in enumerate(axes):
-            ax.set_xlim(-0.5, len(zone) - 0.5)
-            ax.axvspan(members[0] - 0.5, members[-1] + 0.5, 0, 0.018 if names else 0.04, color=zone_colour(i), lw=0, clip_on=False)
-            if j == 0 and names:
-                ax.text(members.mean(), 1.0, name, transform=ax.get_xaxis_transform(), ha="center", va="bottom", color=zone_colour(i),
-                        fontweight="bold")
+    for j, ax in enumerate(axes):
+        ax.set_xlim(-0.5, len(zone) - 0.5)
+        for i, name in enumerate(outcome.zones):
+            members = np.flatnonzero(zone == i)
+            if len(members):
+                ax.axvspan(members[0] - 0.5, members[-1] + 0.5, 1.0, 1.035, color=zone_colour(i), lw=0, clip_on=False)
+                if j == 0 and names:
+                    ax.text(members.mean(), 1.05, name, transform=ax.get_xaxis_transform(), ha="center", va="bottom", color=zone_colour(i),
+                            fontweight="bold")
+
+
+def _by_zone(outcome, values):
+    """Contact numbers and values with a gap between zones, so that no line joins two zones."""
+    ends = np.flatnonzero(np.diff(outcome.model.contacts.zone)) + 1
+    return np.insert(np.arange(len(values), dtype=float), ends, np.nan), np.insert(np.asarray(values, dtype=float), ends, np.nan)
 
 
 def _law_legend(fig, laws):
     fig.legend(handles=[Line2D([], [], color=LAW_COLOURS[law], marker=LAW_MARKS[law], ms=5, lw=1.5, label=law) for law in laws],
                loc="outside upper left", ncols=3)
-
-
-def _colour_map(name):
-    from matplotlib import colormaps
-
-    return colormaps[name]
-
-
-def _mappable(scale, name):
-    from matplotlib.cm import ScalarMappable
-
-    return ScalarMappable(scale, _colour_map(name))
 
 
 def _svg(fig, name, title, caption):
@@ -515,6 +523,5 @@ def _png(fig, name, title, caption, dpi):
 
 def _save(fig, name, title, caption, kind, dpi):
     buffer = io.BytesIO()
-    with rc_context(STYLE):
-        fig.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    fig.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
     return Picture(name, title, caption, buffer.getvalue(), kind)

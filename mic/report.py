@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
 from mic import figures
 from mic.contact.solution import Status
@@ -59,6 +61,7 @@ def write_report(folder) -> Path:
         pictures["fields"] = figures.field_picture(surfaces, fields, outcome.laws[0])
     if pictures["assembly"]:
         (outcome.folder / "assembly.png").write_bytes(pictures["assembly"].data)
+    zones = _zones(outcome, stage, published)
     environment = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["number"] = number
     environment.filters["percent"] = lambda value: "–" if np.isnan(value) else f"{100 * value:.1f} %"
@@ -66,9 +69,9 @@ def write_report(folder) -> Path:
     temporary = page.with_suffix(".partial")
     temporary.write_text(environment.get_template("report.html").render(
         outcome=outcome, record=outcome.record, scene=outcome.model.scene, stage=stage, level=f"{100 * LEVEL:.0f} %", pictures=pictures,
-        colours=LAW_COLOURS, facts=_facts(outcome), failures=_failures(outcome), zones=_zones(outcome, stage, published), published=published,
+        colours=LAW_COLOURS, facts=_facts(outcome), failures=_failures(outcome), zones=zones, trend=_trend(zones, stage), published=published,
         measurements=_records(outcome.measurement_statistics), covered=covered_share(outcome.record["samples"]), no_fields=no_fields,
-        contacts=_records(outcome.contact_statistics), listed_contacts=LISTED_CONTACTS, comparison=_comparison(outcome, stage),
+        contacts=_records(outcome.contact_statistics), listed_contacts=LISTED_CONTACTS,
         viewer=_viewer(outcome, surfaces, fields) if surfaces else None,
         plotly=pkgutil.get_data("plotly", "package_data/plotly.min.js").decode() if surfaces else None), encoding="utf-8")
     temporary.replace(page)
@@ -127,17 +130,32 @@ def _zones(outcome, stage, published):
     for i, zone in enumerate(outcome.zones):
         for name in outcome.stages:
             found = table[(table["zone"] == zone) & (table["stage"] == name)]
-            rows.append({"zone": zone, "stage": name, "colour": zone_colour(i), "laws": {row["law"]: row for row in _records(found)},
+            rows.append({"zone": zone, "stage": name, "colour": zone_colour(i), "friction": outcome.model.scene.zones[i].friction,
+                         "pairs": int((outcome.model.contacts.zone == i).sum()), "laws": {row["law"]: row for row in _records(found)},
                          "published": theirs.get(zone, {}) if name == stage else {}})
     return rows
 
 
+def _trend(zones, stage):
+    """How mean and 6σ of the slip change with friction, here and as published; None unless both are known."""
+    shown = [row for row in zones if row["stage"] == stage and {"frictionless", "associated"} <= set(row["published"])]
+    law = next((law for law in ("coulomb", "associated") if shown and law in shown[0]["laws"]), None)
+    if law is None or "frictionless" not in shown[0]["laws"]:
+        return None
+
+    def change(after, before):
+        return f"{100 * (after / before - 1):+.0f}".replace("-", "−") if before > 0 else "–"
+
+    texts = []
+    for ours, theirs, label in (("mean_rms_slip", "mean", "mean"), ("six_sigma_rms_slip", "six_sigma", "6σ")):
+        here = ", ".join(change(row["laws"][law][ours], row["laws"]["frictionless"][ours]) for row in shown)
+        there = ", ".join(change(row["published"]["associated"][theirs], row["published"]["frictionless"][theirs]) for row in shown)
+        texts.append(f"the {label} by {here} % here ({law}) and by {there} % in the paper")
+    return f"Friction changes, in {', '.join(row['zone'] for row in shown)}: {'; '.join(texts)}."
+
+
 def _records(table):
     return table.to_dict("records")
-
-
-def _comparison(outcome, stage):
-    return None
 
 
 def _viewer(outcome, surfaces, fields):
@@ -154,12 +172,13 @@ def _viewer(outcome, surfaces, fields):
              for i, (name, surface) in enumerate(surfaces.items())]
     arrows = [{"name": label, "colour": colour, "items": [{"name": item.name, "head": item.point, "direction": item.direction} for item in items]}
               for items, colour, label in ((scene.locators, "#1b1f24", "locators"), (scene.clamps, "#c1121f", "clamps")) if items]
-    points = [{"name": zone.name, "colour": zone_colour(z), "size": 3.5, "points": contacts.point[contacts.zone == z].round(3).tolist(),
+    points = [{"name": zone.name, "colour": zone_colour(z), "size": 2.5, "points": contacts.point[contacts.zone == z].round(3).tolist(),
                "labels": [f"{zone.name}, contact {k}" for k in np.flatnonzero(contacts.zone == z)]} for z, zone in enumerate(scene.zones)]
-    points += [{"name": label, "colour": colour, "size": 7, "points": [item.point for item in items], "labels": [item.name for item in items]}
+    points += [{"name": label, "colour": colour, "size": 5, "points": [item.point for item in items], "labels": [item.name for item in items]}
                for items, colour, label in ((scene.welds, "#f4d35e", "welds"), (scene.measurements, "#ffffff", "measurements")) if items]
     laws = [law for law in outcome.laws if any(field.law == law for field in fields)]
-    data = {"eye": dict(zip("xyz", 1.9 * figures.viewpoint(surfaces.values()))), "size": size, "parts": parts, "arrows": arrows, "points": [group for group in points if group["points"]], "laws": laws}
+    scales = {name: [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)] for name in ("viridis", "inferno", "RdBu_r")}
+    data = {"scales": scales, "eye": dict(zip("xyz", 1.9 * figures.viewpoint(surfaces.values()))), "size": size, "parts": parts, "arrows": arrows, "points": [group for group in points if group["points"]], "laws": laws}
     return json.dumps(data).replace("<", "\\u003c")
 
 
