@@ -81,7 +81,7 @@ def test_patch(element, field, stretch):
     for rotations in (False, True):  # of either kind relative to its own size
         kind = (part.dof_component >= 3) == rotations
         assert abs(u - exact)[kind].max() < rounding * abs(exact[kind]).max()
-    assert u @ part.stiffness_csr() @ u / 2 == pytest.approx(energy * surface.areas.sum(), rel=10 * rounding)
+    assert u @ part.stiffness_csr() @ u / 2 == pytest.approx(energy * surface.areas.sum(), rel=rounding * max(stretch, 10))
 
 
 def curved(n=5):
@@ -177,7 +177,7 @@ def test_membrane_equals_the_published_matrices():
 def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
     """A rectangle a × b of two triangles bent in its plane stores E I κ² a/2, what OPT is optimal for (Felippa 2003, section 6).
 
-    Nodal values of u1 = −κ x y, u2 = κ x²/2, ω = κ x; constant strain triangles come out 1.5 (ν = 0, square) to 10⁴ times too stiff.
+    Nodal values of u1 = −κ x y, u2 = κ x²/2, ω = κ x.
     """
     a, b = sides
     part = ShellPart(grid(1, 1, lambda X, Y: np.column_stack([a * (X - 0.5), b * (Y - 0.5), 0 * X])), T, E, poisson)
