@@ -90,6 +90,7 @@ def run(scene: SceneArgument,
         from mic.assembly import assemble
         from mic.influence import influence_coefficients
         from mic.montecarlo import run as monte_carlo
+        from mic.outcome import keep_inputs
         from mic.reduced import ReducedModel
     cache = cache_folder()
     if world and not first:
@@ -108,6 +109,8 @@ def run(scene: SceneArgument,
         model = ReducedModel.build(assembly, influence)
         for name in scene.report.laws:
             model.process(name)
+    if first:
+        keep_inputs(folder, assembly)
     laws, count = scene.report.laws, scene.monte_carlo.samples
     with clock("Monte Carlo"), _progress(console) as progress:
         bars = {name: progress.add_task(f"{name} samples", total=count) for name in laws}
@@ -152,16 +155,18 @@ def _finish(console, folder, clock):
 
 def _print_zones(console, outcome):
     """The paper's Table 1, and how many samples failed."""
+    from mic.figures import number
+
     summary = outcome.summary()
     zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))
     if zones:
         table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
         for zone in zones:
-            table.add_row(zone, *(f"{law['zones'][zone]['mean_rms_slip']:.4f} / {law['zones'][zone]['six_sigma_rms_slip']:.4f}"
+            table.add_row(zone, *(f"{number(law['zones'][zone]['mean_rms_slip'], 4)} / {number(law['zones'][zone]['six_sigma_rms_slip'], 4)}"
                                   for law in summary["laws"].values()))
         console.print(table)
     for name, law in summary["laws"].items():
-        console.print(f"{name}: worst residual {law['worst_residual']:.1e}, failed samples {law['failed']}")
+        console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
 
 
 @app.command()

@@ -71,10 +71,10 @@ def zone_colour(i: int) -> str:
 
 
 def number(value, digits: int = 3) -> str:
-    """A number for people: significant digits without exponents where they can be had; ``–`` for what does not exist."""
-    value = float(value)
-    if np.isnan(value):
+    """A number for people: significant digits without exponents where they can be had; ``–`` for None and NaN."""
+    if value is None or np.isnan(value):
         return "–"
+    value = float(value)
     if np.isinf(value):
         return "∞" if value > 0 else "−∞"
     if value == 0:
