@@ -110,7 +110,7 @@ class Factorisation:
         X.setUp()
         X.assemble()
         self._factor.matSolve(B, X)
-        return X.getDenseArray()[: self.size]
+        return X.getDenseArray()[: self.size].copy()  # the view does not keep X alive
 
 
 def _petsc_matrix(matrix: csr_matrix) -> PETSc.Mat:
