@@ -1,0 +1,80 @@
+"""The commands as a user calls them."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+LAP = ROOT / "meshes" / "lap_joint"
+
+
+@pytest.fixture
+def command(cache, tmp_path):
+    def call(*arguments, check=True):
+        done = subprocess.run([sys.executable, "-m", "mic.cli", *map(str, arguments)], cwd=tmp_path, capture_output=True, text=True,
+                              env=os.environ | {"MIC_CACHE": str(cache), "COLUMNS": "200"}, timeout=300)
+        assert not check or done.returncode == 0, done.stdout + done.stderr
+        return done
+
+    return call
+
+
+def test_run_check_report(command, tmp_path):
+    checked = command("check", LAP).stdout
+    assert "24" in checked and "6000" not in checked and "200 samples × 3 laws" in checked and "The scene is valid" in checked
+    first = command("run", LAP, "--samples", 20).stdout
+    assert "report:" in first
+    folder = tmp_path / "results" / "lap-joint"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["samples"] == 20 and set(summary["laws"]) == {"coulomb", "associated", "frictionless"}
+    zone = summary["laws"]["coulomb"]["zones"]["lap"]
+    slip = pd.read_parquet(folder / "samples" / "law=coulomb")["slip:clamp:lap"]
+    assert zone["mean_rms_slip"] == pytest.approx(slip.mean()) and zone["six_sigma_rms_slip"] == pytest.approx(6 * slip.std())
+    assert summary["laws"]["coulomb"]["worst_residual"] < 1e-8
+    assert (folder / "report.html").stat().st_size > 10_000
+    assert "reused" in command("run", LAP, "--samples", 20).stdout
+    (folder / "report.html").unlink()
+    command("report", folder)
+    assert (folder / "report.html").is_file()
+
+
+def test_check_shows_what_is_not_modelled(command, tmp_path):
+    text = (LAP / "scene.toml").read_text().replace("fields = true", "slip = false")
+    text = re.sub(r'\[\[stages\]\]\nkind = "release".*?\n\n', "", text, flags=re.S)
+    (tmp_path / "scene.toml").write_text(text)
+    (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
+    lean = command("check", tmp_path, "--law", "frictionless").stdout
+    assert "only normals are modelled, 24 rows instead of 72" in lean
+    assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 24 unknowns" in lean
+    assert "no field solves" in lean
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (("check", "nowhere"), ["nowhere", "no such scene"]),
+    (("report", "."), ["holds no run"]),
+])
+def test_errors_are_one_line_and_exit_with_two(command, arguments, words):
+    done = command(*arguments, check=False)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    for word in words:
+        assert word in done.stderr
+
+
+def test_production_path_imports_no_finite_elements():
+    script = ("import sys, mic, mic.cli, mic.assembly, mic.montecarlo, mic.process, mic.outcome, mic.report\n"
+              "bad = [name for name in sys.modules if name.split('.')[0] in ('dolfinx', 'petsc4py', 'ufl', 'fem_reference', 'mpi4py', 'gmsh')]\n"
+              "assert not bad, bad")
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
+def test_readme_snippet_runs(cache, tmp_path):
+    readme = (ROOT / "README.md").read_text()
+    snippet = re.search(r"```python\n(.*?)```", readme, re.S).group(1)
+    subprocess.run([sys.executable, "-c", snippet], check=True, cwd=ROOT, env=os.environ | {"MIC_CACHE": str(cache)}, timeout=200)
