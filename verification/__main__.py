@@ -1,0 +1,91 @@
+"""``python -m verification``: list the studies, run them, write their report."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+from rich.console import Console
+
+from verification.run import run as run_studies
+from verification.run import team
+from verification.study import studies
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="""
+How far are the reduced results from the truth, where, and what does accuracy cost?
+
+Start with:  python -m verification list  and then  python -m verification run --quick
+""")
+
+
+def _chosen(names):
+    known = studies()
+    for name in names or ():
+        if name not in known:
+            raise typer.BadParameter(f"there is no study {name!r}; known: {', '.join(known)}")
+    return [known[name] for name in names] if names else list(known.values())
+
+
+@app.command("list")
+def list_studies():
+    """Show each study: its claim, its reference, its acceptance numbers and its expected time on one core."""
+    console = Console(highlight=False)
+    for study in studies().values():
+        full, quick = study.seconds
+        console.print(f"[bold]{study.name}[/]: {study.title}, {full:.0f} s" + (f", quick {quick:.0f} s" if quick != full else ", quick the same"))
+        console.print(f"  {study.claim}", f"  [dim]Reference: {study.reference}[/]", sep="\n", soft_wrap=True)
+        for acceptance in study.acceptance:
+            console.print(f"  • {acceptance.name}: {acceptance.words()}")
+
+
+@app.command()
+def run(names: Annotated[Optional[list[str]], typer.Argument(help="Studies to run; default: all.", show_default=False)] = None,
+        out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results/verification"),
+        quick: Annotated[bool, typer.Option("--quick", help="Small meshes and few samples.")] = False):
+    """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
+
+    Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run. Under
+    `mpirun -n N` each study is shared out over N processes.
+    """
+    from verification.report import write_report
+    from verification.run import write_summary
+
+    workers = team()
+    run_studies(_chosen(names), out, quick, workers, lambda line: print(line, flush=True))
+    if workers.rank == 0:
+        print(f"report: {write_report(out)}")
+    failed = [entry for entry in write_summary(out) if not entry["passed"]] if workers.rank == 0 else []
+    if failed:
+        print(f"{len(failed)} acceptance numbers are not kept: " + ", ".join(f"{e['study']}/{e['name']}" for e in failed))
+    raise typer.Exit(1 if failed else 0)
+
+
+@app.command()
+def report(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)]):
+    """Write summary.json and report.html of a run folder again."""
+    from verification.report import write_report
+
+    print(f"report: {write_report(folder)}")
+
+
+def main():
+    """Entry point; under MPI the first failure ends all processes, with its traceback."""
+    workers = team()
+    try:
+        app()
+    except Exception as error:
+        if isinstance(error, FileNotFoundError) and workers.size == 1:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(2)
+        traceback.print_exc()
+        sys.stderr.flush()
+        if workers.size > 1:
+            workers.comm.Abort(3)
+        sys.exit(3)
+
+
+if __name__ == "__main__":
+    main()

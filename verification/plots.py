@@ -1,0 +1,20 @@
+"""One style for the report's figures."""
+
+from __future__ import annotations
+
+import matplotlib
+
+matplotlib.use("svg")
+import matplotlib.pyplot as plt  # noqa: E402  (the backend is chosen first: no display is needed)
+
+__all__ = ["panels"]
+
+STYLE = {"font.size": 10, "axes.grid": True, "grid.color": "0.9", "axes.axisbelow": True, "legend.fontsize": 8.5, "legend.frameon": False,
+         "svg.hashsalt": "verification", "axes.spines.top": False, "axes.spines.right": False}
+
+
+def panels(count: int, width: float = 5.2, height: float = 3.8):
+    """A figure of `count` panels side by side; sizes in inches of each panel."""
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(1, count, figsize=(width * count, height), squeeze=False, layout="constrained")
+    return figure, list(axes[0])

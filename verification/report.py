@@ -1,0 +1,67 @@
+"""The report of a run folder: one HTML file that opens offline."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import jinja2
+import pandas as pd
+
+from verification.run import read_results, write_summary
+
+__all__ = ["write_report"]
+
+
+def write_report(folder: Path) -> Path:
+    """Write ``summary.json`` and ``report.html`` from the studies that a run folder holds.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no finished study.
+    """
+    folder = Path(folder)
+    results = read_results(folder)
+    if not results:
+        raise FileNotFoundError(f"{folder}: holds no finished study; name the folder that `python -m verification run --out` wrote")
+    entries = write_summary(folder)
+    for result in results:
+        result["passed"] = all(finding["passed"] for finding in result["findings"])
+        for finding in result["findings"]:
+            if "figure" in finding:
+                finding["image"] = base64.b64encode((result["folder"] / finding["figure"]).read_bytes()).decode()
+            if "table" in finding:
+                finding["rows"] = _table(pd.read_csv(result["folder"] / finding["table"], keep_default_na=False, na_values=["nan", ""]))
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True,
+                                     lstrip_blocks=True)
+    environment.filters["number"] = _number
+    page = environment.get_template("report.html").render(
+        results=results, entries=len(entries), failed=sum(not entry["passed"] for entry in entries),
+        seconds=sum(result["seconds"] for result in results))
+    path = folder / "report.html"
+    temporary = folder / ".report.html"
+    temporary.write_text(page)
+    temporary.replace(path)
+    return path
+
+
+def _number(value) -> str:
+    """Three significant figures, or a dash for what does not exist."""
+    if value is None or value != value:
+        return "–"
+    if isinstance(value, (bool, str)):
+        return str(value)
+    return f"{value:.3g}" if abs(value) < 1e3 or abs(value) >= 1e5 else f"{value:.0f}"
+
+
+def _table(frame: pd.DataFrame) -> dict:
+    return {"columns": list(frame.columns), "rows": [[_cell(value) for value in row] for row in frame.itertuples(index=False)]}
+
+
+def _cell(value) -> str:
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return "–" if value != value else f"{value:.4g}"
+    return str(value)

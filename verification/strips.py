@@ -1,0 +1,66 @@
+"""Scenes of flat rectangular sheets, for cases that can be worked out by hand.
+
+A sheet lies in a plane z = const, from ``x`` to ``x + length`` and from y = 0 to ``width``; its mesh is written to a file, so that a
+case goes the way of a user's own part.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from meshes.structured import extrude
+from mic.scene import Scene
+
+__all__ = ["build", "line", "write_mesh"]
+
+
+def write_mesh(folder: Path, points: np.ndarray, triangles: np.ndarray) -> str:
+    """Write a mesh under the hash of its content; returns the file's name.
+
+    Parameters
+    ----------
+    folder : Path
+    points : (n, 3) array
+        mm.
+    triangles : (k, 3) int array
+    """
+    points, triangles = np.ascontiguousarray(points, dtype=float), np.ascontiguousarray(triangles, dtype=np.int64)
+    name = hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()[:16] + ".vtk"
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / name).is_file():
+        temporary = folder / f"{os.getpid()}-{name}"
+        meshio.write(temporary, meshio.Mesh(points, [("triangle", triangles)]), file_format="vtk")
+        temporary.replace(folder / name)
+    return name
+
+
+def build(folder: Path, sheets: dict, **tables) -> Scene:
+    """A scene of flat sheets.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the meshes go.
+    sheets : dict
+        By part name: ``x, z, length, width, size`` (mm) of the mesh, and the keys of the scene's part.
+    tables
+        The other keys of the scene.
+    """
+    parts = []
+    for name, sheet in sheets.items():
+        x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))
+        mesh = write_mesh(folder, *extrude([(0.0, z), (width, z)], x, length, size))
+        parts.append({"name": name, "mesh": mesh} | {key: sheet[key] for key in ("thickness", "young", "poisson")})
+    return Scene(parts=parts, folder=folder, **tables)
+
+
+def line(start: float, end: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Equidistant points and the shares of a uniform line load that fall to them (trapezoidal rule)."""
+    share = np.ones(count)
+    share[[0, -1]] = 0.5
+    return np.linspace(start, end, count), share / share.sum()

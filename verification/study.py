@@ -1,0 +1,210 @@
+"""What a study is, and how the studies of this package are found.
+
+A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that opens with the study's claim, its
+reference and its acceptance numbers (:meth:`Study.opening`). It measures numbers; the limits were declared before.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Callable, Literal
+
+import mic
+from mic.reduced import ReducedModel
+from mic.scene import Scene
+
+__all__ = ["Acceptance", "Context", "Finding", "Judged", "Study", "Team", "studies"]
+
+FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """A number that a study must keep.
+
+    Attributes
+    ----------
+    name : str
+        Names the number within its study.
+    claim : str
+        What is claimed by keeping it, one sentence without the number.
+    limit : float
+    unit : str
+        ``"1"`` for ratios.
+    bound : {"at most", "at least"}
+    quick : float or None
+        The limit of the quick version where its coarser meshes need another.
+    """
+
+    name: str
+    claim: str
+    limit: float
+    unit: str = "1"
+    bound: Literal["at most", "at least"] = "at most"
+    quick: float | None = None
+
+    def at(self, quick: bool) -> float:
+        """The limit of the full or the quick version."""
+        return self.quick if quick and self.quick is not None else self.limit
+
+    def words(self) -> str:
+        """The acceptance number in words."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        other = "" if self.quick is None else f" (quick: {self.quick:g}{unit})"
+        return f"{self.bound} {self.limit:g}{unit}{other}"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a study measured against one of its acceptance numbers, with what shows it.
+
+    Attributes
+    ----------
+    name : str
+        Of the acceptance number.
+    measured : float
+        In its unit.
+    note : str
+        Text for the report; its numbers are put in by the program, never typed.
+    figure : matplotlib.figure.Figure or None
+    table : pandas.DataFrame or None
+        Column names carry the units.
+    """
+
+    name: str
+    measured: float
+    note: str = ""
+    figure: object | None = None
+    table: object | None = None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A finding held against its acceptance number."""
+
+    finding: Finding
+    acceptance: Acceptance
+    limit: float
+
+    @property
+    def passed(self) -> bool:
+        """False for a number that is not finite, too."""
+        measured = self.finding.measured
+        if not math.isfinite(measured):
+            return False
+        return bool(measured <= self.limit if self.acceptance.bound == "at most" else measured >= self.limit)
+
+
+class Team:
+    """The processes that work on a study together.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm or None
+        None for a single process without MPI.
+    """
+
+    def __init__(self, comm=None):
+        self.comm = comm
+        self.rank, self.size = (comm.rank, comm.size) if comm is not None else (0, 1)
+
+    def map(self, function: Callable, items) -> list:
+        """``[function(item) for item in items]``, shared out over the ranks; the whole list on every rank.
+
+        Every rank must call it with the same items. Each item is worked on by itself, so the number of ranks leaves no
+        trace in the results; an exception on one rank is raised there, and ``python -m verification`` then ends all.
+        """
+        items = list(items)
+        own = [function(item) for item in items[self.rank::self.size]]
+        if self.size == 1:
+            return own
+        shares = self.comm.allgather(own)
+        return [shares[i % self.size][i // self.size] for i in range(len(items))]
+
+    def wait(self) -> None:
+        """Until every rank has come here."""
+        if self.size > 1:
+            self.comm.Barrier()
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a run gives to a study.
+
+    Attributes
+    ----------
+    quick : bool
+        Whether small meshes and few samples are asked for.
+    cache : Path
+        Folder for meshes and influence coefficients. It belongs to one version of the code, so that coefficients computed by
+        another are never judged.
+    team : Team
+    """
+
+    quick: bool
+    cache: Path
+    team: Team
+
+    def model(self, scene: Scene) -> ReducedModel:
+        """The scene's reduced model, made by the production path."""
+        return mic.reduce(scene, self.cache)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A claim, what it is held against, and how it is measured.
+
+    Attributes
+    ----------
+    order : int
+        Place in the report.
+    title, claim, reference : str
+    acceptance : tuple of Acceptance
+    seconds : tuple of two float
+        Expected time of the full and of the quick version on one core.
+    run : callable
+        ``run(context)`` returns one :class:`Finding` per acceptance number, and the same on every rank.
+    name : str
+        The folder's; set when the study is found.
+    """
+
+    order: int
+    title: str
+    claim: str
+    reference: str
+    acceptance: tuple[Acceptance, ...]
+    seconds: tuple[float, float]
+    run: Callable[[Context], list[Finding]]
+    name: str = ""
+
+    def judge(self, context: Context) -> list[Judged]:
+        """Run the study and hold each finding against its acceptance number.
+
+        Raises
+        ------
+        ValueError
+            If an acceptance number was not measured exactly once.
+        """
+        findings = self.run(context)
+        limits = {acceptance.name: acceptance for acceptance in self.acceptance}
+        if sorted(finding.name for finding in findings) != sorted(limits):
+            raise ValueError(f"study {self.name!r} measured {sorted(f.name for f in findings)}, its acceptance numbers are {sorted(limits)}")
+        return [Judged(finding, limits[finding.name], limits[finding.name].at(context.quick)) for finding in findings]
+
+    def opening(self) -> str:
+        """The lines with which the study's page opens."""
+        rows = [f"| {a.name} | {a.claim} | {a.words()} |" for a in self.acceptance]
+        return "\n".join([f"# {self.title}", "", f"**Claim.** {self.claim}", "", f"**Reference.** {self.reference}", "",
+                          "| accepted | claim | number |", "| --- | --- | --- |", *rows]) + "\n"
+
+
+def studies() -> dict[str, Study]:
+    """All studies by name, in the order of the report."""
+    found = {}
+    for path in FOLDER.glob("*/study.py"):
+        name = path.parent.name
+        found[name] = replace(importlib.import_module(f"{__package__}.{name}.study").STUDY, name=name)
+    return dict(sorted(found.items(), key=lambda item: (item[1].order, item[0])))
