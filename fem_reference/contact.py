@@ -39,6 +39,7 @@ LAWS = ("frictionless", "coulomb")
 _SMALLEST_CUT = 1 / 64  # of an increment
 _AUGMENTATIONS = 30
 _AUGMENTED = 1e-10  # change of the contact forces in the last augmentation, of the largest
+_ROUNDING = 1e-8  # of the largest force: a change below this that no longer shrinks is rounding
 _SLOW = 0.1  # an augmentation that leaves more than this share of the change before raises ε tenfold
 _STIFFEST = 1e9  # ε/k at most
 _REDUNDANT = 1e-12  # squared distance of a normalised row from the span of the others
@@ -306,9 +307,10 @@ class _Run:
     def _increment(self, plan, system, number, start, end) -> ContactLaw:
         """Solve one increment; returns the law that its end satisfies, slip measured from the increment's start."""
         k, β = self.mesh.contact_stiffness, self.model.penalty
-        history = self.state.force.copy()
-        history[:, 0] = 0.0
-        law = ContactLaw(self.friction, self.gap, self.left, history, β * k, k)
+        estimate = self.state.force.copy()
+        if not self.model.augmented:
+            estimate[:, 0] = 0.0
+        law = ContactLaw(self.friction, self.gap, self.left, estimate, β * k, k)
 
         def solve(fraction, law, augmentation):
             p, v = (a + fraction * (b - a) for a, b in zip(start, end))
@@ -328,7 +330,8 @@ class _Run:
         for augmentation in range(1, _AUGMENTATIONS + 1) if self.model.augmented else ():
             before = change
             change = float(np.abs(self.state.force - law.estimate).max())
-            if change <= _AUGMENTED * np.abs(self.state.force).max():
+            largest = max(np.abs(self.state.force).max(), np.abs(self.state.reaction).max())
+            if change <= _AUGMENTED * largest or before <= _ROUNDING * largest and change > 0.5 * before:
                 break
             stiffer = change > _SLOW * before and law.penalty[0] < _STIFFEST * k[0]
             law = replace(law, estimate=self.state.force, penalty=(10 if stiffer else 1) * law.penalty)

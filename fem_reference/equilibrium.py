@@ -165,6 +165,12 @@ class ContactLaw:
         stick = (size <= self.friction * y[:, 0]) & (self.friction > 0)
         return np.where(closed, np.where(stick, STICK, SLIP), OPEN)
 
+    def smooth(self, δ: np.ndarray, new: np.ndarray, state: np.ndarray) -> bool:
+        """Whether no contact changes its state on the way from δ to `new`, nor a slip its direction by more than 60°."""
+        (y, size), (z, length) = self._trial(δ), self._trial(new)
+        turned = np.einsum("kj,kj->k", y[:, 1:], z[:, 1:]) < 0.5 * size * length
+        return bool((self.state(new) == state).all() and not (turned & (state == SLIP) & (self.friction > 0)).any())
+
     def linearise(self, δ: np.ndarray, f: np.ndarray, state: np.ndarray):
         """Residual (m, d) of the lines (4) and its derivatives by δ and f, both (m, d, d)."""
         m, d = f.shape
@@ -423,11 +429,11 @@ class Equilibrium:
     def _step_length(self, x, dx, F, law, state):
         """α with G(α) = du·(K(u + α du) − p − Cᵀ f(u + α du)) = 0, the work of the residual on the step.
 
-        A step that moves the bilateral rows, or along which no contact changes its state, is taken whole.
+        A step that moves the bilateral rows, or along which (4) stays smooth, is taken whole.
         """
         N, b = self.N, self.b
         δ, dδ = self._contact(x), self._contact(dx)
-        if not self.m or (law.state(δ + dδ) == state).all() or np.abs(F[N:N + b]).max(initial=0.0) > 1e-9 * np.abs(x[:N]).max():
+        if not self.m or law.smooth(δ, δ + dδ, state) or np.abs(F[N:N + b]).max(initial=0.0) > 1e-9 * np.abs(x[:N]).max():
             return 1.0
         work = lambda force: float((dδ * force).sum())
         constant = float(dx[:N] @ F[:N]) + work(x[N + b:].reshape(self.m, self.d))
