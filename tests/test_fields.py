@@ -1,0 +1,123 @@
+"""Mean and 6σ fields against one finite-element solve per sample, and against the reduced model's own readings."""
+
+import sys
+
+import meshio
+import numpy as np
+import pytest
+
+from mic.assembly import assemble
+from mic.fields import compute_fields, low_rank, read_fields, write_fields
+from mic.montecarlo import run
+from mic.outcome import keep_inputs, read_outcome
+from mic.variation import draw
+
+SAMPLES, SEED = 25, 3
+LAWS = ["coulomb", "frictionless"]
+
+
+@pytest.fixture(scope="module")
+def folder(lap_model, lap_scene, cache, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    keep_inputs(folder, assemble(lap_scene, cache))
+    run(lap_model, folder, LAWS, SAMPLES, SEED)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def evaluation(lap_model):
+    return lap_model.process("coulomb").evaluate(draw(lap_model.scene, SEED, 0, SAMPLES))
+
+
+def test_forces_and_motions_read_what_was_measured(lap_model, evaluation):
+    """H f + G q at the measurement points is the measured deviation: forces, motions and signs are right."""
+    reading = evaluation.functional_force @ lap_model.H + evaluation.motion @ lap_model.G.T
+    measured = reading @ lap_model.rows["measurement"].toarray().T
+    scale = np.abs(evaluation.measurements).max()
+    assert scale > 0.01
+    np.testing.assert_allclose(measured, evaluation.measurements, atol=1e-9 * scale)
+
+
+def test_forces_balance_on_every_part(lap_model, evaluation):
+    scale = np.abs(evaluation.functional_force).max() * np.abs(lap_model.G).max()
+    assert np.abs(evaluation.functional_force @ lap_model.G).max() < 1e-9 * scale
+
+
+def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, cache, evaluation):
+    from fem_reference.part import ShellPart
+
+    found = {field.part: field for field in compute_fields(read_outcome(folder)) if field.law == "coulomb"}
+    for p, part in enumerate(assemble(lap_scene, cache).parts):
+        shell = ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element)
+        rows = slice(lap_model.offsets[p], lap_model.offsets[p + 1])
+        direct = shell.field(part.functionals, evaluation.functional_force[:, rows].T)[:, :3]
+        direct = direct + shell.rigid_field()[:, :3] @ evaluation.motion[:, 6 * p:6 * p + 6].T  # (v, 3, samples)
+        field, size = found[part.name], np.abs(direct).max()
+        spread = 6 * direct.std(axis=2, ddof=1)
+        np.testing.assert_allclose(field.mean, direct.mean(axis=2), atol=1e-8 * size)
+        np.testing.assert_allclose(field.six_sigma, spread, atol=1e-4 * spread.max())
+        along = np.einsum("vi,vis->vs", part.surface.vertex_normals, direct)
+        np.testing.assert_allclose(field.six_sigma_normal, 6 * along.std(axis=1, ddof=1), atol=1e-4 * spread.max())
+        np.testing.assert_allclose(field.six_sigma_magnitude, np.sqrt((spread**2).sum(axis=1)), atol=1e-4 * spread.max())
+        assert field.rank < SAMPLES // 2, "the factor saves nothing"
+
+
+def test_the_factor_keeps_the_energy_it_promises():
+    rng = np.random.default_rng(0)
+    C = rng.normal(size=(12, 12))
+    H = C @ C.T
+    force, motion = rng.normal(size=(40, 12)) * 10.0 ** -np.arange(12), rng.normal(size=(40, 6))
+    ranks = []
+    for share in (0.3, 1e-2, 1e-6, 0.0):
+        factor = low_rank(force, motion, H, share)
+        centred = force - force.mean(axis=0)
+        assert factor.discarded <= max(share, 1e-20)
+        assert ranks == [] or factor.rank > ranks[-1]
+        ranks.append(factor.rank)
+        covariance = factor.force @ factor.gram[:factor.rank, :factor.rank] @ factor.force.T
+        exact = centred.T @ centred / 39
+        assert abs(np.trace(H @ (exact - covariance)) / np.trace(H @ exact) - factor.discarded) < 1e-10
+    assert ranks[-1] == 12
+
+
+def test_one_sample_has_a_mean_and_no_spread(lap_model):
+    factor = low_rank(np.ones((1, 4)), np.ones((1, 6)), np.eye(4))
+    assert factor.rank == 0 and (factor.mean_force == 1).all() and factor.samples == 1
+
+
+def test_fields_on_disk(folder):
+    written = write_fields(folder)
+    read, skipped = read_fields(folder)
+    assert skipped is None and len(read) == 4 and {(f.law, f.part) for f in read} == {(f.law, f.part) for f in written}
+    for one, other in zip(written, read):
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.six_sigma_normal, other.six_sigma_normal)
+        mesh = meshio.read(folder / "fields" / f"{one.law}-{one.part}.vtu")
+        assert mesh.point_data["six_sigma"].shape == (len(mesh.points), 3)
+        np.testing.assert_allclose(mesh.point_data["six_sigma_magnitude"], np.linalg.norm(one.six_sigma, axis=1))
+        assert one.error < 1e-3 * one.six_sigma.max()
+    assert (folder / "fields" / "lower.vtu").is_file()
+
+
+def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
+    write_fields(folder)
+    path = folder / "fields" / "coulomb-lower.vtu"
+    before = path.stat().st_mtime_ns
+    write_fields(folder)
+    assert path.stat().st_mtime_ns == before
+    for samples in folder.glob("samples/law=frictionless/*.parquet"):
+        samples.rename(samples.with_name(".aside"))
+    write_fields(folder)
+    assert path.stat().st_mtime_ns > before and not (folder / "fields" / "frictionless-lower.vtu").exists()
+    for aside in folder.glob("samples/law=frictionless/.aside"):
+        aside.rename(aside.with_name(f"{0:06d}-{SAMPLES - 1:06d}.parquet"))
+
+
+def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkeypatch):
+    (folder / "fields" / "fields.json").unlink(missing_ok=True)
+    monkeypatch.setitem(sys.modules, "fem_reference.part", None)
+    assert write_fields(folder) == []
+    fields, skipped = read_fields(folder)
+    assert fields == [] and "not installed" in skipped
+    monkeypatch.undo()
+    assert len(write_fields(folder)) == 4  # tried again once they are there

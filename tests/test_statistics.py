@@ -1,0 +1,153 @@
+"""Statistics against textbook numbers, scipy's distributions, and the coverage that an interval promises."""
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from mic import statistics as st
+
+TEN = np.arange(1.0, 11.0)  # mean 5.5, s = 3.0276504
+
+
+def test_mean_and_sigma_of_ten_numbers():
+    mean, sigma = st.mean(TEN), st.sigma(TEN)
+    # t(0.975, 9) = 2.262157, chi2(0.025, 9) = 2.700389, chi2(0.975, 9) = 19.022768 from printed tables
+    s = 3.0276504
+    assert mean.value == 5.5
+    assert [mean.low, mean.high] == pytest.approx([5.5 - 2.262157 * s / 10**0.5, 5.5 + 2.262157 * s / 10**0.5], rel=1e-6)
+    assert [sigma.value, sigma.low, sigma.high] == pytest.approx([s, s * (9 / 19.022768) ** 0.5, s * (9 / 2.700389) ** 0.5], rel=1e-6)
+    assert (mean.used, mean.excluded) == (10, 0)
+
+
+def test_six_sigma_is_six_times_sigma():
+    six, one = st.six_sigma(TEN), st.sigma(TEN)
+    assert [six.value, six.low, six.high] == pytest.approx([6 * one.value, 6 * one.low, 6 * one.high], rel=1e-15)
+
+
+def test_level_of_confidence_is_honoured():
+    mean = st.mean(TEN, level=0.9)
+    low, high = scipy.stats.t.interval(0.9, 9, 5.5, scipy.stats.sem(TEN))
+    assert [mean.low, mean.high] == pytest.approx([low, high], rel=1e-12)
+
+
+def test_extremes_bound_the_population_from_one_side_only():
+    low, high = st.minimum(TEN), st.maximum(TEN)
+    assert (low.value, low.low, low.high) == (1.0, -np.inf, 1.0)
+    assert (high.value, high.low, high.high) == (10.0, 10.0, np.inf)
+
+
+def test_wilks_needs_93_samples_for_95_per_cent_with_95_per_cent_confidence():
+    assert st.covered_share(93) > 0.95 > st.covered_share(92)
+    assert np.isnan(st.covered_share(1))
+
+
+def test_capability_of_known_samples():
+    x = 5 + 2 * np.tile([-1.0, 1.0], 50)  # mean 5, s = 2 sqrt(100/99)
+    s = 2 * (100 / 99) ** 0.5
+    cp, cpk = st.capability(x, -1, 17), st.centred_capability(x, -1, 17)
+    assert cp.value == pytest.approx(18 / (6 * s), rel=1e-12)
+    assert [cp.low, cp.high] == pytest.approx(cp.value * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], 99) / 99), rel=1e-10)
+    assert cpk.value == pytest.approx(6 / (3 * s), rel=1e-12)
+    half = 1.959964 * (1 / 900 + cpk.value**2 / 198) ** 0.5
+    assert [cpk.low, cpk.high] == pytest.approx([cpk.value - half, cpk.value + half], rel=1e-6)
+
+
+def test_clopper_pearson_of_five_in_ten_and_none_in_ten():
+    half, none, all_ = st.share(5, 10), st.share(0, 10), st.share(10, 10)
+    assert [half.value, half.low, half.high] == pytest.approx([0.5, 0.187086, 0.812914], abs=1e-6)
+    assert [none.low, none.high] == pytest.approx([0, 1 - 0.025**0.1], rel=1e-12)
+    assert [all_.low, all_.high] == pytest.approx([0.025**0.1, 1], rel=1e-12)
+
+
+@pytest.mark.parametrize("count, n", [(0, 1), (1, 1), (3, 500), (497, 500)])
+def test_clopper_pearson_agrees_with_scipy(count, n):
+    ours, theirs = st.share(count, n), scipy.stats.binomtest(count, n).proportion_ci(0.95, "exact")
+    assert [ours.low, ours.high] == pytest.approx([theirs.low, theirs.high], rel=1e-9)
+
+
+def test_share_outside_counts_both_sides_and_leaves_failed_samples_out():
+    found = st.share_outside([-2.0, 0.0, 0.5, 3.0, np.nan], -1, 1)
+    assert (found.value, found.used, found.excluded) == (0.5, 4, 1)
+
+
+def test_density_integrates_to_one_and_agrees_with_scipy():
+    x = np.random.default_rng(1).gamma(3.0, size=300)
+    grid = np.linspace(-3, 20, 4000)
+    ours = st.density(np.append(x, np.nan), grid)
+    assert ours.sum() * (grid[1] - grid[0]) == pytest.approx(1, rel=1e-6)
+    np.testing.assert_allclose(ours, scipy.stats.gaussian_kde(x)(grid), rtol=1e-9, atol=1e-300)
+
+
+def test_failed_samples_are_excluded_and_counted_column_by_column():
+    x = np.column_stack([np.append(TEN, np.nan), np.append(np.nan, TEN), np.full(11, np.nan)])
+    for estimate in (st.mean(x), st.sigma(x), st.capability(x, 0, 11), st.centred_capability(x, 0, 11)):
+        assert list(estimate.used) == [10, 10, 0] and list(estimate.excluded) == [1, 1, 11]
+        assert estimate.value[0] == pytest.approx(estimate.value[1], rel=1e-14) and np.isnan(estimate.value[2])
+    assert st.mean(x).value[0] == pytest.approx(5.5)
+
+
+@pytest.mark.parametrize("x", [[], [np.nan], [3.0], [3.0] * 5, [0.1] * 7])
+def test_degenerate_samples_claim_no_certainty(x):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mean, sigma, cp, cpk = st.mean(x), st.sigma(x), st.capability(x, 0, 10), st.centred_capability(x, 0, 10)
+        smallest, outside, curve = st.minimum(x), st.share_outside(x, 0, 10), st.density(x, [3.0])
+    used = int(np.isfinite(x).sum())
+    for estimate in (mean, sigma, cp, cpk):
+        assert np.isnan(estimate.low) and np.isnan(estimate.high)
+    assert np.isnan(curve).all()
+    assert np.isnan(mean.value) == np.isnan(smallest.value) == np.isnan(outside.value) == (used == 0)
+    if used > 1:
+        assert sigma.value == 0 and cp.value == np.inf and cpk.value == np.inf
+    else:
+        assert np.isnan(sigma.value) and np.isnan(cp.value) and np.isnan(cpk.value)
+
+
+def test_without_spread_cpk_tells_in_from_out():
+    assert st.centred_capability([2.0, 2.0], 0, 1).value == -np.inf
+    assert np.isnan(st.centred_capability([1.0, 1.0], 0, 1).value)
+
+
+# A promise of 95 % is checked by repetition: over R sets the observed coverage has a standard deviation sqrt(0.95 0.05 / R).
+REPEATED, TRUE_MEAN, TRUE_SIGMA = 8000, 2.0, 0.7
+TOLERANCE = 4 * (0.95 * 0.05 / REPEATED) ** 0.5
+
+
+def _sets(n):
+    return np.random.default_rng(n).normal(TRUE_MEAN, TRUE_SIGMA, (n, REPEATED))
+
+
+def _coverage(low, high, truth):
+    return np.mean((low <= truth) & (truth <= high))
+
+
+@pytest.mark.parametrize("estimate, truth", [
+    (st.mean, TRUE_MEAN), (st.sigma, TRUE_SIGMA), (st.six_sigma, 6 * TRUE_SIGMA),
+    (lambda x: st.capability(x, 0, 5), 5 / (6 * TRUE_SIGMA))])
+@pytest.mark.parametrize("n", [3, 6, 50])
+def test_exact_intervals_cover_the_truth_as_often_as_they_promise(estimate, truth, n):
+    found = estimate(_sets(n))
+    assert abs(_coverage(found.low, found.high, truth) - 0.95) < TOLERANCE
+
+
+def test_the_coverage_check_can_fail():
+    """The normal quantile in the place of Student's, at six samples, is found out."""
+    x = _sets(6)
+    half = 1.96 * x.std(axis=0, ddof=1) / 6**0.5
+    assert abs(_coverage(x.mean(axis=0) - half, x.mean(axis=0) + half, TRUE_MEAN) - 0.95) > TOLERANCE
+
+
+def test_bissells_interval_covers_to_its_own_accuracy():
+    found = st.centred_capability(_sets(100), 0, 5)  # limits to one side, where the approximation is meant to hold
+    assert abs(_coverage(found.low, found.high, TRUE_MEAN / (3 * TRUE_SIGMA)) - 0.95) < TOLERANCE + 0.005
+
+
+@pytest.mark.parametrize("p", [0.003, 0.05, 0.4])
+def test_clopper_pearson_never_covers_less_than_it_promises(p):
+    n = 60
+    counts = np.arange(n + 1)
+    found = st.share(counts, n)
+    covered = scipy.stats.binom.pmf(counts, n, p)[(found.low <= p) & (p <= found.high)].sum()
+    assert 0.95 <= covered < 1
