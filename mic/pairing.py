@@ -158,7 +158,7 @@ class _Cloud:
 
 
 def _first_spacing(surface):
-    return float(np.median(surface.edge_lengths)) / 2
+    return float(np.median(surface.edge_lengths))
 
 
 def _facing(zone, sampled, other, spacing):

@@ -170,12 +170,12 @@ class Surface:
         """
         x = np.atleast_2d(np.asarray(x, dtype=float))
         # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
-        bound = self._tree.query(x)[0]
         cosine = np.cos(max_angle)
-        candidates = None
-        if normal is not None:
+        if normal is None:
+            bound = self._tree.query(x)[0]
+        else:
             normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
-            bound = np.array([self._filtered_bound(x[i], normal[i], bound[i], cosine) for i in range(len(x))])
+            bound = self._nearest_aligned(x, normal, cosine)
         candidates = self._tree.query_ball_point(x, np.where(np.isfinite(bound), bound + self._reach.max() * (1 + 1e-9), 0.0))
         owner = np.repeat(np.arange(len(x)), [len(c) for c in candidates])
         triangle = np.concatenate([np.asarray(c, dtype=np.int64) for c in candidates]) if len(x) else np.zeros(0, np.int64)
@@ -199,20 +199,18 @@ class Surface:
     def _aligned(self, triangle, normal, cosine):
         return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine)  # NaN passes
 
-    def _filtered_bound(self, x, normal, bound, cosine):
-        """Distance from x to the nearest centroid whose triangle passes the normal filter."""
-        if np.isnan(normal).any():
-            return bound
-        count = 8
-        while True:
-            distance, triangle = self._tree.query(x, k=min(count, len(self.triangles)))
-            distance, triangle = np.atleast_1d(distance), np.atleast_1d(triangle)
-            aligned = self._aligned(triangle, np.broadcast_to(normal, (len(triangle), 3)), cosine)
-            if aligned.any():
-                return distance[aligned][0]
-            if count >= len(self.triangles):
-                return np.inf
-            count *= 4
+    def _nearest_aligned(self, x, normal, cosine):
+        """(n,) distance from each point to the nearest centroid whose triangle passes the normal filter; inf if none."""
+        bound, todo, count = np.full(len(x), np.inf), np.arange(len(x)), 4
+        while len(todo):
+            count = min(count, len(self.triangles))
+            distance, triangle = (table.reshape(len(todo), count) for table in self._tree.query(x[todo], k=count))
+            aligned = self._aligned(triangle.ravel(), np.repeat(normal[todo], count, axis=0), cosine).reshape(triangle.shape)
+            found, first = aligned.any(1), aligned.argmax(1)
+            bound[todo[found]] = distance[found, first[found]]
+            todo = todo[~found] if count < len(self.triangles) else todo[:0]
+            count *= 8
+        return bound
 
     def patch(self, center, radius: float, normal=None) -> Patch:
         """Points of the surface within `radius` of the projection of `center`, with equal weight per area.

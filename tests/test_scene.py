@@ -88,3 +88,20 @@ def test_missing_scene():
 @pytest.mark.parametrize("name", ["wheelhouse", "lap_joint", "hat_on_plate"])
 def test_shipped_scenes_are_valid(name):
     assert mic.load_scene(LAP.parent / name).parts
+
+
+def test_reference_documents_every_key():
+    """docs/scene.md names every key of every table, in its section."""
+    from mic import scene as schema
+
+    text = (LAP.parents[1] / "docs" / "scene.md").read_text()
+    sections = dict(re.findall(r"## `\[+(\w+)\]+`(.*?)(?=\n## |\Z)", text, re.S))
+    for key, field in schema.Scene.model_fields.items():
+        if key == "folder":
+            continue
+        table = next((t for t in (schema.Part, schema.Fixture, schema.Locator, schema.Clamp, schema.Weld, schema.Zone, schema.Stage,
+                                  schema.Deviation, schema.Measurement, schema.MonteCarlo, schema.Report)
+                      if t.__name__ in str(field.annotation)), None)
+        where = text if table is None else sections[key]
+        for name in [key] if table is None else table.model_fields:
+            assert f"`{name}`" in where, f"docs/scene.md: {key}.{name} is not documented"
