@@ -274,6 +274,7 @@ class Process:
             resolved = prepared.solver is not None
             converged, residual, iterations = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n, dtype=int)
             steps = plan.increments if resolved else 1
+            before = left
             for step in range(1, steps + 1):
                 s = step / steps
                 v, load = start + s * (target - start), load_start + s * (load_end - load_start)
@@ -296,6 +297,8 @@ class Process:
             if resolved:
                 failed |= ~converged
                 displacement = solution.displacement.reshape(n, m, d)
+                if steps > 1:  # the solver's slip is that of the last increment
+                    displacement[:, :, 1:] = (left - before)[:, :, 1:]
                 resolutions[plan.name] = Resolution(plan.name, force.reshape(n, m, d).copy(), displacement, self._state(force.reshape(n, m, d)),
                                                     residual, converged, iterations, np.asarray(solution.status), reaction)
         measured = (reading[:, self._output["measurement"]] + deviations @ (model.rows["measurement"] @ model.shape).T
