@@ -24,10 +24,11 @@ from scipy.sparse import bmat, csr_matrix, dia_matrix
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
 
 # MUMPS's numbers of what this module sets or reads (MUMPS 5.5 users' guide, sections 5 and 6)
-_ICNTL_EXTRA_MEMORY = 14  # per cent of working space beyond the estimate
 _ICNTL_SCHUR_SOLVE = 26  # 0: solve with K only, as if there were no border
 _ICNTL_RHS_BLOCK = 27  # columns handled at once in a solve
-_INFOG_STATUS, _INFOG_MEMORY = 1, 19  # negative: failure; MB used by all processes
+_INFOG_STATUS = 1  # negative: failure
+_INFOG_NEGATIVE_PIVOTS = 12
+_INFOG_MEMORY = 19  # MB, over all processes
 
 
 class FactorisationError(RuntimeError):
@@ -54,7 +55,7 @@ class Factorisation:
     Raises
     ------
     FactorisationError
-        If K is not positive definite (`info` −10) or the memory does not suffice.
+        If K is not positive definite or the memory does not suffice.
     """
 
     def __init__(self, K: csr_matrix, L: csr_matrix | None = None):
@@ -79,6 +80,8 @@ class Factorisation:
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
             raise FactorisationError(_explain(status, self._factor.getMumpsInfog(2)))
+        if self._factor.getMumpsInfog(_INFOG_NEGATIVE_PIVOTS) > 0:
+            raise FactorisationError("the stiffness is not positive definite: a material constant or the mesh is not what it should be")
         self.memory = float(self._factor.getMumpsInfog(_INFOG_MEMORY))
         self.influence = None
         if n:

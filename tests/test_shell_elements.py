@@ -36,7 +36,7 @@ def exact_freedoms(part, frame, displacement, rotation):
     return components[np.arange(part.ndof), part.dof_component]
 
 
-def membrane_field(part, frame):
+def membrane_field(part, frame, stretch):
     """Linear u with constant drilling rotation ½(∂u2/∂x − ∂u1/∂y), and its energy per area t/2 ε:Cε."""
     a = 1e-3 * np.array([[1.0, 0.4], [-0.7, 0.6]])  # ∂u_α/∂x_β
     field = exact_freedoms(
@@ -49,9 +49,9 @@ def membrane_field(part, frame):
     return field, T / 2 * plane_stress_energy(strain)
 
 
-def bending_field(part, frame):
-    """Quadratic w with θ = (∂w/∂y, −∂w/∂x), and its energy per area t³/24 κ:Cκ."""
-    k = 1e-3 * np.array([[0.8, 0.3], [0.3, -0.5]])  # ∂²w
+def bending_field(part, frame, stretch):
+    """Quadratic w with θ = (∂w/∂y, −∂w/∂x), and its energy per area t³/24 κ:Cκ; w stays small on a long patch."""
+    k = 1e-3 * np.array([[0.8 / stretch**2, 0.3 / stretch], [0.3 / stretch, -0.5]])  # ∂²w
     field = exact_freedoms(
         part,
         frame,
@@ -75,13 +75,13 @@ def test_patch(element, field, stretch):
     """Constant strain or curvature on the rim of a distorted mesh fills the inside, and stores the exact energy."""
     surface, frame = flat_patch(5, stretch)
     part = ShellPart(surface, T, E, NU, element)
-    exact, energy = field(part, frame)
+    exact, energy = field(part, frame, stretch)
     u = supported_solution(part, [on_rim(part, frame, stretch)], np.zeros(part.ndof), exact)
-    rounding = 1e-9 * stretch**2  # energy per area stays, stiffness times displacement² grows
+    rounding = 1e-9 * stretch**1.5
     for rotations in (False, True):  # of either kind relative to its own size
         kind = (part.dof_component >= 3) == rotations
         assert abs(u - exact)[kind].max() < rounding * abs(exact[kind]).max()
-    assert u @ part.stiffness_csr() @ u / 2 == pytest.approx(energy * surface.areas.sum(), rel=rounding * max(stretch, 10))
+    assert u @ part.stiffness_csr() @ u / 2 == pytest.approx(energy * surface.areas.sum(), rel=rounding)
 
 
 def curved(n=5):

@@ -1,0 +1,209 @@
+"""`ShellPart`: functionals, rigid motions, loads, pinned solves, and what it refuses."""
+
+import numpy as np
+import pytest
+from shell_bench import at, grid, supported_solution
+
+from fem_reference.influence import FactorisationError
+from fem_reference.part import ELEMENTS, ShellPart
+from mic.functional import Functionals
+from mic.surface import Patch, Surface
+
+E, NU, T = 210000.0, 0.3, 1.2
+
+
+def panel(n=8):
+    return grid(n, n, lambda X, Y: np.column_stack([60 * X, 50 * Y, 8 * np.sin(2 * X + Y)]), jitter=0.2, pattern="cross")
+
+
+def functionals(surface, places, radius):
+    """Displacement rows on the three levels (side −1, 0, 1) and rotation rows, x, y, z each, at every place: 12 per place."""
+    patches = tuple(surface.patch(place, radius) for place in places)
+    n = len(patches)
+    return Functionals(
+        patches=patches,
+        patch=np.repeat(np.arange(n), 12),
+        direction=np.tile(np.eye(3), (4 * n, 1)),
+        rotation=np.tile([False] * 9 + [True] * 3, n),
+        side=np.tile(np.repeat([-1, 0, 1, 0], 3), n),
+        label=tuple(f"row {i}" for i in range(12 * n)),
+    )
+
+
+PLACES = [[10.0, 10.0, 3.0], [45.0, 20.0, 8.0], [20.0, 40.0, 8.0]]
+
+
+@pytest.mark.parametrize("radius", [0.0, 6.0])
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_functionals_read_rigid_motions_exactly(element, radius):
+    """Under u = a + ω × (x − c), θ = ω a row on a sheet's outer side reads d·(a + ω × (x_q ± t/2 n_q − c)), averaged."""
+    surface = panel()
+    part = ShellPart(surface, T, E, NU, element)
+    rows = functionals(surface, PLACES, radius)
+    G = part.functional_matrix(rows) @ part.rigid_modes
+    random = np.random.default_rng(0)
+    a, ω = random.normal(size=3), random.normal(size=3)
+    for i in range(len(rows)):
+        patch = rows.patches[rows.patch[i]]
+        x = surface.at(patch.triangle, patch.barycentric) + rows.side[i] * T / 2 * surface.normals[patch.triangle]
+        motion = ω if rows.rotation[i] else patch.weight @ (a + np.cross(ω, x - part.centroid))
+        assert G[i] @ np.concatenate([a, ω]) == pytest.approx(motion @ rows.direction[i], rel=1e-12)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_functionals_average_the_field(element):
+    """On a linear field the average over a flat patch is the value at its centre; the side adds its lever arm."""
+    surface = grid(10, 10, lambda X, Y: np.column_stack([20 * X, 20 * Y, 0 * X]), jitter=0.2)
+    part = ShellPart(surface, T, E, NU, element)
+    x, y, _ = part.dof_position.T
+    freedoms = np.select([part.dof_component == 0, part.dof_component == 4], [1 + 0.5 * x - 0.25 * y, 0.1 * x], 0.0)
+    rows = functionals(surface, [[10.0, 9.0, 0.0]], 5.0)
+    reading = part.functional_matrix(rows) @ freedoms
+    mid, rotation = 1 + 5 - 2.25, 0.1 * 10
+    expected = np.zeros(12)
+    expected[[0, 3, 6]] = mid + np.array([-1, 0, 1]) * T / 2 * rotation  # (θ × s n)·e1 = s θ2
+    expected[10] = rotation
+    assert reading == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_fields_come_back_in_the_surface_s_order(element):
+    surface = panel()
+    part = ShellPart(surface, T, E, NU, element)
+    field = part.rigid_field()
+    arm = surface.points - part.centroid
+    for axis in range(3):
+        assert field[:, :3, axis] == pytest.approx(np.tile(np.eye(3)[axis], (len(arm), 1)), abs=1e-12)
+        assert field[:, :3, 3 + axis] == pytest.approx(np.cross(np.eye(3)[axis], arm), abs=1e-10)
+        assert field[:, 3:, 3 + axis] == pytest.approx(np.tile(np.eye(3)[axis], (len(arm), 1)), abs=1e-12)
+    rows = functionals(surface, [surface.points[30], surface.points[50]], 0.0)
+    H, _ = part.influence(rows)
+    forces = np.eye(len(rows))[:, [1, 14]]
+    recovered = part.field(rows, forces)
+    assert recovered.shape == (len(surface.points), 6, 2)
+    assert recovered[30, :3] == pytest.approx((H @ forces)[3:6], abs=1e-9 * abs(H).max())
+    assert recovered[50, :3] == pytest.approx((H @ forces)[15:18], abs=1e-9 * abs(H).max())
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_weight_and_its_moment(element):
+    """The load of gravity balances m g at the centre of mass, whichever element spreads it."""
+    surface = panel()
+    part = ShellPart(surface, T, E, NU, element)
+    g, density = np.array([0.0, 1000.0, -9806.65]), 7.85e-9
+    load = part.gravity(g, density)
+    weight = density * T * surface.areas.sum() * g
+    resultant = part.rigid_modes.T @ load
+    assert resultant[:3] == pytest.approx(weight, abs=1e-12 * abs(weight).max())
+    assert resultant[3:] == pytest.approx(0, abs=1e-9)  # about the centroid
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_the_choice_of_pins_leaves_no_trace(element):
+    """Self-equilibrated loads: the pins carry nothing, and other pins give the same shape up to a rigid motion."""
+    surface = panel()
+    part = ShellPart(surface, T, E, NU, element)
+    modes = part.rigid_modes
+    load = np.random.default_rng(1).normal(size=part.ndof) * (part.dof_component < 3)
+    load -= modes @ np.linalg.lstsq(modes.T @ modes, modes.T @ load, rcond=None)[0]
+    u = part.solve(load[:, None])[:, 0]
+    residual = part.stiffness_csr() @ u - load
+    assert abs(residual).max() < 1e-7 * abs(load).max()  # at the pins as well
+    corner = at(part, lambda x: np.linalg.norm(x - surface.points[0], axis=1) < 1e-9, range(3))
+    other = at(part, lambda x: np.linalg.norm(x - surface.points[8], axis=1) < 1e-9, [0, 2])
+    third = at(part, lambda x: np.linalg.norm(x - surface.points[-1], axis=1) < 1e-9, [2])
+    elsewhere = supported_solution(part, [corner, other, third], load)
+    difference = u - elsewhere
+    rigid = modes @ np.linalg.lstsq(modes, difference, rcond=None)[0]
+    assert abs(difference - rigid).max() < 1e-7 * abs(u).max()
+
+
+def test_pins_are_statically_determinate_and_apart():
+    part = ShellPart(panel(), T, E, NU)
+    assert len(np.unique(part.pins)) == 6 and (part.dof_component[part.pins] < 3).all()
+    size = np.linalg.norm(part.surface.points - part.centroid, axis=1).max()
+    modes = part.rigid_modes[part.pins] / np.array([1, 1, 1, size, size, size])
+    assert np.linalg.cond(modes) < 20
+
+
+def test_two_elements_agree_on_the_compliance_of_a_folded_part():
+    """A flanged panel: normal compliances of patches within 3 % of each other on meshes that one can afford in a test."""
+    fold = lambda X, Y: np.column_stack([np.minimum(60 * X, 45), 50 * Y, np.maximum(60 * X - 45, 0)])
+    compliance = {}
+    for element, n in (("dkt-opt", 24), ("p2-cr", 24)):
+        surface = grid(n, n, fold, pattern="cross")
+        part = ShellPart(surface, T, E, NU, element)
+        patches = tuple(surface.patch(place, 5.0) for place in ([10, 10, 0], [10, 40, 0], [35, 25, 0], [45, 25, 10]))
+        direction = np.array([[0, 0, 1.0]] * 3 + [[1, 0, 0]])
+        rows = Functionals(patches, np.arange(4), direction, np.zeros(4, bool), np.zeros(4, int), ("a", "b", "c", "d"))
+        H, G = part.influence(rows)
+        equilibrium = np.linalg.svd(G)[0][:, np.linalg.matrix_rank(G) :]
+        compliance[element] = equilibrium.T @ H @ equilibrium
+    assert compliance["dkt-opt"] == pytest.approx(compliance["p2-cr"], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"thickness": 0.0}, "thickness must be positive"),
+        ({"thickness": -1.0}, "thickness must be positive"),
+        ({"thickness": np.nan}, "thickness must be positive"),
+        ({"young": 0.0}, "Young's modulus must be positive"),
+        ({"poisson": 0.5}, "Poisson's ratio must lie between"),
+        ({"poisson": -1.0}, "Poisson's ratio must lie between"),
+        ({"poisson": np.nan}, "Poisson's ratio must lie between"),
+        ({"element": "s4r"}, "choose one of dkt-opt, p2-cr"),
+    ],
+)
+def test_bad_input_is_refused(changes, message):
+    arguments = {"thickness": T, "young": E, "poisson": NU} | changes
+    with pytest.raises(ValueError, match=message):
+        ShellPart(panel(2), **arguments)
+
+
+def test_bad_surfaces_are_refused():
+    sound = panel(2)
+    with pytest.raises(ValueError, match="belongs to no triangle"):
+        ShellPart(Surface(np.vstack([sound.points, [[0, 0, 99.0]]]), sound.triangles), T, E, NU)
+    two = np.vstack([sound.points, sound.points + [0, 0, 50.0]])
+    with pytest.raises(ValueError, match="2 pieces"):
+        ShellPart(Surface(two, np.vstack([sound.triangles, sound.triangles + len(sound.points)])), T, E, NU)
+
+
+def test_a_mechanism_is_found_out(monkeypatch):
+    """Two pieces behind the back of the constructor's check: the pins hold one of them."""
+    monkeypatch.setattr("fem_reference.part._pieces", lambda triangles: 1)
+    sound = panel(2)
+    two = np.vstack([sound.points, sound.points + [0, 0, 50.0]])
+    part = ShellPart(Surface(two, np.vstack([sound.triangles, sound.triangles + len(sound.points)])), T, E, NU)
+    with pytest.raises(FactorisationError, match="mechanism"):
+        part.solve(np.zeros((part.ndof, 1)))
+
+
+def test_the_material_is_no_part_of_the_compiled_form():
+    """E, ν and t are constants of the form: another sheet needs no compilation, and scales as it must."""
+    surface = panel(3)
+    K = ShellPart(surface, T, E, NU).stiffness_csr()
+    assert abs(ShellPart(surface, T, 2 * E, NU).stiffness_csr() - 2 * K).max() < 1e-12 * abs(K).max()
+    weak = ShellPart(surface, T, E, 0.1).stiffness_csr()
+    assert abs(weak - K).max() > 1e-3 * abs(K).max()
+
+
+def test_an_empty_set_of_functionals():
+    part = ShellPart(panel(3), T, E, NU)
+    nothing = Functionals((), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0, bool), np.zeros(0, int), ())
+    H, G = part.influence(nothing)
+    assert H.shape == (0, 0) and G.shape == (0, 6)
+
+
+def test_patches_share_rows_with_points():
+    """A patch of one quadrature point with weight one at a vertex is the nodal functional."""
+    surface = panel(3)
+    part = ShellPart(surface, T, E, NU)
+    triangle, corner = 4, 2
+    rows = Functionals(
+        (Patch(np.array([triangle]), np.eye(3)[[corner]], np.ones(1)),), np.array([0]), np.array([[0, 1.0, 0]]), np.zeros(1, bool),
+        np.zeros(1, int), ("node",)
+    )
+    L = part.functional_matrix(rows)
+    assert L.nnz == 1 and L[0, part.vertex_displacement_dofs[surface.triangles[triangle, corner], 1]] == 1
