@@ -80,8 +80,8 @@ def number(value, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:
-        decimals = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
-        return f"{value:.{decimals}f}".replace("-", "−")
+        exponent = int(f"{value:.{digits - 1}e}".split("e")[1])  # of the rounded value
+        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
     return f"{value:.{digits - 1}e}".replace("-", "−")
 
 

@@ -1,0 +1,210 @@
+"""The report: whole, self-contained, and written for any scene."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from mic import figures
+from mic.assembly import assemble
+from mic.fields import write_fields
+from mic.influence import influence_coefficients
+from mic.montecarlo import run
+from mic.outcome import PUBLISHED, keep_inputs, read_outcome
+from mic.reduced import ReducedModel
+from mic.report import write_report
+from mic.scene import Scene
+
+WHEELHOUSE = Path(__file__).resolve().parents[1] / "meshes" / "wheelhouse"
+
+
+class _Page(HTMLParser):
+    """What a page holds and what it would load."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.ids, self.loads, self.text, self.scripts, self.headings, self._open = set(), [], [], {}, [], []
+        self.source = path.read_text(encoding="utf-8")
+        self.feed(self.source)
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        if tag not in ("meta", "img", "br", "link"):
+            self._open.append((tag, attributes))
+        if "id" in attributes:
+            self.ids.add(attributes["id"])
+        self.loads += [attributes[key] for key in ("src", "href", "srcset", "data", "action", "poster") if attributes.get(key)]
+        self.loads += re.findall(r"url\(([^)]*)\)", attributes.get("style", ""))
+
+    def handle_endtag(self, tag):
+        while self._open and self._open.pop()[0] != tag:
+            pass
+
+    def handle_data(self, data):
+        tag, attributes = self._open[-1] if self._open else ("", {})
+        if tag == "script":
+            self.scripts[attributes.get("id", len(self.scripts))] = data
+        elif tag == "style":
+            self.loads += re.findall(r"url\(([^)]*)\)|@import\s+([^;]+)", data)
+        else:
+            self.text.append(data)
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+def _results(scene, cache, folder, samples=12, seed=2):
+    """Everything that a run of a scene leaves behind, and its page."""
+    assembly = assemble(scene, cache)
+    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
+    keep_inputs(folder, assembly)
+    run(model, folder, scene.report.laws, samples, seed)
+    write_fields(folder)
+    return _Page(write_report(folder))
+
+
+def _changed(scene, **changes):
+    """The scene with tables replaced, validated again."""
+    return Scene(**scene.model_dump() | changes | {"folder": scene.folder})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("run")
+
+
+@pytest.fixture(scope="module")
+def page(lap_scene, cache, folder):
+    scene = _changed(lap_scene, description="Two <b>strips</b> & a weld", report={"laws": ["coulomb", "associated", "frictionless"], "fields": True})
+    return _results(scene, cache, folder, samples=40)
+
+
+def test_the_page_loads_nothing(page):
+    assert page.loads
+    for target in page.loads:
+        assert target.startswith(("#", "data:image/")), target[:80]
+    assert "default-src 'none'" in page.source  # and the browser is told so
+    assert len(page.source) < 15e6
+
+
+def test_every_figure_is_there(page):
+    assert page.ids >= {"assembly", "assembly-view", "table-1", "slip-density", "slip-force", "one-sample-f", "one-sample-u", "states",
+                        "law-cost", "measurements", "measurement-table", "fields-coulomb", "field-view"}
+    pictures = [target for target in page.loads if target.startswith("data:")]
+    assert len(pictures) == 9
+    for picture in pictures:
+        kind, data = re.fullmatch(r"data:image/(svg\+xml|png);base64,(.*)", picture).groups()
+        raw = base64.b64decode(data, validate=True)
+        assert raw.startswith(b"\x89PNG") if kind == "png" else b"<svg" in raw
+        assert len(raw) > 3000
+
+
+def test_the_viewer_has_the_surfaces_and_fields(page, folder):
+    data = json.loads(page.scripts["viewer-data"])
+    assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and data["laws"] == ["coulomb", "associated", "frictionless"]
+    for part in data["parts"]:
+        vertices = len(base64.b64decode(part["points"])) // 12
+        for field in part["fields"].values():
+            assert {name: len(base64.b64decode(packed)) // 4 for name, packed in field.items()} == dict.fromkeys(
+                ("mean", "mean_normal", "six_sigma", "six_sigma_normal"), vertices)
+    assert {group["name"] for group in data["arrows"]} >= {"locators"}
+
+
+def test_text_of_the_scene_is_escaped(page):
+    assert "<b>strips</b>" not in page.source and "Two <b>strips</b> & a weld" in page.words
+
+
+def test_figures_in_the_text_are_those_of_the_summary(page, folder):
+    summary = json.loads((folder / "summary.json").read_text())
+    zone = summary["laws"]["coulomb"]["zones"]["lap"]
+    for value in (zone["mean_rms_slip"], zone["six_sigma_rms_slip"], summary["laws"]["associated"]["measurements"]["M1"]["mean"]):
+        assert figures.number(value) in page.words
+    cost = figures.law_cost(read_outcome(folder), "clamp")
+    assert cost["sentence"] in page.words and cost["gaps"].max() > 0
+
+
+def test_summary_tables_and_pictures_lie_beside_the_page(page, folder):
+    assert (folder / "assembly.png").read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in (folder / "tables").iterdir()} == {"zones.csv", "contacts.csv", "measurements.csv"}
+
+
+def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, page):
+    """The paper's figures come from a file beside the scene; nothing about them is in the program."""
+    (folder / PUBLISHED).write_text((WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap"), encoding="utf-8")
+    found = _Page(write_report(folder))
+    (folder / PUBLISHED).unlink()
+    assert "0.9582" in found.words and "0.2529" not in found.words  # CZ3 is no zone of this scene
+    assert "another, proprietary geometry" in found.words and "0.9582" not in page.words
+    assert "measured range" not in page.words and "by −57 % in the paper" in found.words
+
+
+def test_failed_and_missing_samples_are_named_with_advice(folder, page):
+    import pandas as pd
+
+    (block,) = (folder / "samples" / "law=associated").glob("*.parquet")
+    original = block.read_bytes()
+    table = pd.read_parquet(block, partitioning=None)
+    table.loc[7, "failed"] = True
+    table.loc[7, "status:clamp"] = "not converged"
+    table.loc[11, "failed"] = True
+    table.loc[11, "status:release"] = "overflow in a product"
+    table.to_parquet(block)
+    record = (folder / "run.json").read_text()
+    (folder / "run.json").write_text(json.dumps(json.loads(record) | {"samples": 100}))
+    words = _Page(write_report(folder)).words
+    block.write_bytes(original)
+    (folder / "run.json").write_text(record)
+    assert "7 (clamp, residual" in words and "leave this sample out of any statistics" in words
+    assert "associated: overflow in a product" in words and "11 (release, residual" in words
+    assert "60 of 100 samples are missing" in words
+
+
+def test_wall_time_and_versions_are_told(folder, page):
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"wall_time": {"Monte Carlo": 12.34}}))
+    words = _Page(write_report(folder)).words
+    assert "Monte Carlo 12.3" in words and f"numpy {record['versions']['numpy']}" in words
+
+
+FRICTIONLESS = {"laws": ["frictionless"], "slip": False}
+
+
+@pytest.mark.parametrize("name, changes, samples, absent, present", [
+    ("no zones", {"zones": []}, 5, {"table-1", "slip-density", "states", "law-cost"}, {"assembly", "measurements"}),
+    ("normals only", {"report": FRICTIONLESS}, 5, {"table-1", "slip-force", "law-cost"}, {"one-sample-f", "states"}),
+    ("one sample", {}, 1, set(), {"table-1", "one-sample-u", "measurement-table"}),
+    ("nothing varies", {"deviations": []}, 4, set(), {"table-1", "slip-density", "measurements"}),
+    ("no measurements", {"measurements": []}, 5, {"measurements", "measurement-table"}, {"table-1"}),
+    ("no fields", {"report": {"laws": ["coulomb"], "fields": False}}, 5, {"field-view", "fields-coulomb"}, {"fields", "table-1"}),
+])
+def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_scene, cache, tmp_path):
+    page = _results(_changed(lap_scene, **changes), cache, tmp_path, samples)
+    assert not page.ids & absent
+    assert page.ids >= present
+    assert "nan" not in page.words.lower().split()
+    if name == "no fields":
+        assert "does not ask for fields" in page.words
+
+
+def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
+    stages = [stage.model_dump() for stage in lap_scene.stages if stage.kind != "release"]
+    page = _results(_changed(lap_scene, stages=stages), cache, tmp_path, 5)
+    assert "1 (clamp)" in page.words and "table-1" in page.ids
+
+
+def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
+    _results(lap_scene, cache, tmp_path, 3)
+    for path in tmp_path.glob("samples/*/*"):
+        path.unlink()
+    page = _Page(write_report(tmp_path))
+    assert "3 of 3 samples are missing" in page.words
+
+
+@pytest.mark.parametrize("value, text", [(0.012345, "0.0123"), (-4.2, "−4.20"), (123456, "1.23e+05"), (0, "0"), (float("nan"), "–"), (None, "–"),
+                                         (float("inf"), "∞"), (0.99996, "1.00"), (28.0, "28.0")])
+def test_numbers_for_people(value, text):
+    assert figures.number(value) == text
