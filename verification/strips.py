@@ -39,7 +39,7 @@ def write_mesh(folder: Path, points: np.ndarray, triangles: np.ndarray) -> str:
     return name
 
 
-def build(folder: Path, sheets: dict, **tables) -> Scene:
+def build(folder: Path, sheets: dict, turn=np.eye(3), **tables) -> Scene:
     """A scene of flat sheets.
 
     Parameters
@@ -48,13 +48,16 @@ def build(folder: Path, sheets: dict, **tables) -> Scene:
         Where the meshes go.
     sheets : dict
         By part name: ``x, z, length, width, size`` (mm) of the mesh, and the keys of the scene's part.
+    turn : (3, 3) array
+        Rotation of the meshes about the origin; the other keys are not turned.
     tables
         The other keys of the scene.
     """
     parts = []
     for name, sheet in sheets.items():
         x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))
-        mesh = write_mesh(folder, *extrude([(0.0, z), (width, z)], x, length, size))
+        points, triangles = extrude([(0.0, z), (width, z)], x, length, size)
+        mesh = write_mesh(folder, points @ np.asarray(turn).T, triangles)
         parts.append({"name": name, "mesh": mesh} | {key: sheet[key] for key in ("thickness", "young", "poisson")})
     return Scene(parts=parts, folder=folder, **tables)
 

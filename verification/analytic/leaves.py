@@ -94,10 +94,32 @@ class Leaves:
         return 2 * 4 * self.slip_load * (peak - self.slip_load) * (self.sliding_compliance - self.stuck_compliance)
 
 
-def scene(leaves: Leaves, folder, loads, stick: bool = True, law: str = "coulomb", welded_tip: bool = False):
+    def welded_deflection(self, load: float, at: float) -> float:
+        """Deflection of frictionless leaves that are tied at the distance `at` (mm) from the middle, mm.
+
+        The tie carries the axial force N of a portal: each leaf is bent back by N h / 2, and turns a quarter as much
+        there as it would without the tie, whatever its place.
+        """
+        L, EI = self.length, self.young * self.width * self.depth**3 / 12
+        free = load / 2 * (L * at - at**2 / 2) / EI  # rotation at the tie without it
+        couple = 3 * EI * (free / 4) / at
+        return load / 2 * L**3 / (3 * EI) - couple * (at * L - at**2 / 2) / EI
+
+
+def scene(leaves: Leaves, folder, loads, weld_at: float | None = None):
     """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next load.
 
     A deviation for each load's clamps can take them away again, so that one batch shows the state after every load.
+
+    Parameters
+    ----------
+    leaves : Leaves
+    folder : Path
+        Where the meshes go.
+    loads : sequence of float
+        P after each stage, N.
+    weld_at : float, optional
+        Welds across the whole width at this distance to both sides of the middle, mm.
     """
     L, b, h = leaves.length, leaves.width, leaves.depth
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / leaves.size / 2)))
@@ -122,31 +144,25 @@ def scene(leaves: Leaves, folder, loads, stick: bool = True, law: str = "coulomb
                                    radius=0, stage=f"load{k}"))
                 deviations.append(dict(name=f"{part}-{j}-load{k}", kind="clamp", target=f"{part}-{j}-load{k}", sigma=0))
     zone = dict(name="interface", parts=("lower", "upper"), friction=leaves.friction, points=[(xi, b / 2, 0.0) for xi in x])
-    stages = [dict(kind="locate"), dict(kind="clamp", name="press"), *(dict(kind="clamp", name=f"load{k}") for k in range(len(loads))),
-              dict(kind="measure")]
-    return strips.build(folder, sheets, name="leaves", locators=locators, clamps=clamps, zones=[zone], stages=stages,
-                        deviations=deviations, measurements=measurements, report={"laws": [law]})
+    # A row of points across the width: a nugget of any length along the span would shorten the stretched part of the leaves.
+    welds = [dict(name=f"W{i}{j}", parts=("lower", "upper"), point=(at, yj, 0), radius=0, moment=False)
+             for i, at in enumerate((-weld_at, weld_at)) for j, yj in enumerate(y)] if weld_at else []
+    stages = [dict(kind="locate"), dict(kind="clamp", name="press"), *([dict(kind="weld")] if welds else []),
+              *(dict(kind="clamp", name=f"load{k}") for k in range(len(loads))), dict(kind="measure")]
+    return strips.build(folder, sheets, name="leaves", locators=locators, clamps=clamps, welds=welds, zones=[zone], stages=stages,
+                        deviations=deviations, measurements=measurements)
 
 
-def deflections(leaves: Leaves, context, loads):
-    """Deflections of the middle after each load, and the evaluation that they come from.
-
-    Returns
-    -------
-    (k,) array
-        mm.
-    mic.process.Evaluation
-        One sample per load; sample j brings loads 0 … j.
-    """
-    built = scene(leaves, context.cache / "meshes", loads)
+def deflections(leaves: Leaves, context, loads, weld_at: float | None = None) -> np.ndarray:
+    """(k,) deflections of the middle after each of the loads, mm; the arguments are those of :func:`scene`."""
+    built = scene(leaves, context.cache / "meshes", loads, weld_at)
     model = context.model(built)
-    steps = [int(name.rpartition("load")[2]) for name in model.parameters]
-    force = np.array([clamp.force for clamp in built.clamps if clamp.stage != "press"])
-    by_name = {clamp.name: clamp.force for clamp in built.clamps}
-    force = np.array([by_name[name] for name in model.parameters])
-    history = np.array([np.where(np.array(steps) > j, -force, 0.0) for j in range(-1, len(loads))])
-    evaluation = model.evaluate(history)
+    force = {clamp.name: clamp.force for clamp in built.clamps}
+    step = np.array([int(name.rpartition("load")[2]) for name in model.parameters])
+    taken_away = -np.array([force[name] for name in model.parameters])
+    # Sample j brings the loads 0 … j; the first sample none.
+    evaluation = model.evaluate(np.array([np.where(step > j, taken_away, 0.0) for j in range(-1, len(loads))]))
     if evaluation.failed.any():
-        raise ArithmeticError("a load step of the layered cantilever did not converge")
+        raise ArithmeticError(f"{evaluation.failed.sum()} load steps of the layered cantilever did not converge")
     middle = evaluation.measurements.mean(axis=1)
-    return middle[1:] - middle[0], evaluation
+    return middle[1:] - middle[0]

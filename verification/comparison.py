@@ -1,0 +1,118 @@
+"""One assembly, two routes: the reduced model's outcome beside that of the full finite elements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mic.assembly import Assembly, assemble
+from mic.contact import certify
+from mic.influence import influence_coefficients
+from mic.process import Evaluation
+from mic.reduced import ReducedModel
+from mic.scene import Scene
+
+__all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "relative", "zone_slip"]
+
+
+def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
+    """The reduced model of a scene and the assembly that it came from, made by the production path."""
+    assembly = assemble(scene, cache)
+    return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0]), assembly
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far a reduced outcome is from the full one, over all stages; each relative to the full outcome's largest value.
+
+    Attributes
+    ----------
+    force : float
+        Of contact forces, within each stage.
+    displacement : float
+        Of gaps and slips, within each stage.
+    measurement : float
+        Of key characteristics.
+    states : int
+        Contacts whose state (open, stick, slip) differs.
+    """
+
+    force: float
+    displacement: float
+    measurement: float
+    states: int
+
+    @property
+    def largest(self) -> float:
+        """The largest of the three relative differences."""
+        return max(self.force, self.displacement, self.measurement)
+
+
+def relative(value, reference) -> float:
+    """Largest difference over the largest value of the reference; infinite where only the reference vanishes."""
+    value, reference = np.asarray(value, dtype=float), np.asarray(reference, dtype=float)
+    off = np.abs(value - reference).max(initial=0.0)
+    if off == 0:
+        return 0.0
+    scale = np.abs(reference).max(initial=0.0)
+    return float(off / scale) if scale > 0 else float("inf")
+
+
+def difference(reduced: Evaluation, sample: int, full) -> Difference:
+    """Compare one sample of an evaluation with a full solve.
+
+    Parameters
+    ----------
+    reduced : mic.process.Evaluation
+    sample : int
+    full : fem_reference.contact.FullEvaluation
+    """
+    force, displacement, states = [], [], 0
+    for stage, truth in full.resolutions.items():
+        mine = reduced.resolutions[stage]
+        force.append(relative(mine.force[sample], truth.force))
+        displacement.append(relative(mine.displacement[sample], truth.displacement))
+        states += int((mine.state[sample] != truth.state).sum())
+    return Difference(max(force), max(displacement), relative(reduced.measurements[sample], full.measurements), states)
+
+
+def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, float]:
+    """Residual, by stage, of the full solve's contact forces in the reduced contact problem.
+
+    A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however far
+    apart. Stages must be resolved in one increment.
+
+    Parameters
+    ----------
+    process : mic.process.Process
+        What made `reduced`.
+    """
+    found = {}
+    for prepared in process.stages:
+        name = prepared.plan.name
+        if name in full.resolutions:
+            mine = reduced.resolutions[name]
+            b = mine.displacement[sample].ravel() - prepared.response.S @ mine.force[sample].ravel()
+            contacts = process.model.contacts
+            found[name] = certify(prepared.response.S, b, contacts.friction, full.resolutions[name].force.ravel(), process.law,
+                                  contacts.dimension).residual
+    return found
+
+
+def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
+    """RMS slip over the pairs of each zone, mm.
+
+    Parameters
+    ----------
+    displacement : (..., m, 3) array
+    contacts : mic.assembly.Contacts
+    zones : int
+
+    Returns
+    -------
+    (..., zones) array
+    """
+    square = (np.asarray(displacement)[..., 1:] ** 2).sum(-1)
+    return np.stack([np.sqrt(square[..., contacts.zone == z].mean(-1)) for z in range(zones)], axis=-1)
