@@ -16,6 +16,8 @@ __all__ = ["ContactSolver", "solve"]
 
 #: Relative asymmetry ``max|S - Sᵀ| / max|S|`` beyond rounding, symmetrised with a warning; and beyond which S is refused.
 ASYMMETRY_WARNED, ASYMMETRY_REFUSED = 1e-10, 1e-2
+#: The search for a solution ends this far below the tolerance, so that rounding cannot undo the verdict.
+SAFETY = 0.5
 
 
 class ContactSolver:
@@ -100,14 +102,19 @@ class ContactSolver:
             guess = np.atleast_2d(guess)
         force, iterations = self._backend.solve(rows, guess)
         certificate, displacement = self._measure(rows, force)
-        status = np.empty(len(rows), dtype=object)
-        for sample, residual in enumerate(certificate.residual):
-            status[sample] = Status.CONVERGED if residual <= self.tol else Status.NOT_CONVERGED
-        if isinstance(self._backend, NativeSolver):
-            for sample in np.flatnonzero(certificate.residual > self.tol):
-                status[sample] = self._persist(rows[sample], force[sample], iterations[sample:sample + 1])
+        infeasible = np.zeros(len(rows), dtype=bool)
+        unsolved = np.flatnonzero(certificate.residual > self.tol)
+        if isinstance(self._backend, NativeSolver) and unsolved.size:
+            for sample in unsolved:
+                infeasible[sample] = self._backend.infeasible(rows[sample])
+                if not infeasible[sample]:
+                    iterations[sample] += self._persist(rows[sample], force[sample])
             certificate, displacement = self._measure(rows, force)
-        converged = np.array([outcome is Status.CONVERGED for outcome in status], dtype=bool)
+        converged = certificate.residual <= self.tol
+        status = np.empty(len(rows), dtype=object)
+        for sample in range(len(rows)):
+            status[sample] = (Status.CONVERGED if converged[sample] else
+                              Status.INFEASIBLE if infeasible[sample] else Status.NOT_CONVERGED)
         values = dict(force=force, displacement=displacement, converged=converged, status=status, iterations=iterations,
                       **vars(certificate))
         if b.ndim == 1:
@@ -121,20 +128,19 @@ class ContactSolver:
     def _measure(self, rows, force):
         return measure(self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
 
-    def _persist(self, b, force, iterations):
-        """Work on one sample that did not converge; improve ``force`` and ``iterations`` in place, return its status."""
-        if self._backend.infeasible(b):
-            return Status.INFEASIBLE
+    def _persist(self, b, force):
+        """Work on one sample that did not converge, improving ``force`` in place; return the iterations spent."""
         best = self._measure(b[None], force[None])[0].residual[0]
+        total = 0
         for candidate, count in self._backend.attempts(b, force.copy()):
-            iterations += count
+            total += count
             residual = self._measure(b[None], candidate[None])[0].residual[0]
             if residual < best:
                 best = residual
                 force[:] = candidate
-            if best <= self.tol:
-                return Status.CONVERGED
-        return Status.NOT_CONVERGED
+            if best <= SAFETY * self.tol:
+                break
+        return total
 
 
 def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, threads=1, dimension=3) -> ContactSolution:
