@@ -65,15 +65,18 @@ class Sheet:
         return np.array(found)
 
 
-def _scene(sheet: Sheet, folder, turn, gap, clamps, zone, measurements=(), supports="base", deviations=(), stages=()):
-    """A sheet whose lower face lies `gap` above a round pad; points and directions of the arguments lie in the sheet's own frame."""
+def _scene(sheet: Sheet, folder, turn, gap, clamps, zone, measurements=(), supports="base", stop_y=None, deviations=(), stages=()):
+    """A sheet whose lower face lies `gap` above a round pad; points and directions of the arguments lie in the sheet's own frame.
+
+    It is held by supports in its normal direction at its corners (or across its whole ends), two at its side, and a stop at its far end.
+    """
     L, b, h = sheet.length, sheet.width, sheet.depth
     ends = (0, L)
     y, _ = strips.line(0, b, 1 + 2 * max(1, round(b / sheet.size / 2)))
     across = y if supports == "ends" else (0, b)
     locators = [dict(name=f"z{i}{j}", point=(at, yj, 0), direction=(0, 0, 1)) for i, at in enumerate(ends) for j, yj in enumerate(across)]
     locators += [dict(name=f"y{i}", point=(at, b / 2, 0), direction=(0, 1, 0)) for i, at in enumerate((L / 4, 3 * L / 4))]
-    locators.append(dict(name="stop", point=(L, b / 2, 0), direction=(1, 0, 0)))
+    locators.append(dict(name="stop", point=(L, b / 2 if stop_y is None else stop_y, 0), direction=(1, 0, 0)))
 
     def turned(item, **more):
         return item | {key: tuple(turn @ np.array(item[key], dtype=float)) for key in ("point", "direction") if key in item} | more
@@ -116,15 +119,15 @@ def incline_reaction(sheet: Sheet, context, angle: float) -> tuple[float, float]
     pitch = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     turn = yaw @ pitch
     weight = sheet.pressure * sheet.width * sheet.length
-    # The weight acts on the very points that the pairs read: each pair answers its own piece of it, and the supports, which hold the
-    # sheet in the normal direction too, carry nothing.
+    # The weight acts on the very points that the pairs read, and the stop lies in line with them: each pair answers its own piece of
+    # the weight, and the supports at the corners and at the side carry nothing.
     zone = {"points": _centres(sheet), "mid_surface": True, "patch": 0.0}
     bare = _scene(sheet, context.cache / "meshes", turn, 0.0, [], zone)
     points = assemble(bare, context.cache).contacts.point @ turn
     zone["points"] = [tuple(point) for point in points]
     down = tuple(turn.T @ [0, 0, -1.0])
     clamps = [dict(name=f"weight{i}", point=tuple(point), direction=down, force=weight / len(points), radius=0) for i, point in enumerate(points)]
-    scene = _scene(sheet, context.cache / "meshes", turn, 0.0, clamps, zone)
+    scene = _scene(sheet, context.cache / "meshes", turn, 0.0, clamps, zone, stop_y=points[:, 1].mean())
     evaluation = _converged(context.model(scene).evaluate(np.zeros(0)))
     stop = [locator.name for locator in scene.locators].index("stop")
     return -evaluation.resolutions["clamp"].reaction[0, stop] / weight, max(0.0, np.sin(angle) - sheet.friction * np.cos(angle))
