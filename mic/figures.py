@@ -24,7 +24,7 @@ from mic.process import STATES
 from mic.statistics import density
 
 __all__ = ["LAW_COLOURS", "PART_COLOURS", "Picture", "assembly_picture", "field_picture", "law_cost_picture", "measurement_picture",
-           "number", "sample_picture", "slip_density_picture", "slip_force_picture", "state_picture", "viewpoint",
+           "number", "overview_picture", "percent", "sample_picture", "slip_density_picture", "slip_force_picture", "state_picture", "viewpoint",
            "zone_colour"]
 
 LAW_COLOURS = {"coulomb": "#0072b2", "associated": "#d55e00", "frictionless": "#5f6b76"}
@@ -68,6 +68,11 @@ class Picture:
 def zone_colour(i: int) -> str:
     """Colour of the scene's i-th contact zone."""
     return ZONE_COLOURS[i % len(ZONE_COLOURS)]
+
+
+def percent(value, digits: int = 0) -> str:
+    """A share for people, in per cent; ``–`` for NaN."""
+    return "–" if np.isnan(value) else f"{100 * value:.{digits}f} %".replace("-", "−")
 
 
 def number(value, digits: int = 3) -> str:
@@ -228,7 +233,7 @@ def state_picture(outcome) -> Picture | None:
         if i >= len(panels) - laws:
             ax.set_xlabel("contact")
         if i < laws:
-            sentences.append(f"{law}: {rows['open'].mean():.0%} open, {rows['stick'].mean():.0%} sticking, {rows['slip'].mean():.0%} slipping")
+            sentences.append(f"{law}: {percent(rows['open'].mean())} open, {percent(rows['stick'].mean())} sticking, {percent(rows['slip'].mean())} slipping")
     _zone_strips(outcome, axes, names=False)
     handles = [Line2D([], [], marker="s", ls="", ms=8, color=STATE_COLOURS[state], label=state) for state in STATES]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
@@ -249,7 +254,8 @@ def law_cost_picture(outcome, stage) -> Picture | None:
     gap.hist(np.minimum(gaps, upper), bins=40, color=LAW_COLOURS["associated"], alpha=0.8)
     gap.axvline(0, color=LAW_COLOURS["coulomb"], lw=2.5, label="coulomb: closed")
     gap.set(xlabel="gap at loaded contacts under associated (µm)", ylabel="contacts × samples", title="Spurious gaps")
-    gap.legend()
+    gap.margins(y=0.25)
+    gap.legend(loc="upper right")
     x, y = cost["f_coulomb"], cost["f_associated"]
     top = max(x.max(initial=0), y.max(initial=0), 1e-9) * 1.04
     force.hexbin(x, y, gridsize=45, bins="log", mincnt=1, cmap="YlOrBr", extent=(0, top, 0, top), lw=0.1)
@@ -259,7 +265,7 @@ def law_cost_picture(outcome, stage) -> Picture | None:
     state.imshow(np.sqrt(matrix), cmap="Oranges", vmin=0, vmax=1)
     for i in range(3):
         for j in range(3):
-            state.text(j, i, f"{matrix[i, j]:.1%}", ha="center", va="center", color="white" if matrix[i, j] > 0.5 else "black")
+            state.text(j, i, percent(matrix[i, j], 1), ha="center", va="center", color="white" if matrix[i, j] > 0.5 else "black")
     state.set(xticks=range(3), yticks=range(3), xticklabels=STATES, yticklabels=STATES, xlabel="associated", ylabel="coulomb",
               title="States, share of contacts × samples")
     state.grid(False)
@@ -287,12 +293,12 @@ def law_cost(outcome, stage) -> dict | None:
     changed = 1 - np.trace(states)
     sentence = f"Over the {len(common)} samples valid under both laws: "
     if len(gaps):
-        sentence += (f"under the associated law {np.mean(gaps > 1e-3):.0%} of the loaded contacts stand open by more than 1 µm while they carry force "
+        sentence += (f"under the associated law {percent(np.mean(gaps > 1e-3))} of the loaded contacts stand open by more than 1 µm while they carry force "
                      f"(median {number(np.median(gaps) * 1e3)} µm, largest {number(gaps.max() * 1e3)} µm), where Coulomb's law keeps them closed; ")
     if np.isfinite(ratio).any():
-        sentence += (f"normal forces are wrong by {np.nanmean(ratio):.0%} of the total on average ({np.nanmax(ratio):.0%} in the worst sample), "
-                     f"their sum by {np.nanmean(balance):+.1%}; ")
-    sentence += f"{changed:.1%} of all contact states differ."
+        sentence += (f"normal forces are wrong by {percent(np.nanmean(ratio), 1)} of their sum on average ({percent(np.nanmax(ratio), 1)} in the worst "
+                     f"sample), the sum itself by {percent(np.nanmean(np.abs(balance)), 1)}; ")
+    sentence += f"{percent(changed, 1)} of all contact states differ."
     return {"samples": len(common), "gaps": gaps, "f_coulomb": f.ravel(), "f_associated": a.ravel(), "states": states, "changed": changed,
             "force_error": ratio, "total_error": balance, "sentence": sentence}
 
@@ -336,8 +342,8 @@ def measurement_picture(outcome) -> Picture | None:
     if rows["cpk"].notna().any():
         worst = rows.loc[rows["cpk"].idxmin()]
         text += (f"Under {law} the least capable is {worst['measurement']}: Cpk {number(worst['cpk'])} (95 %: {number(worst['cpk_low'])} to "
-                 f"{number(worst['cpk_high'])}), {worst['share_outside']:.1%} of the samples outside "
-                 f"(95 %: {worst['share_outside_low']:.1%} to {worst['share_outside_high']:.1%}).")
+                 f"{number(worst['cpk_high'])}), {percent(worst['share_outside'], 1)} of the samples outside "
+                 f"(95 %: {percent(worst['share_outside_low'], 1)} to {percent(worst['share_outside_high'], 1)}).")
     return _svg(fig, "measurements", "Key characteristics against their limits", text)
 
 
@@ -430,6 +436,31 @@ def assembly_picture(outcome, surfaces) -> Picture | None:
 
 
 @_styled
+def overview_picture(outcome, surfaces, fields, law) -> Picture | None:
+    """The assembly coloured by the 6σ of its displacement under one law, with contact pairs and welds."""
+    fields = {field.part: field for field in fields if field.law == law}
+    if set(fields) != set(surfaces) or not surfaces:
+        return None
+    spread = {part: np.nan_to_num(fields[part].six_sigma_magnitude) for part in surfaces}
+    top = max(values.max() for values in spread.values())
+    scale = Normalize(0.0, top or 1.0)
+    fig = Figure(figsize=(9.5, 5.6), layout="constrained")
+    ax = fig.subplots()
+    view = _View(list(surfaces.values()))
+    view.draw(ax, list(surfaces.values()), [colormaps["YlOrRd"](scale(values))[:, :3] for values in spread.values()], 0.35)
+    handles = []
+    if len(outcome.model.contacts):
+        ax.plot(*view.flat(outcome.model.contacts.point).T, "o", ms=3, mew=0.5, mec="#1b1f24", color="white")
+        handles.append(Line2D([], [], marker="o", ls="", ms=4, mew=0.5, mec="#1b1f24", color="white", label=f"{len(outcome.model.contacts)} contact pairs"))
+    if outcome.model.scene.welds:
+        ax.plot(*view.flat(np.array([weld.point for weld in outcome.model.scene.welds])).T, "o", ms=9, color="#4cc9f0", mec="#1b1f24", mew=1.2)
+        handles.append(Line2D([], [], marker="o", ls="", ms=8, color="#4cc9f0", mec="#1b1f24", label=f"{len(outcome.model.scene.welds)} welds"))
+    fig.colorbar(ScalarMappable(scale, "YlOrRd"), ax=ax, label="6σ of the displacement (mm)", shrink=0.7)
+    fig.legend(handles=handles, loc="outside lower left", ncols=2)
+    return _png(fig, "overview", "Variation of the assembly", f"6σ displacement of the assembly under {law}: at most {number(top)} mm.", 100)
+
+
+@_styled
 def field_picture(surfaces, fields, law) -> Picture | None:
     """Mean and 6σ displacement magnitude of every part under one law."""
     fields = {field.part: field for field in fields if field.law == law}
@@ -438,7 +469,7 @@ def field_picture(surfaces, fields, law) -> Picture | None:
     fig = Figure(figsize=(10.5, 7.2), layout="constrained")
     axes = fig.subplots(2, len(fields), squeeze=False)
     texts = []
-    for row, (quantity, label, cmap) in enumerate((("mean", "mean displacement (mm)", "viridis"), ("six_sigma_magnitude", "6σ displacement (mm)", "inferno"))):
+    for row, (quantity, label, cmap) in enumerate((("mean", "mean displacement (mm)", "viridis"), ("six_sigma_magnitude", "6σ displacement (mm)", "YlOrRd"))):
         values = {part: np.linalg.norm(field.mean, axis=1) if quantity == "mean" else field.six_sigma_magnitude for part, field in fields.items()}
         known = np.concatenate(list(values.values()))
         known = known[np.isfinite(known)]
@@ -472,7 +503,7 @@ def _slip_sentence(outcome, stage):
     parts = []
     for zone in outcome.zones:
         without, with_ = table.loc[("frictionless", zone)], table.loc[(frictional, zone)]
-        change = [f"{100 * (with_[name] / without[name] - 1):+.0f} %".replace("-", "−") if without[name] > 0 else "–"
+        change = [percent(with_[name] / without[name] - 1) if without[name] > 0 else "–"
                   for name in ("mean_rms_slip", "six_sigma_rms_slip")]
         parts.append(f"{zone} mean {change[0]}, 6σ {change[1]}")
     return f"Friction ({frictional} against frictionless) changes the slip by: {'; '.join(parts)}."

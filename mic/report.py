@@ -16,7 +16,7 @@ from matplotlib.colors import to_hex
 from mic import figures
 from mic.contact.solution import Status
 from mic.fields import read_fields
-from mic.figures import LAW_COLOURS, PART_COLOURS, number, zone_colour
+from mic.figures import LAW_COLOURS, PART_COLOURS, number, percent, zone_colour
 from mic.outcome import PUBLISHED, kept_parts, read_outcome, write_summary
 from mic.statistics import LEVEL, covered_share
 
@@ -24,6 +24,7 @@ __all__ = ["write_report"]
 
 LISTED_FAILURES = 50
 LISTED_CONTACTS = 1000
+ARROW = 0.07  # length of a locator's arrow, as a share of the largest part
 
 
 def write_report(folder) -> Path:
@@ -58,13 +59,14 @@ def write_report(folder) -> Path:
         }
     if outcome.laws:
         pictures["measurements"] = figures.measurement_picture(outcome)
+        pictures["overview"] = figures.overview_picture(outcome, surfaces, fields, outcome.laws[0])
         pictures["fields"] = figures.field_picture(surfaces, fields, outcome.laws[0])
     if pictures["assembly"]:
         (outcome.folder / "assembly.png").write_bytes(pictures["assembly"].data)
     zones = _zones(outcome, stage, published)
     environment = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["number"] = number
-    environment.filters["percent"] = lambda value: "–" if np.isnan(value) else f"{100 * value:.1f} %"
+    environment.filters["percent"] = lambda value: percent(value, 1)
     page = outcome.folder / "report.html"
     temporary = page.with_suffix(".partial")
     temporary.write_text(environment.get_template("report.html").render(
@@ -92,7 +94,7 @@ def _facts(outcome):
         ("Samples", f"{record['samples']}, seed {record['seed']}"),
         ("Contact laws", ", ".join(record["laws"])),
         ("Stages", " → ".join(item.name for item in model.scene.stages)),
-        ("Contact pairs", f"{contacts} in {len(outcome.zones)} zones, {model.contacts.dimension * contacts} unknowns" if contacts else "none"),
+        ("Contact pairs", f"{contacts} in {len(outcome.zones)} zone{'s' if len(outcome.zones) > 1 else ''}, {model.contacts.dimension * contacts} unknowns" if contacts else "none"),
         ("Contact resolutions per sample", f"{len(outcome.stages)} ({', '.join(outcome.stages)})" if outcome.stages else "none"),
         ("Retained functionals", ", ".join(f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.offsets)))),
     ]
@@ -177,8 +179,11 @@ def _viewer(outcome, surfaces, fields):
     points += [{"name": label, "colour": colour, "size": 5, "points": [item.point for item in items], "labels": [item.name for item in items]}
                for items, colour, label in ((scene.welds, "#f4d35e", "welds"), (scene.measurements, "#ffffff", "measurements")) if items]
     laws = [law for law in outcome.laws if any(field.law == law for field in fields)]
-    scales = {name: [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)] for name in ("viridis", "inferno", "RdBu_r")}
-    data = {"scales": scales, "eye": dict(zip("xyz", 1.9 * figures.viewpoint(surfaces.values()))), "size": size, "parts": parts, "arrows": arrows, "points": [group for group in points if group["points"]], "laws": laws}
+    everything = np.concatenate([surface.points for surface in surfaces.values()])
+    low, high = everything.min(axis=0) - ARROW * size, everything.max(axis=0) + ARROW * size
+    scales = {name: [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)] for name in ("viridis", "YlOrRd", "RdBu_r")}
+    data = {"scales": scales, "eye": dict(zip("xyz", 1.9 * figures.viewpoint(surfaces.values()))), "arrow": ARROW * size,
+            "range": np.column_stack([low, high]).tolist(), "parts": parts, "arrows": arrows, "points": [group for group in points if group["points"]], "laws": laws}
     return json.dumps(data).replace("<", "\\u003c")
 
 

@@ -95,7 +95,7 @@ def test_every_figure_is_there(page):
     assert page.ids >= {"assembly", "assembly-view", "table-1", "slip-density", "slip-force", "one-sample-f", "one-sample-u", "states",
                         "law-cost", "measurements", "measurement-table", "fields-coulomb", "field-view"}
     pictures = [target for target in page.loads if target.startswith("data:")]
-    assert len(pictures) == 9
+    assert len(pictures) == 10
     for picture in pictures:
         kind, data = re.fullmatch(r"data:image/(svg\+xml|png);base64,(.*)", picture).groups()
         raw = base64.b64decode(data, validate=True)
@@ -194,6 +194,22 @@ def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
     stages = [stage.model_dump() for stage in lap_scene.stages if stage.kind != "release"]
     page = _results(_changed(lap_scene, stages=stages), cache, tmp_path, 5)
     assert "1 (clamp)" in page.words and "table-1" in page.ids
+
+
+def test_report_of_a_law_that_failed_throughout(folder, page):
+    import pandas as pd
+
+    (block,) = (folder / "samples" / "law=coulomb").glob("*.parquet")
+    original = block.read_bytes()
+    table = pd.read_parquet(block, partitioning=None)
+    table["failed"] = True
+    table["status:clamp"] = "not converged"
+    table.to_parquet(block)
+    words = _Page(write_report(folder)).words
+    summary = json.loads((folder / "summary.json").read_text())
+    block.write_bytes(original)
+    assert "coulomb: not converged (40)" in words
+    assert summary["laws"]["coulomb"]["zones"]["lap"]["mean_rms_slip"] is None and summary["laws"]["coulomb"]["worst_residual"] is None
 
 
 def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
