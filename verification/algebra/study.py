@@ -66,13 +66,13 @@ def run(context):
     orders = []
     for axis, (name, *_) in zip(axes, CASES):
         for law, colour in zip(LAWS, ("tab:red", "tab:blue")):
-            chosen = (rows["assembly"] == name) & (rows["law"] == law)
-            for sample, series in penalised[chosen].groupby("sample"):
+            series_of, best_of = (table[(table["assembly"] == name) & (table["law"] == law)] for table in (penalised, augmented))
+            for sample, series in series_of.groupby("sample"):
                 order = -np.polyfit(np.log(series["ε/k"]), np.log(series["largest"]), 1)[0]
                 orders.append(order)
                 axis.loglog(series["ε/k"], series["largest"], "o-", color=colour, ms=4, lw=1,
                             label=f"{law}, order {order:.3f}" if sample == 0 else None)
-            best = augmented[chosen]["largest"].max()
+            best = best_of["largest"].max()
             axis.axhline(best, color=colour, ls=":", lw=1, label=f"{law}, augmented {best:.0e}")
         axis.set(title=name.replace("_", " "), xlabel="penalty ε/k", ylabel="largest relative difference")
         axis.legend()
