@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -47,7 +48,7 @@ class InfluenceCoefficients:
         """Write to one ``.npz`` file; a reader never sees it half written."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_suffix(".partial.npz")
+        temporary = path.with_suffix(f".{os.getpid()}.partial.npz")
         np.savez(temporary, H=self.H, G=self.G, part=self.part, provenance=json.dumps(self.provenance))
         temporary.replace(path)
 

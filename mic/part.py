@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,7 +82,7 @@ def part_surface(part, folder: Path, cache: Path) -> Surface:
         points, triangles = _generate(path, part.name, part.size)
         surface = Surface(points, triangles)
         kept.parent.mkdir(parents=True, exist_ok=True)
-        temporary = kept.with_suffix(".partial.npz")
+        temporary = kept.with_suffix(f".{os.getpid()}.partial.npz")
         np.savez(temporary, points=surface.points, triangles=surface.triangles)
         temporary.replace(kept)
         return surface
