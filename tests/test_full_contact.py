@@ -1,0 +1,159 @@
+"""The full contact solve against the reduced one, its convergence, its failures and its ranks."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mic
+from fem_reference import contact
+from fem_reference.contact import ContactFailure, FullModel
+from mic.assembly import assemble
+from mic.variation import draw
+
+HERE = Path(__file__).resolve()
+
+
+def sized(scene, size):
+    return scene.model_copy(update={"parts": [part.model_copy(update={"size": size}) for part in scene.parts]})
+
+
+@pytest.fixture(scope="module")
+def scene(lap_scene):
+    return sized(lap_scene, "coarse")
+
+
+@pytest.fixture(scope="module")
+def lap(scene, cache):
+    return assemble(scene, cache)
+
+
+@pytest.fixture(scope="module")
+def lap_model(scene, cache):
+    return mic.reduce(scene, cache)
+
+
+@pytest.fixture(scope="module")
+def hat(hat_model, cache):
+    return assemble(hat_model.scene, cache)
+
+
+def difference(full, reduced):
+    """Largest relative difference of forces, displacements and measurements over all stages."""
+    assert set(full.resolutions) == set(reduced.resolutions)
+    pairs = [(full.measurements, reduced.measurements[0])]
+    for stage, resolution in reduced.resolutions.items():
+        assert resolution.converged.all()
+        pairs += [(full.resolutions[stage].force, resolution.force[0]), (full.resolutions[stage].displacement, resolution.displacement[0])]
+    assert all(np.abs(b).max() > 0 for _, b in pairs)
+    return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+@pytest.mark.parametrize("name", ["lap", "hat"])
+def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, request):
+    model, assembly = request.getfixturevalue(f"{name}_model"), request.getfixturevalue(name)
+    for sample in draw(model.scene, 5, 0, 1):
+        full = FullModel(assembly).evaluate(sample, law)
+        assert difference(full, model.evaluate(sample, law)) < 1e-8
+        for stage, resolution in full.resolutions.items():
+            np.testing.assert_array_equal(resolution.state, model.evaluate(sample, law).resolutions[stage].state[0])
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+def test_penalty_error_falls_at_first_order(lap, lap_model, law):
+    sample = draw(lap_model.scene, 5, 1, 1)[0]
+    reduced = lap_model.evaluate(sample, law)
+    penalty = 10.0 ** np.arange(1, 5)
+    error = [difference(FullModel(lap, penalty=p, augmented=False).evaluate(sample, law), reduced) for p in penalty]
+    order = -np.diff(np.log10(error))
+    assert (np.abs(order - 1) < 0.1).all(), f"observed orders {order}, errors {error}"
+    assert error[-1] < 1e-4
+
+
+def test_agreement_holds_over_increments(scene, cache):
+    """Slip is measured from increment to increment; the path differs from the single step, and in the same way."""
+    scene = scene.model_copy(update={"stages": [stage.model_copy(update={"increments": 3}) for stage in scene.stages]})
+    sample = draw(scene, 5, 3, 1)[0]
+    full = FullModel(assemble(scene, cache)).evaluate(sample)
+    assert difference(full, mic.reduce(scene, cache).evaluate(sample)) < 1e-8
+    assert {solve.increment for solve in full.history} == {1, 2, 3}
+
+
+def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
+    """What `difference` must not overlook: friction ignored, slip opposed with the wrong sign, gaps forgotten."""
+    sample = draw(lap_model.scene, 5, 0, 1)[0]
+    reduced = lap_model.evaluate(sample, "coulomb")
+    assert difference(FullModel(lap).evaluate(sample, "frictionless"), reduced) > 1e-3
+    without_friction = lap_model.evaluate(sample, "frictionless")
+    assert difference(FullModel(lap).evaluate(sample, "coulomb"), without_friction) > 1e-3
+    displacement = contact.ContactLaw.displacement
+
+    def without_gap(self, δ):
+        return displacement(self, δ) - self.gap[:, None] * np.array([1, 0, 0])
+
+    monkeypatch.setattr(contact.ContactLaw, "displacement", without_gap)
+    assert difference(FullModel(lap).evaluate(sample, "coulomb"), reduced) > 1e-3
+
+
+def test_newton_converges_quadratically(lap, scene):
+    """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one squared."""
+    ratios = []
+    for sample in draw(scene, 5, 0, 3):
+        for solve in FullModel(lap, augmented=False).evaluate(sample).history:
+            steady = [i for i in solve.iterations if i.changed == 0 and i.step == 1.0]
+            assert steady[-1].slip > 0
+            residual = np.array([i.residual for i in steady])
+            inner = (residual[:-1] < 1e-2) & (residual[1:] > 1e-10)  # below, rounding takes over
+            ratios += list(np.log(residual[1:][inner]) / np.log(residual[:-1][inner]))
+    assert len(ratios) >= 3, "too few iterations in the quadratic range to judge"
+    assert min(ratios) > 1.7, f"observed orders {ratios}"
+
+
+RANKS = """
+import sys
+from pathlib import Path
+import numpy as np
+from mpi4py import MPI
+import mic
+from fem_reference.contact import FullModel
+from mic.assembly import assemble
+from mic.variation import draw
+
+scene = mic.load_scene(sys.argv[1])
+scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
+full = FullModel(assemble(scene, Path(sys.argv[2]) / str(MPI.COMM_WORLD.rank))).evaluate(draw(scene, 5, 0, 1)[0])
+values = [full.measurements, *full.field("release").values()]
+values += [a for r in full.resolutions.values() for a in (r.force, r.displacement, r.reaction)]
+assert all(np.array_equal(a, b) for a, b in zip(values, MPI.COMM_WORLD.bcast(values)))
+if MPI.COMM_WORLD.rank == 0:
+    np.savez(sys.argv[3], *values)
+"""
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    return _on_ranks(1, tmp_path_factory.mktemp("serial"))
+
+
+def _on_ranks(processes, folder):
+    if shutil.which("mpirun") is None:
+        pytest.skip("mpirun is not installed")
+    command = ["mpirun", "--oversubscribe", "-n", str(processes), sys.executable, "-m", "mpi4py", "-c", RANKS,
+               str(HERE.parents[1] / "meshes" / "lap_joint"), str(folder), str(folder / "result.npz")]
+    environment = os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, env=environment, cwd=HERE.parents[1], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with np.load(folder / "result.npz") as data:
+        return [data[name] for name in data.files]
+
+
+@pytest.mark.parametrize("processes", [2, 4])
+def test_equal_on_any_number_of_processes(processes, serial, tmp_path):
+    for ours, theirs in zip(_on_ranks(processes, tmp_path), serial):
+        assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
+        assert np.abs(theirs).max() > 0
