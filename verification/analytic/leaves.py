@@ -106,7 +106,7 @@ class Leaves:
         return load / 2 * L**3 / (3 * EI) - couple * (at * L - at**2 / 2) / EI
 
 
-def scene(leaves: Leaves, folder, loads, weld_at: float | None = None):
+def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increments: int = 1):
     """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next load.
 
     A deviation for each load's clamps can take them away again, so that one batch shows the state after every load.
@@ -120,6 +120,8 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None):
         P after each stage, N.
     weld_at : float, optional
         Welds across the whole width at this distance to both sides of the middle, mm.
+    increments : int
+        Of each stage that brings a load.
     """
     L, b, h = leaves.length, leaves.width, leaves.depth
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / leaves.size / 2)))
@@ -148,14 +150,14 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None):
     welds = [dict(name=f"W{i}{j}", parts=("lower", "upper"), point=(at, yj, 0), radius=0, moment=False)
              for i, at in enumerate((-weld_at, weld_at)) for j, yj in enumerate(y)] if weld_at else []
     stages = [dict(kind="locate"), dict(kind="clamp", name="press"), *([dict(kind="weld")] if welds else []),
-              *(dict(kind="clamp", name=f"load{k}") for k in range(len(loads))), dict(kind="measure")]
+              *(dict(kind="clamp", name=f"load{k}", increments=increments) for k in range(len(loads))), dict(kind="measure")]
     return strips.build(folder, sheets, name="leaves", locators=locators, clamps=clamps, welds=welds, zones=[zone], stages=stages,
                         deviations=deviations, measurements=measurements)
 
 
-def deflections(leaves: Leaves, context, loads, weld_at: float | None = None) -> np.ndarray:
+def deflections(leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1) -> np.ndarray:
     """(k,) deflections of the middle after each of the loads, mm; the arguments are those of :func:`scene`."""
-    built = scene(leaves, context.cache / "meshes", loads, weld_at)
+    built = scene(leaves, context.cache / "meshes", loads, weld_at, increments)
     model = context.model(built)
     force = {clamp.name: clamp.force for clamp in built.clamps}
     step = np.array([int(name.rpartition("load")[2]) for name in model.parameters])
