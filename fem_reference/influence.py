@@ -81,7 +81,7 @@ class Factorisation:
         if status < 0:
             raise FactorisationError(_explain(status, self._factor.getMumpsInfog(2)))
         if self._factor.getMumpsInfog(_INFOG_NEGATIVE_PIVOTS) > 0:
-            raise FactorisationError("the stiffness is not positive definite: a material constant or the mesh is not what it should be")
+            raise FactorisationError("the stiffness is not positive definite: the part holds a mechanism, or is too thin for its size")
         self.memory = float(self._factor.getMumpsInfog(_INFOG_MEMORY))
         self.influence = None
         if n:
@@ -89,31 +89,41 @@ class Factorisation:
             self.influence = -(np.tril(schur) + np.tril(schur, -1).T)
             self._factor.setMumpsIcntl(_ICNTL_SCHUR_SOLVE, 0)
 
+    def __del__(self):  # left to itself, petsc4py keeps the factors, hundreds of MB each, to the end of the process
+        for held in ("_factor", "_pc", "_matrix"):
+            if hasattr(self, held):
+                getattr(self, held).destroy()
+
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K⁻¹ B for dense columns B (m, r)."""
-        total = self._matrix.size[0]
         solution = np.empty((self.size, right.shape[1]))
         for first in range(0, right.shape[1], BLOCK):
             columns = right[:, first : first + BLOCK]
-            padded = np.zeros((total, columns.shape[1]), order="F")
+            padded = np.zeros((self._matrix.size[0], columns.shape[1]), order="F")
             padded[: self.size] = columns
             B = PETSc.Mat().createDense(padded.shape, array=padded, comm=PETSc.COMM_SELF)
             solution[:, first : first + BLOCK] = self._sweep(B, columns.shape[1])
+            B.destroy()
         return solution
 
     def solve_sparse(self, right: csr_matrix) -> np.ndarray:
         """K⁻¹ Bᵀ for the sparse rows B (r, m): one sweep, so keep r near `BLOCK`."""
-        total = self._matrix.size[0]
-        right = csr_matrix((right.data, right.indices, right.indptr), shape=(right.shape[0], total))
-        B = PETSc.Mat().createTranspose(_petsc_matrix(right))
-        return self._sweep(B, right.shape[0])
+        right = csr_matrix((right.data, right.indices, right.indptr), shape=(right.shape[0], self._matrix.size[0]))
+        rows = _petsc_matrix(right)
+        B = PETSc.Mat().createTranspose(rows)
+        solution = self._sweep(B, right.shape[0])
+        B.destroy()
+        rows.destroy()
+        return solution
 
     def _sweep(self, B: PETSc.Mat, columns: int) -> np.ndarray:
         X = PETSc.Mat().createDense((self._matrix.size[0], columns), comm=PETSc.COMM_SELF)
         X.setUp()
         X.assemble()
         self._factor.matSolve(B, X)
-        return X.getDenseArray()[: self.size].copy()  # the view does not keep X alive
+        solution = X.getDenseArray()[: self.size].copy()  # the view does not keep X alive
+        X.destroy()
+        return solution
 
 
 def _petsc_matrix(matrix: csr_matrix) -> PETSc.Mat:

@@ -193,6 +193,9 @@ class ShellPart:
     @cached_property
     def stiffness(self) -> PETSc.Mat:
         """K, N/mm and N mm/rad: symmetric positive semidefinite with the six rigid motions as null space."""
+        return self._assemble()
+
+    def _assemble(self) -> PETSc.Mat:
         constant = lambda value: fem.Constant(self._mesh, PETSc.ScalarType(value))
         material = element.Material(
             young=constant(self.young),
@@ -206,8 +209,14 @@ class ShellPart:
         return matrix
 
     def stiffness_csr(self) -> csr_matrix:
-        """K as a scipy matrix, whole on each process; symmetric to rounding."""
-        pieces = self.comm.allgather(self.stiffness.getValuesCSR())  # consecutive rows from each process
+        """K as a scipy matrix, whole on each process; symmetric to rounding. The caller may change it."""
+        return self._stiffness_csr.copy()
+
+    @cached_property
+    def _stiffness_csr(self) -> csr_matrix:
+        matrix = self._assemble()
+        pieces = self.comm.allgather(matrix.getValuesCSR())  # consecutive rows from each process
+        matrix.destroy()  # petsc4py would keep it to the end of the process
         return vstack([csr_matrix((data, indices, indptr), shape=(len(indptr) - 1, self.ndof)) for indptr, indices, data in pieces])
 
     @cached_property
@@ -314,10 +323,6 @@ class ShellPart:
     @cached_property
     def _free(self) -> np.ndarray:
         return np.setdiff1d(np.arange(self.ndof), self.pins)
-
-    @cached_property
-    def _stiffness_csr(self) -> csr_matrix:
-        return self.stiffness_csr()
 
     @cached_property
     def _factorisation(self) -> Factorisation:

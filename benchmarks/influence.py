@@ -1,0 +1,173 @@
+"""What influence coefficients cost beside one bare factorisation, method by method.
+
+    python benchmarks/influence.py [--dofs 200000] [--functionals 699] [--skip-columns]
+
+The part is a doubly curved panel with a flange, the functionals displacements along x, y, z averaged over discs of 5 mm.
+H = L K⁻¹ Lᵀ by
+
+- `schur`: the Schur complement of the bordered matrix, as shipped, its own check included;
+- `sparse blocks`: MUMPS, blocks of sparse right-hand sides (the fall-back);
+- `dense blocks`: MUMPS, blocks of dense right-hand sides;
+- `columns`: MUMPS through a PETSc KSP, one solve per functional;
+- `cholmod`: scikit-sparse, supernodal, forward sweeps alone on dense blocks, Y = L_c⁻¹ P Lᵀ, H = YᵀY;
+- `pardiso`: pypardiso, dense blocks; both if installed.
+
+Times are the least of three runs (`columns`: one) in one process, ratios are to the bare factorisation by MUMPS in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+
+import numpy as np
+from petsc4py import PETSc
+
+from fem_reference.influence import BLOCK, Factorisation, influence_matrix
+from fem_reference.part import ShellPart
+from mic.functional import Functionals
+from mic.surface import Surface
+
+GOAL_RATIO, GOAL_SPEEDUP = 1.2, 20
+
+
+def flanged_panel(dofs: int) -> Surface:
+    """Panel of 400 mm × 300 mm with a flange of 40 mm, of about so many freedoms with six per vertex."""
+    n = int(round((dofs / 6) ** 0.5))
+    X, Y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij"))
+    along = 340 * X
+    points = np.column_stack([np.minimum(along, 300), 400 * Y, 20 * np.sin(3 * Y) + np.maximum(along - 300, 0)])
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+    a = i * n + j
+    return Surface(points, np.concatenate([np.column_stack([a, a + n, a + n + 1]), np.column_stack([a, a + n + 1, a + 1])]))
+
+
+def functionals_on(surface: Surface, n: int) -> Functionals:
+    """n rows, three per place, places spread at random."""
+    random = np.random.default_rng(0)
+    places = random.choice(len(surface.points), -(-n // 3), replace=False)
+    patches = tuple(surface.patch(surface.points[place], 5.0) for place in places)
+    return Functionals(
+        patches=patches,
+        patch=np.repeat(np.arange(len(places)), 3)[:n],
+        direction=np.tile(np.eye(3), (len(places), 1))[:n],
+        rotation=np.zeros(n, dtype=bool),
+        side=np.zeros(n, dtype=int),
+        label=tuple(f"{i}" for i in range(n)),
+    )
+
+
+def schur(K, L):
+    H, factorisation = influence_matrix(K, L)
+    return H, factorisation.memory
+
+
+def sparse_blocks(K, L):
+    factorisation = Factorisation(K)
+    H = np.hstack([L @ factorisation.solve_sparse(L[first : first + BLOCK]) for first in range(0, L.shape[0], BLOCK)])
+    return H, factorisation.memory
+
+
+def dense_blocks(K, L):
+    factorisation = Factorisation(K)
+    blocks = (L[first : first + BLOCK].T.toarray() for first in range(0, L.shape[0], BLOCK))
+    return np.hstack([L @ factorisation.solve(block) for block in blocks]), factorisation.memory
+
+
+def columns(K, L):
+    matrix = PETSc.Mat().createAIJ(K.shape, csr=(K.indptr.astype("i4"), K.indices.astype("i4"), K.data), comm=PETSc.COMM_SELF)
+    matrix.setOption(PETSc.Mat.Option.SPD, True)
+    ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+    ksp.setOperators(matrix)
+    ksp.setType("preonly")
+    ksp.getPC().setType("cholesky")
+    ksp.getPC().setFactorSolverType("mumps")
+    x, b = matrix.createVecs()
+    H = np.empty((L.shape[0], L.shape[0]))
+    for i in range(L.shape[0]):
+        b.setArray(L[i].toarray()[0])
+        ksp.solve(b, x)
+        H[:, i] = L @ x.getArray()
+    return H, float(ksp.getPC().getFactorMatrix().getMumpsInfog(19))
+
+
+def cholmod(K, L):
+    from sksparse.cholmod import cholesky
+
+    factor = cholesky(K.tocsc(), ordering_method="best", mode="supernodal")
+    blocks = (L[first : first + BLOCK].T.toarray() for first in range(0, L.shape[0], BLOCK))
+    Y = np.hstack([factor.solve_L(factor.apply_P(block), use_LDLt_decomposition=False) for block in blocks])
+    return Y.T @ Y, np.nan
+
+
+def pardiso(K, L):
+    import scipy.sparse
+    from pypardiso import PyPardisoSolver
+
+    upper = scipy.sparse.triu(K, format="csr")
+    solver = PyPardisoSolver(mtype=2)  # symmetric positive definite
+    solver.factorize(upper)
+    blocks = (np.asfortranarray(L[first : first + BLOCK].T.toarray()) for first in range(0, L.shape[0], BLOCK))
+    H = np.hstack([L @ solver.solve(upper, block) for block in blocks])
+    solver.free_memory(everything=True)
+    return H, np.nan
+
+
+def timed(function, *arguments, repeats=3):
+    """Least wall-clock time of several runs, s, and the result of the last."""
+    least = np.inf
+    for _ in range(repeats):
+        start = time.perf_counter()
+        result = function(*arguments)
+        least = min(least, time.perf_counter() - start)
+    return least, result
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dofs", type=int, default=200_000)
+    parser.add_argument("--functionals", type=int, default=699)
+    parser.add_argument("--skip-columns", action="store_true", help="leave out the slowest method")
+    arguments = parser.parse_args()
+
+    surface = flanged_panel(arguments.dofs)
+    assembly, part = timed(lambda: ShellPart(surface, 1.0, 210000.0, 0.3), repeats=1)
+    assembly += timed(lambda: part.stiffness, repeats=1)[0]
+    free = np.setdiff1d(np.arange(part.ndof), part.pins)
+    K = part.stiffness_csr()[free][:, free].tocsr()
+    L = part.functional_matrix(functionals_on(surface, arguments.functionals))[:, free].tocsr()
+    print(f"{part.ndof} freedoms, {L.shape[0]} functionals; tables and assembly {assembly:.1f} s")
+
+    bare, factorisation = timed(Factorisation, K)
+    print(f"bare factorisation {bare:.2f} s, {factorisation.memory:.0f} MB\n")
+    del factorisation
+    methods = [schur, sparse_blocks, dense_blocks, cholmod, pardiso] + ([] if arguments.skip_columns else [columns])
+    times, reference = {}, None
+    print(f"{'method':16s}{'total, s':>10s}{'/ bare':>8s}{'/ schur':>9s}{'difference':>12s}{'asymmetry':>11s}{'MUMPS, MB':>11s}")
+    for method in methods:
+        name = method.__name__.replace("_", " ")
+        try:
+            times[name], (H, memory) = timed(method, K, L, repeats=1 if method is columns else 3)
+        except ImportError as problem:
+            print(f"{name:16s}  skipped: {problem}")
+            continue
+        reference = H if reference is None else reference
+        difference = abs(H - reference).max() / abs(reference).max()
+        asymmetry = abs(H - H.T).max() / abs(H).max()
+        print(
+            f"{name:16s}{times[name]:10.2f}{times[name] / bare:8.2f}{times[name] / times['schur']:9.2f}{difference:12.1e}{asymmetry:11.1e}"
+            f"{memory:11.0f}",
+            flush=True,
+        )
+    print(f"\npeak memory of the process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+    verdict = lambda kept: "kept" if kept else "MISSED"
+    print(f"goal: schur at most {GOAL_RATIO} times the bare factorisation: {verdict(times['schur'] <= GOAL_RATIO * bare)}")
+    if "columns" in times:
+        speedup = times["columns"] / times["schur"]
+        print(f"goal: at least {GOAL_SPEEDUP} times faster than column by column: {speedup:.0f}: {verdict(speedup >= GOAL_SPEEDUP)}")
+    print(f"goal: ahead of all others: {verdict(min(times, key=times.get) == 'schur')}")
+
+
+if __name__ == "__main__":
+    main()
