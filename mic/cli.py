@@ -93,8 +93,6 @@ def run(scene: SceneArgument,
         from mic.outcome import keep_inputs
         from mic.reduced import ReducedModel
     cache = cache_folder()
-    if world and not first:
-        world.Barrier()  # the first process fills the cache, the others then read it
     with clock("meshes and pairs"):
         console.print(f"[bold]{scene.name}[/]: meshing and pairing …")
         assembly = assemble(scene, cache)
@@ -103,8 +101,6 @@ def run(scene: SceneArgument,
         reused = [name for name, hit in cached.items() if hit]
         if reused:
             console.print(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
-    if world and first:
-        world.Barrier()
     with clock("reduced model"):
         model = ReducedModel.build(assembly, influence)
         for name in scene.report.laws:
@@ -155,7 +151,7 @@ def _finish(console, folder, clock):
 
 def _print_zones(console, outcome):
     """The paper's Table 1, and how many samples failed."""
-    from mic.figures import number
+    from mic.pictures import number
 
     summary = outcome.summary()
     zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))

@@ -13,10 +13,10 @@ from jinja2 import Environment, FileSystemLoader
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from mic import figures
+from mic import pictures
 from mic.contact.solution import Status
 from mic.fields import read_fields
-from mic.figures import LAW_COLOURS, PART_COLOURS, number, percent, zone_colour
+from mic.pictures import LAW_COLOURS, PART_COLOURS, number, percent, zone_colour
 from mic.outcome import PUBLISHED, kept_parts, read_outcome, write_summary
 from mic.statistics import LEVEL, covered_share
 
@@ -47,22 +47,23 @@ def write_report(folder) -> Path:
     surfaces = {part.name: part.surface for part in kept_parts(outcome)}
     fields, no_fields = read_fields(outcome.folder)
     stage = outcome.stages[0] if outcome.stages else None
-    pictures = {"assembly": figures.assembly_picture(outcome, surfaces)}
+    drawn = {"assembly": pictures.assembly_picture(outcome, surfaces)}
     if stage and outcome.laws:
-        pictures |= {
-            "density": figures.slip_density_picture(outcome, stage),
-            "force": figures.slip_force_picture(outcome, stage, published),
-            "sample_f": figures.sample_picture(outcome, stage, "f"),
-            "sample_u": figures.sample_picture(outcome, stage, "u"),
-            "states": figures.state_picture(outcome),
-            "cost": figures.law_cost_picture(outcome, stage),
+        drawn |= {
+            "density": pictures.slip_density_picture(outcome, stage),
+            "force": pictures.slip_force_picture(outcome, stage, published),
+            "sample_f": pictures.sample_picture(outcome, stage, "f"),
+            "sample_u": pictures.sample_picture(outcome, stage, "u"),
+            "states": pictures.state_picture(outcome),
+            "cost": pictures.law_cost_picture(outcome, stage),
+            "friction": pictures.friction_picture(outcome, stage),
         }
     if outcome.laws:
-        pictures["measurements"] = figures.measurement_picture(outcome)
-        pictures["overview"] = figures.overview_picture(outcome, surfaces, fields, outcome.laws[0])
-        pictures["fields"] = figures.field_picture(surfaces, fields, outcome.laws[0])
-    if pictures["assembly"]:
-        (outcome.folder / "assembly.png").write_bytes(pictures["assembly"].data)
+        drawn["measurements"] = pictures.measurement_picture(outcome)
+        drawn["overview"] = pictures.overview_picture(outcome, surfaces, fields, outcome.laws[0])
+        drawn["fields"] = pictures.field_picture(surfaces, fields, outcome.laws[0])
+    if drawn["assembly"]:
+        (outcome.folder / "assembly.png").write_bytes(drawn["assembly"].data)
     zones = _zones(outcome, stage, published)
     environment = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["number"] = number
@@ -70,7 +71,7 @@ def write_report(folder) -> Path:
     page = outcome.folder / "report.html"
     temporary = page.with_suffix(".partial")
     temporary.write_text(environment.get_template("report.html").render(
-        outcome=outcome, record=outcome.record, scene=outcome.model.scene, stage=stage, level=f"{100 * LEVEL:.0f} %", pictures=pictures,
+        outcome=outcome, record=outcome.record, scene=outcome.model.scene, stage=stage, level=f"{100 * LEVEL:.0f} %", pictures=drawn,
         colours=LAW_COLOURS, facts=_facts(outcome), failures=_failures(outcome), zones=zones, trend=_trend(zones, stage), published=published,
         measurements=_records(outcome.measurement_statistics), covered=covered_share(outcome.record["samples"]), no_fields=no_fields,
         contacts=_records(outcome.contact_statistics), listed_contacts=LISTED_CONTACTS,
@@ -182,7 +183,7 @@ def _viewer(outcome, surfaces, fields):
     everything = np.concatenate([surface.points for surface in surfaces.values()])
     low, high = everything.min(axis=0) - ARROW * size, everything.max(axis=0) + ARROW * size
     scales = {name: [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)] for name in ("viridis", "YlOrRd", "RdBu_r")}
-    data = {"scales": scales, "eye": dict(zip("xyz", 1.9 * figures.viewpoint(surfaces.values()))), "arrow": ARROW * size,
+    data = {"scales": scales, "eye": dict(zip("xyz", 1.9 * pictures.viewpoint(surfaces.values()))), "arrow": ARROW * size,
             "range": np.column_stack([low, high]).tolist(), "parts": parts, "arrows": arrows, "points": [group for group in points if group["points"]], "laws": laws}
     return json.dumps(data).replace("<", "\\u003c")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mic import figures
+from mic import pictures
 from mic.assembly import assemble
 from mic.fields import write_fields
 from mic.influence import influence_coefficients
@@ -93,9 +93,9 @@ def test_the_page_loads_nothing(page):
 
 def test_every_figure_is_there(page):
     assert page.ids >= {"assembly", "assembly-view", "table-1", "slip-density", "slip-force", "one-sample-f", "one-sample-u", "states",
-                        "law-cost", "measurements", "measurement-table", "fields-coulomb", "field-view"}
+                        "law-cost", "friction", "measurements", "measurement-table", "fields-coulomb", "field-view"}
     pictures = [target for target in page.loads if target.startswith("data:")]
-    assert len(pictures) == 10
+    assert len(pictures) == 11
     for picture in pictures:
         kind, data = re.fullmatch(r"data:image/(svg\+xml|png);base64,(.*)", picture).groups()
         raw = base64.b64decode(data, validate=True)
@@ -122,8 +122,8 @@ def test_figures_in_the_text_are_those_of_the_summary(page, folder):
     summary = json.loads((folder / "summary.json").read_text())
     zone = summary["laws"]["coulomb"]["zones"]["lap"]
     for value in (zone["mean_rms_slip"], zone["six_sigma_rms_slip"], summary["laws"]["associated"]["measurements"]["M1"]["mean"]):
-        assert figures.number(value) in page.words
-    cost = figures.law_cost(read_outcome(folder), "clamp")
+        assert pictures.number(value) in page.words
+    cost = pictures.law_cost(read_outcome(folder), "clamp")
     assert cost["sentence"] in page.words and cost["gaps"].max() > 0
 
 
@@ -223,4 +223,4 @@ def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
 @pytest.mark.parametrize("value, text", [(0.012345, "0.0123"), (-4.2, "−4.20"), (123456, "1.23e+05"), (0, "0"), (float("nan"), "–"), (None, "–"),
                                          (float("inf"), "∞"), (0.99996, "1.00"), (28.0, "28.0")])
 def test_numbers_for_people(value, text):
-    assert figures.number(value) == text
+    assert pictures.number(value) == text

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from mic import figures
+from mic import pictures
 from mic.fields import read_fields
 from mic.outcome import kept_parts, read_outcome
 
@@ -11,8 +11,8 @@ from mic.outcome import kept_parts, read_outcome
 def main(folder):
     outcome = read_outcome(folder)
     surfaces = {part.name: part.surface for part in kept_parts(outcome)}
-    for name, picture in (("wheelhouse", figures.overview_picture(outcome, surfaces, read_fields(folder)[0], "coulomb")),
-                          ("slip_density", figures.slip_density_picture(outcome, outcome.stages[0]))):
+    for name, picture in (("wheelhouse", pictures.overview_picture(outcome, surfaces, read_fields(folder)[0], "coulomb")),
+                          ("slip_density", pictures.slip_density_picture(outcome, outcome.stages[0]))):
         (Path(__file__).parent / f"{name}.{picture.kind}").write_bytes(picture.data)
 
 

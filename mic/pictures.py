@@ -20,12 +20,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
+from mic.contact.comparison import compare_laws, summarise
 from mic.process import STATES
 from mic.statistics import density
 
-__all__ = ["LAW_COLOURS", "PART_COLOURS", "Picture", "assembly_picture", "field_picture", "law_cost_picture", "measurement_picture",
-           "number", "overview_picture", "percent", "sample_picture", "slip_density_picture", "slip_force_picture", "state_picture", "viewpoint",
-           "zone_colour"]
+__all__ = [
+    "LAW_COLOURS", "PART_COLOURS", "Picture", "assembly_picture", "field_picture", "friction_picture", "law_cost",
+    "law_cost_picture", "measurement_picture", "number", "overview_picture", "percent", "sample_picture",
+    "slip_density_picture", "slip_force_picture", "state_picture", "viewpoint", "zone_colour",
+]
 
 LAW_COLOURS = {"coulomb": "#0072b2", "associated": "#d55e00", "frictionless": "#5f6b76"}
 LAW_MARKS = {"coulomb": "o", "associated": "s", "frictionless": "^"}
@@ -35,6 +38,8 @@ ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3"
 STYLE = {"font.family": "DejaVu Sans", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
          "axes.edgecolor": "#58626e", "axes.grid": True, "grid.color": "#e8ebef", "grid.linewidth": 0.7, "axes.axisbelow": True,
          "axes.titlesize": 9.5, "axes.titleweight": "bold", "legend.frameon": False, "legend.fontsize": 8.5, "svg.hashsalt": "mic"}
+STUDIED_SAMPLES = 12
+STUDIED_FRICTION = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
 ACTIVE = 1.0  # N: from this mean friction force on, a contact counts as active (the paper's smallest)
 MOST_PANELS = 24
 
@@ -301,6 +306,47 @@ def law_cost(outcome, stage) -> dict | None:
     sentence += f"{percent(changed, 1)} of all contact states differ."
     return {"samples": len(common), "gaps": gaps, "f_coulomb": f.ravel(), "f_associated": a.ravel(), "states": states, "changed": changed,
             "force_error": ratio, "total_error": balance, "sentence": sentence}
+
+
+@_styled
+def friction_picture(outcome, stage) -> Picture | None:
+    """The three laws on some of the samples as friction is scaled down and up; drawn where the associated law was asked for."""
+    study = _friction_study(outcome, stage)
+    if study is None:
+        return None
+    table = summarise(study)
+    fig, axes = _panels(3, 3, (3.5, 2.6))
+    for ax, column, label, factor in zip(axes, ("slip", "normal_force", "gap_at_load"),
+                                         ("RMS slip, all contacts (mm)", "total normal force (N)", "largest gap at a loaded contact (µm)"), (1, 1, 1e3)):
+        for law in LAW_COLOURS:
+            rows = table.xs(law, level="law")
+            ax.plot(rows.index, factor * rows[column], LAW_MARKS[law] + "-", ms=4, lw=1.3, color=LAW_COLOURS[law])
+        ax.axvline(outcome.model.contacts.friction.mean(), color="#8a949f", lw=0.9, ls="--")
+        ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None), ylim=(0, None))
+    _law_legend(fig, list(LAW_COLOURS))
+    gaps = table.xs("associated", level="law")["gap_at_load"]
+    text = (f"{study['sample'].nunique()} samples, stage {stage}, solved anew with every friction coefficient scaled; dashed: the scene's. The gap that the "
+            f"associated law opens under load averages {number(1e3 * gaps.iloc[0])} µm at μ = {number(gaps.index[0], 2)} and {number(1e3 * gaps.iloc[-1])} µm at "
+            f"μ = {number(gaps.index[-1], 2)}; Coulomb's law has none.")
+    left_out = int(table["left_out"].sum())
+    if left_out:
+        text += f" {left_out} of {len(study)} solutions did not converge and are left out."
+    return _svg(fig, "friction", "The laws as friction grows", text)
+
+
+def _friction_study(outcome, stage):
+    """:func:`mic.contact.comparison.compare_laws` on evenly spread samples; None where the scene does not ask for the associated law."""
+    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not outcome.model.contacts.friction.any():
+        return None
+    n = len(outcome.valid("coulomb"))
+    chosen = np.unique(np.linspace(0, n - 1, min(n, STUDIED_SAMPLES)).round().astype(int)) if n else []
+    if not len(chosen):
+        return None
+    S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
+    force, displacement = (np.stack([outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")], axis=2)
+                           .reshape(len(chosen), -1) for quantity in ("f", "u"))
+    b = displacement - force @ S  # u = S f + b
+    return compare_laws(S, b, [scale * outcome.model.contacts.friction for scale in STUDIED_FRICTION], threads=2)
 
 
 @_styled
