@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+import traceback
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -12,10 +13,12 @@ from typing import Annotated, Optional
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from mic import cache_folder
+from mic.influence import MissingFiniteElements, influence_coefficients, is_cached
 from mic.montecarlo import communicator
 from mic.scene import SceneError, load_scene
 
@@ -88,7 +91,6 @@ def run(scene: SceneArgument,
         scene = _requested(load_scene(scene), law, samples, seed)
         folder = out or Path("results") / scene.name
         from mic.assembly import assemble
-        from mic.influence import influence_coefficients
         from mic.montecarlo import run as monte_carlo
         from mic.outcome import keep_inputs
         from mic.reduced import ReducedModel
@@ -189,8 +191,6 @@ def check(scene: SceneArgument, law: LawOption = None):
 
 
 def _print_parts(console, assembly):
-    from mic.influence import is_cached
-
     table = Table("part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients", title="Parts")
     for part in assembly.parts:
         table.add_row(part.name, str(len(part.surface.points)), str(len(part.surface.triangles)), f"{part.thickness:g}", f"{part.young:g}",
@@ -236,16 +236,18 @@ def _progress(console):
 
 def main():
     """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
+    world = communicator()
     try:
         app()
-    except SceneError as error:
-        Console(stderr=True).print(f"[bold red]error:[/] {error}", markup=True, highlight=False, soft_wrap=True)
+    except (SceneError, MissingFiniteElements) as error:
+        if world is None or world.rank == 0:
+            Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
-    except ImportError as error:
-        if "fem_reference" not in str(error) and "influence coefficients" not in str(error):
+    except Exception:
+        if world is None:
             raise
-        Console(stderr=True).print(f"error: {error}", highlight=False, soft_wrap=True)
-        sys.exit(3)
+        traceback.print_exc()
+        world.Abort(1)  # one process must not leave the others waiting
 
 
 if __name__ == "__main__":

@@ -9,7 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["InfluenceCoefficients", "influence_coefficients", "is_cached"]
+__all__ = ["InfluenceCoefficients", "MissingFiniteElements", "influence_coefficients", "is_cached"]
+
+
+class MissingFiniteElements(ImportError):
+    """Something must be computed by finite elements, and none are installed; the message says how to install them."""
 
 
 @dataclass(frozen=True)
@@ -79,19 +83,17 @@ def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[s
 
     Raises
     ------
-    ImportError
-        If they must be computed and no finite elements are installed; the message says how to install them.
+    MissingFiniteElements
+        If they must be computed and no finite elements are installed.
     """
-    coefficients, cached = {}, {}
-    for part in assembly.parts:
-        path = _cached_file(part, cache)
-        cached[part.name] = path.is_file()
-        if not cached[part.name]:
-            if progress:
-                progress(f"influence coefficients of {part.name}: {len(part.functionals)} functionals, {len(part.surface.points)} nodes")
-            _compute(part).save(path)
-        coefficients[part.name] = InfluenceCoefficients.load(path)
-    return coefficients, cached
+    cached = {part.name: is_cached(part, cache) for part in assembly.parts}
+    missing = [part for part in assembly.parts if not cached[part.name]]
+    for part in missing:
+        if progress:
+            progress(f"influence coefficients of {part.name}: {len(part.functionals)} functionals, {len(part.surface.points)} nodes")
+    if missing:
+        _compute(missing, cache)
+    return {part.name: InfluenceCoefficients.load(_cached_file(part, cache)) for part in assembly.parts}, cached
 
 
 def is_cached(part, cache: Path) -> bool:
@@ -103,12 +105,20 @@ def _cached_file(part, cache):
     return cache / "influence" / f"{part.fingerprint()}.npz"
 
 
-def _compute(part) -> InfluenceCoefficients:
+def _compute(parts, cache):
+    """Compute the parts' coefficients into the cache; under MPI a collective call that shares the parts out."""
     try:
+        from mpi4py import MPI
+
+        from fem_reference.influence import compute_influence
         from fem_reference.part import ShellPart
     except ImportError as error:
-        raise ImportError(f"part {part.name!r}: no cached influence coefficients fit, and the finite elements that compute them are "
+        raise MissingFiniteElements(f"part {parts[0].name!r}: no cached influence coefficients fit, and the finite elements that compute them are "
                           f"not installed ({error}); on Debian: apt-get install python3-dolfinx, or copy a cache folder") from error
-    shell = ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element)
-    H, G = shell.influence(part.functionals)
-    return InfluenceCoefficients(part.name, H, G, {"element": part.element, "nodes": len(part.surface.points), "freedoms": int(shell.ndof)})
+    shells = {part.name: lambda part=part: ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element) for part in parts}
+    computed = compute_influence(shells, {part.name: part.functionals for part in parts}, MPI.COMM_WORLD)
+    if MPI.COMM_WORLD.rank == 0:
+        for part in parts:
+            provenance = {"element": part.element, "nodes": len(part.surface.points), "triangles": len(part.surface.triangles)}
+            InfluenceCoefficients(part.name, *computed[part.name], provenance).save(_cached_file(part, cache))
+    MPI.COMM_WORLD.Barrier()

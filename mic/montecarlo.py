@@ -35,6 +35,10 @@ def communicator():
     if int(os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", "1"))) > 1:
         from mpi4py import MPI
 
+        try:
+            from petsc4py import PETSc  # noqa: F401  it starts up collectively: later, a process alone would wait for ever
+        except ImportError:
+            pass
         return MPI.COMM_WORLD
     return None
 
