@@ -192,8 +192,15 @@ class ShellPart:
 
     @cached_property
     def stiffness(self) -> PETSc.Mat:
-        """K, N/mm and N mm/rad: symmetric positive semidefinite with the six rigid motions as null space."""
+        """K, N/mm and N mm/rad: symmetric positive semidefinite with the six rigid motions as null space.
+
+        It lives as long as the part.
+        """
         return self._assemble()
+
+    def __del__(self):  # petsc4py would keep it to the end of the process
+        if "stiffness" in self.__dict__:
+            self.stiffness.destroy()
 
     def _assemble(self) -> PETSc.Mat:
         constant = lambda value: fem.Constant(self._mesh, PETSc.ScalarType(value))

@@ -1,0 +1,1 @@
+"""Other codes' answers to the same questions; each optional."""
