@@ -341,9 +341,13 @@ class Process:
         return frozen[i] if kind == "weld" else nominal[kind][:, i] + moved[kind][:, i]
 
     def _motion(self, last, v, forces):
-        """Rigid motions that put the bilateral rows at their values: least squares over A G q = v - A H f."""
-        reading = last.bilateral @ self.model.G
-        misfit = v - (forces @ self.model.H) @ last.bilateral.T
+        """Rigid motions that put the bilateral rows at their values: least squares over A G q = v - A H f.
+
+        Redundant rows take no part: their values have no effect, and may contradict the others.
+        """
+        rows = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
+        reading = last.bilateral[rows] @ self.model.G
+        misfit = v[:, rows] - (forces @ self.model.H) @ last.bilateral[rows].T
         return np.linalg.lstsq(reading, misfit.T, rcond=None)[0].T
 
     def _state(self, force):
