@@ -61,12 +61,19 @@ class _Clock:
         self.seconds[phase] = self.seconds.get(phase, 0.0) + time.perf_counter() - start
 
 
-def _requested(scene, laws, samples=None, seed=None):
+class Backend(str, Enum):
+    """Who solves the contacts."""
+
+    native = "native"
+    paper = "paper"
+
+
+def _requested(scene, laws, samples=None, seed=None, backend=None):
     """The scene with what the command line asks for instead."""
     changes = {}
     if laws:
         changes["report"] = scene.report.model_copy(update={"laws": list(dict.fromkeys(law.value for law in laws))})
-    updates = {key: value for key, value in (("samples", samples), ("seed", seed)) if value is not None}
+    updates = {key: value for key, value in (("samples", samples), ("seed", seed), ("backend", backend)) if value is not None}
     if updates:
         changes["monte_carlo"] = scene.monte_carlo.model_copy(update=updates)
     return scene.model_copy(update=changes)
@@ -77,6 +84,8 @@ def run(scene: SceneArgument,
         samples: Annotated[Optional[int], typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)] = None,
         seed: Annotated[Optional[int], typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)] = None,
         law: LawOption = None,
+        backend: Annotated[Optional[Backend], typer.Option(help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
+                                                           "hundred times slower. Default: the scene's.", show_default=False)] = None,
         out: Annotated[Optional[Path], typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)] = None):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
@@ -88,7 +97,7 @@ def run(scene: SceneArgument,
     console = Console(quiet=not first)
     clock = _Clock()
     with clock("scene"):
-        scene = _requested(load_scene(scene), law, samples, seed)
+        scene = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
         folder = out or Path("results") / scene.name
         from mic.assembly import assemble
         from mic.montecarlo import run as monte_carlo

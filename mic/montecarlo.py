@@ -72,7 +72,7 @@ def run(model, folder: Path, laws, samples: int, seed: int, advance=None) -> dic
     threads = max(1, len(os.sched_getaffinity(0)) // size)
     # A fixed number of BLAS threads keeps results the same from run to run, and small products fast.
     with threadpool_limits(limits=1, user_api="blas"):
-        processes = {law: model.process(law, threads=threads) for law in laws}
+        processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
         for law, first, count in tasks[rank::size]:
             name = f"{first:06d}-{first + count - 1:06d}"
             if _path(folder, "samples", law, name).is_file():
@@ -187,7 +187,7 @@ def _prepare(model, folder, laws, samples, seed):
 def _fingerprint(model, seed) -> str:
     digest = hashlib.sha256(repr(seed).encode())
     digest.update(model.scene.model_dump_json(exclude={"monte_carlo", "report", "description"}).encode())
-    digest.update(repr((model.scene.report.fields, model.contacts.dimension)).encode())
+    digest.update(repr((model.scene.report.fields, model.contacts.dimension, model.scene.monte_carlo.backend)).encode())
     for array in (model.H, model.G, model.shape):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:32]

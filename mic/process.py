@@ -24,6 +24,10 @@ __all__ = ["Evaluation", "Process", "Resolution", "StagePlan", "plan_stages"]
 
 STATES = ("open", "stick", "slip")
 
+#: The solvers that the paper used, and the residual that they reach; it has none for Coulomb's law.
+PAPER_BACKENDS = {"frictionless": "osqp", "associated": "ecos", "coulomb": "native"}
+PAPER_TOLERANCE = 1e-5
+
 
 @dataclass(frozen=True)
 class StagePlan:
@@ -190,9 +194,11 @@ class Process:
     model : mic.reduced.ReducedModel
     law : {"coulomb", "associated", "frictionless"}
     tol : float
-        Tolerance of the contact certificate.
-    backend : str
-        Contact backend, see :class:`mic.contact.ContactSolver`.
+        Tolerance of the contact certificate; the paper's solvers get `PAPER_TOLERANCE` if that is larger.
+    backend : {"native", "paper"}
+        Who solves the contacts: the native solver, or the paper's (OSQP for (12), ECOS for (13)).
+    threads : int
+        Threads of the native solver over the samples of a batch.
 
     Raises
     ------
@@ -201,7 +207,10 @@ class Process:
     """
 
     def __init__(self, model, law: str, tol: float = 1e-10, backend: str = "native", threads: int = 1):
-        self.model, self.law, self.tol = model, law, tol
+        self.model, self.law = model, law
+        solver_name = PAPER_BACKENDS[law] if backend == "paper" else "native"
+        if solver_name != "native":
+            tol = max(tol, PAPER_TOLERANCE)
         self.stages = []
         contact = model.rows["contact"]
         output = vstack([model.rows["locator"], model.rows["clamp"], model.rows["weld"], model.rows["measurement"]], format="csr")
@@ -218,7 +227,7 @@ class Process:
                 raise SceneError(f"stages ({plan.name}): {self._free(error, plan)}") from error
             solver = None
             if plan.resolves and len(model.contacts):
-                solver = ContactSolver(response.S, model.contacts.friction, law=law, backend=backend, tol=tol, threads=threads,
+                solver = ContactSolver(response.S, model.contacts.friction, law=law, backend=solver_name, tol=tol, threads=threads,
                                        dimension=model.contacts.dimension)
             self.stages.append(_Prepared(plan, response, solver, bilateral, load))
 

@@ -253,10 +253,11 @@ class Report(_Table):
 
 
 class MonteCarlo(_Table):
-    """Size and seed of the Monte Carlo."""
+    """Size and seed of the Monte Carlo, and who solves the contacts."""
 
     samples: Annotated[int, Field(ge=1)] = 500
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    backend: Literal["native", "paper"] = Field("native", description="paper: OSQP for (12) and ECOS for (13) through CVXPY")
 
 
 class Scene(_Table):

@@ -151,3 +151,16 @@ def test_saved_model_gives_the_same_answer(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     loaded = ReducedModel.load(tmp_path / "model.npz")
     np.testing.assert_array_equal(loaded.evaluate({"F1": -7.0}).measurements, lap_model.evaluate({"F1": -7.0}).measurements)
+
+
+@pytest.mark.parametrize("law", ["frictionless", "associated"])
+def test_the_papers_solvers_give_the_same_answer(lap_model, law):
+    pytest.importorskip("cvxpy")
+    deviations = draw(lap_model.scene, 3, 0, 3)
+    native = lap_model.process(law).evaluate(deviations)
+    paper = lap_model.process(law, backend="paper").evaluate(deviations)
+    assert not paper.failed.any()
+    for stage, resolution in paper.resolutions.items():
+        scale = np.abs(native.resolutions[stage].displacement).max()
+        np.testing.assert_allclose(resolution.displacement, native.resolutions[stage].displacement, atol=1e-4 * scale)
+    assert (paper.resolutions["clamp"].residual != native.resolutions["clamp"].residual).any()
