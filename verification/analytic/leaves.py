@@ -106,7 +106,7 @@ class Leaves:
         return load / 2 * L**3 / (3 * EI) - couple * (at * L - at**2 / 2) / EI
 
 
-def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increments: int = 1):
+def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increments: int = 1, mid_surface: bool = False):
     """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next load.
 
     A deviation for each load's clamps can take them away again, so that one batch shows the state after every load.
@@ -122,6 +122,8 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
         Welds across the whole width at this distance to both sides of the middle, mm.
     increments : int
         Of each stage that brings a load.
+    mid_surface : bool
+        Let the pairs read the mid-surfaces, where friction has no lever.
     """
     L, b, h = leaves.length, leaves.width, leaves.depth
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / leaves.size / 2)))
@@ -145,7 +147,8 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
                 clamps.append(dict(name=f"{part}-{j}-load{k}", part=part, point=(0, yj, z), direction=(0, 0, -1), force=step * share[j],
                                    radius=0, stage=f"load{k}"))
                 deviations.append(dict(name=f"{part}-{j}-load{k}", kind="clamp", target=f"{part}-{j}-load{k}", sigma=0))
-    zone = dict(name="interface", parts=("lower", "upper"), friction=leaves.friction, points=[(xi, b / 2, 0.0) for xi in x])
+    zone = dict(name="interface", parts=("lower", "upper"), friction=leaves.friction, points=[(xi, b / 2, 0.0) for xi in x],
+                mid_surface=mid_surface)
     # A row of points across the width: a nugget of any length along the span would shorten the stretched part of the leaves.
     welds = [dict(name=f"W{i}{j}", parts=("lower", "upper"), point=(at, yj, 0), radius=0, moment=False)
              for i, at in enumerate((-weld_at, weld_at)) for j, yj in enumerate(y)] if weld_at else []
@@ -155,9 +158,10 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
                         deviations=deviations, measurements=measurements)
 
 
-def deflections(leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1) -> np.ndarray:
+def deflections(leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1,
+                mid_surface: bool = False) -> np.ndarray:
     """(k,) deflections of the middle after each of the loads, mm; the arguments are those of :func:`scene`."""
-    built = scene(leaves, context.cache / "meshes", loads, weld_at, increments)
+    built = scene(leaves, context.cache / "meshes", loads, weld_at, increments, mid_surface)
     model = context.model(built)
     force = {clamp.name: clamp.force for clamp in built.clamps}
     step = np.array([int(name.rpartition("load")[2]) for name in model.parameters])

@@ -156,17 +156,17 @@ def dragged_ends(sheet: Sheet, context, forces) -> np.ndarray:
     return evaluation.measurements @ share
 
 
-def stop_force(sheet: Sheet, context, load: float, gap: float) -> tuple[float, float]:
+def stop_force(sheet: Sheet, context, load: float, gap: float, alter=lambda scene: scene) -> tuple[float, float]:
     """Force (N) on a stop under the middle of a sheet on two supports, and what beam theory says.
 
-    The middle, loaded by `load` (N), would sink by ``F L³ / (48 E I)``; what of the load is not needed to sink by the gap goes into
-    the stop.
+    The middle, loaded by `load` (N), would sink by ``F L³ / (48 E I)``; what of the load is not needed to sink by the gap (mm) goes
+    into the stop. `alter` may change the scene before it is solved.
     """
     L, b = sheet.length, sheet.width
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / sheet.size / 2)))
     clamps = [dict(name=f"load{j}", point=(L / 2, yj, 0), direction=(0, 0, -1), force=load * share[j], radius=0) for j, yj in enumerate(y)]
     zone = {"points": [(L / 2, b / 2, 0)], "max_gap": 2 * gap, "patch": b / 2}
     scene = _scene(sheet, context.cache / "meshes", np.eye(3), gap, clamps, zone, supports="ends")
-    evaluation = _converged(context.model(scene).evaluate(np.zeros(0)))
+    evaluation = _converged(context.model(alter(scene)).evaluate(np.zeros(0)))
     bending = sheet.young * b * sheet.depth**3 / 12
-    return float(evaluation.resolutions["clamp"].force[0, 0, 0]), max(0.0, load - 48 * bending * gap / L**3)
+    return float(evaluation.resolutions["clamp"].force[0, :, 0].sum()), max(0.0, load - 48 * bending * gap / L**3)
