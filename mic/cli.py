@@ -114,8 +114,8 @@ def run(scene: SceneArgument,
             console.print(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
     with clock("reduced model"):
         model = ReducedModel.build(assembly, influence)
-        for name in scene.report.laws:
-            model.process(name)
+        for sentence in model.process().redundant:
+            console.print(f"[yellow]note:[/] {escape(sentence)}", highlight=False)
     if first:
         keep_inputs(folder, assembly)
     laws, count = scene.report.laws, scene.monte_carlo.samples

@@ -231,6 +231,12 @@ class Process:
                                        dimension=model.contacts.dimension)
             self.stages.append(_Prepared(plan, response, solver, bilateral, load))
 
+    @property
+    def redundant(self) -> list[str]:
+        """One sentence for each row that a stage holds in vain, since its others hold it already."""
+        return [f"stage {p.plan.name}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; its value has no effect"
+                for p in self.stages for kind, i in (p.plan.bilateral[j] for j in p.response.redundant)]
+
     def _rows(self, rows):
         if not rows:
             return csr_matrix((0, self.model.H.shape[0]))

@@ -140,6 +140,15 @@ def test_a_part_left_without_support_is_refused(lap_scene, cache):
         model.process("coulomb")
 
 
+def test_a_locator_that_repeats_another_is_named_and_changes_nothing(lap_scene, lap_model, cache):
+    twin = lap_scene.locators[0].model_copy(update={"name": "twin", "stage": "clamp"})
+    process = mic.reduce(lap_scene.model_copy(update={"locators": [*lap_scene.locators, twin]}), cache).process("coulomb")
+    assert [sentence for sentence in process.redundant if "stage clamp" in sentence] == [
+        "stage clamp: locator row twin repeats other rows of the stage; its value has no effect"]
+    deviations = draw(lap_scene, 3, 0, 2)
+    np.testing.assert_allclose(process.evaluate(deviations).measurements, lap_model.process("coulomb").evaluate(deviations).measurements, atol=1e-8)
+
+
 @pytest.mark.parametrize("values, word", [({"F9": 1.0}, "'F9' is not a deviation"), ([1.0, 2.0], "expected 3 values"),
                                           ({"F1": np.nan}, "'F1' is nan"), ([[0, 0, 0], [0, np.inf, 0]], "sample 1, 'F2' is inf")])
 def test_bad_deviations(lap_model, values, word):
