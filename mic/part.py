@@ -59,7 +59,8 @@ class Part:
 def part_surface(part, folder: Path, cache: Path) -> Surface:
     """Surface of a scene's part, from its mesh file or its geometry source.
 
-    A generated mesh is kept in `cache` under the hash of the source file, the part's name and the size.
+    A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the source's
+    folder and of the folder above, which it may import.
 
     Raises
     ------
@@ -73,8 +74,11 @@ def part_surface(part, folder: Path, cache: Path) -> Surface:
     try:
         if part.mesh is not None:
             return _read(path)
-        source = path.read_bytes()
-        identity = hashlib.sha256(source + repr((part.name, part.size)).encode()).hexdigest()[:32]
+        sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
+        digest = hashlib.sha256(repr((part.name, part.size, path.name)).encode())
+        for source in sources:
+            digest.update(source.read_bytes())
+        identity = digest.hexdigest()[:32]
         kept = cache / "meshes" / f"{identity}.npz"
         if kept.is_file():
             with np.load(kept) as data:
