@@ -171,6 +171,7 @@ def test_wall_time_and_versions_are_told(folder, page):
 
 
 FRICTIONLESS = {"laws": ["frictionless"], "slip": False}
+TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
 
 
 @pytest.mark.parametrize("name, changes, samples, absent, present", [
@@ -182,7 +183,7 @@ FRICTIONLESS = {"laws": ["frictionless"], "slip": False}
     ("no fields", {"report": {"laws": ["coulomb"], "fields": False}}, 5, {"field-view", "fields-coulomb"}, {"fields", "table-1"}),
 ])
 def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_scene, cache, tmp_path):
-    page = _results(_changed(lap_scene, **changes), cache, tmp_path, samples)
+    page = _results(_changed(lap_scene, **{"report": TWO_LAWS} | changes), cache, tmp_path, samples)
     assert not page.ids & absent
     assert page.ids >= present
     assert "nan" not in page.words.lower().split()
@@ -192,7 +193,7 @@ def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_sce
 
 def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
     stages = [stage.model_dump() for stage in lap_scene.stages if stage.kind != "release"]
-    page = _results(_changed(lap_scene, stages=stages), cache, tmp_path, 5)
+    page = _results(_changed(lap_scene, stages=stages, report=TWO_LAWS), cache, tmp_path, 5)
     assert "1 (clamp)" in page.words and "table-1" in page.ids
 
 
