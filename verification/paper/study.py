@@ -1,0 +1,151 @@
+"""The paper's Table 1, with the wheelhouse calibrated on its frictionless column alone."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+from scipy.stats import gaussian_kde
+
+from mic import statistics
+from mic.variation import draw
+from verification.plots import panels
+from verification.scenes import shipped
+from verification.study import Acceptance, Finding, Study
+
+PULL = 0.05  # weight of the pull towards the scene's own forces: twelve unknowns, six targets
+LAWS = ("frictionless", "associated", "coulomb")
+
+
+def zone_slip(model, evaluation):
+    """(n, zones) RMS slip of each zone after clamping, mm, samples that failed left out."""
+    square = (evaluation.resolutions["clamp"].displacement[~evaluation.failed][:, :, 1:] ** 2).sum(-1)
+    return np.column_stack([np.sqrt(square[:, model.contacts.zone == z].mean(1)) for z in range(len(model.scene.zones))])
+
+
+def calibrate(model, targets, samples):
+    """Mean and spread of the corrective forces that bring the frictionless slips to their published mean and 6σ.
+
+    Parameters
+    ----------
+    targets : (2, zones) array
+        Means and 6σ, mm.
+    samples : int
+        Fixed standard normal draws serve all steps, so that the residual is a smooth function of the forces.
+
+    Returns
+    -------
+    mean, sigma : (p,) arrays
+        N.
+    """
+    mean0 = np.array([deviation.mean for deviation in model.scene.deviations])
+    sigma0 = np.array([deviation.sigma for deviation in model.scene.deviations])
+    standard = (draw(model.scene, 101, 0, samples) - mean0) / sigma0
+    standard = (standard - standard.mean(0)) / standard.std(0)
+
+    def forces(x):
+        return mean0 * (1 + x[: len(mean0)]), sigma0 * np.exp(x[len(mean0):])
+
+    def residual(x):
+        mean, sigma = forces(x)
+        slip = zone_slip(model, model.evaluate(mean + sigma * standard, "frictionless"))
+        found = np.stack([slip.mean(0), 6 * slip.std(0, ddof=1)])
+        return np.concatenate([(found / targets - 1).ravel(), PULL * x])
+
+    best = least_squares(residual, np.zeros(2 * len(mean0)), diff_step=1e-3, max_nfev=15, x_scale=0.1)
+    return forces(best.x)
+
+
+def slip_forces(evaluation):
+    """Mean over the samples of each active contact's friction force, N; active contacts are loaded in most samples."""
+    resolution = evaluation.resolutions["clamp"]
+    force = resolution.force[~evaluation.failed]
+    active = (resolution.state[~evaluation.failed] != 0).mean(0) > 0.5
+    return np.linalg.norm(force[:, active, 1:], axis=-1).mean(0)
+
+
+def run(context):
+    scene = shipped("wheelhouse", "coarse" if context.quick else "medium", LAWS)
+    with open(scene.folder / "paper.toml", "rb") as file:
+        paper = tomllib.load(file)
+    names = [zone.name for zone in scene.zones]
+    published = {law: np.array([[paper["zones"][name][law][key] for name in names] for key in ("mean", "six_sigma")]) for law in ("frictionless", "associated")}
+    model = context.model(scene)
+    mean, sigma = calibrate(model, published["frictionless"], 150 if context.quick else 500)
+
+    # Fresh samples: those that calibrated the forces are not the judge of the calibration.
+    base_mean = np.array([deviation.mean for deviation in scene.deviations])
+    base_sigma = np.array([deviation.sigma for deviation in scene.deviations])
+    deviations = mean + sigma * (draw(scene, 202, 0, 500) - base_mean) / base_sigma
+    evaluations = dict(zip(LAWS, context.team.map(lambda law: model.evaluate(deviations, law), LAWS)))
+    slip = {law: zone_slip(model, evaluation) for law, evaluation in evaluations.items()}
+
+    rows = []
+    for law in LAWS:
+        reported = published["frictionless" if law == "frictionless" else "associated"]
+        for z, name in enumerate(names):
+            m, s = statistics.mean(slip[law][:, z]), statistics.six_sigma(slip[law][:, z])
+            rows.append({"law": law, "zone": name, "mean, mm": m.value, "± (95 %)": m.high - m.value, "paper's mean, mm": reported[0, z],
+                         "6σ, mm": s.value, "6σ from": s.low, "6σ to": s.high, "paper's 6σ, mm": reported[1, z], "failed samples": int(evaluations[law].failed.sum())})
+    table = pd.DataFrame(rows)
+    free = table[table["law"] == "frictionless"]
+    calibration = max(abs(free["mean, mm"] / free["paper's mean, mm"] - 1).max(), abs(free["6σ, mm"] / free["paper's 6σ, mm"] - 1).max())
+    ratio = {law: np.stack([slip[law].mean(0) / slip["frictionless"].mean(0), slip[law].std(0) / slip["frictionless"].std(0)]) for law in LAWS[1:]}
+    published_ratio = published["associated"] / published["frictionless"]
+    worst = max(r.max() for r in ratio.values())
+    off = np.abs(np.log(ratio["associated"] / published_ratio))
+
+    figure, axes = panels(len(names), width=3.9)
+    for z, (axis, name) in enumerate(zip(axes, names)):
+        x = np.linspace(0, 1.15 * max(values[:, z].max() for values in slip.values()), 400)
+        for law, colour in zip(LAWS, ("tab:blue", "tab:green", "tab:red")):
+            axis.plot(x, gaussian_kde(slip[law][:, z])(x), color=colour, label=law)
+        for law, colour in (("frictionless", "tab:blue"), ("associated", "tab:green")):
+            axis.axvline(published[law][0, z], color=colour, ls=":", label=f"paper, {'frictional' if law == 'associated' else law}")
+        axis.set(xlabel=f"RMS slip in {name}, mm", ylabel="probability density, 1/mm")
+    axes[0].legend(fontsize=7.5)
+
+    forces = slip_forces(evaluations["coulomb"])
+    measured = paper["slip_force"]
+    force_figure, (axis,) = panels(1, width=7)
+    axis.bar(np.arange(len(forces)), np.sort(forces)[::-1], color="tab:red", label="active contacts, mean of the samples")
+    axis.axhspan(measured["measured_low"], measured["measured_high"], color="0.9", label="measured, paper")
+    for key in ("calculated_low", "calculated_high"):
+        axis.axhline(measured[key], color="0.4", ls=":", label="range calculated in the paper" if key.endswith("low") else None)
+    axis.set(xlabel="active contacts, largest first", ylabel="friction force, N")
+    axis.legend()
+    inside = ((forces >= measured["calculated_low"]) & (forces <= measured["calculated_high"])).mean()
+    fitted = pd.DataFrame({"force": model.parameters, "mean, N": mean, "σ, N": sigma, "scene's mean, N": base_mean, "scene's σ, N": base_sigma})
+    return [
+        Finding("calibration", float(calibration), "On 500 samples that were not used to calibrate; 6σ of 500 samples is itself uncertain, see the table of the trend.",
+                table=fitted),
+        Finding("trend", float(worst), "Friction under the paper's law leaves "
+                + ", ".join(f"{ratio['associated'][0, z]:.2f} of the mean and {ratio['associated'][1, z]:.2f} of the spread in {name} (paper: "
+                            f"{published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})" for z, name in enumerate(names))
+                + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's geometry, locators and clamp forces are not "
+                "published: agreement of the frictionless column is a calibration and proves nothing; that friction lowers mean and spread in all zones is a "
+                "prediction that could have failed; the amount is a property of this geometry and its clamps, and no agreement of amounts is claimed.", figure, table),
+        Finding("laws", float(np.abs(slip["associated"].mean(0) / slip["coulomb"].mean(0) - 1).max()),
+                "The paper's programme (13) against Coulomb's law proper, on the same samples."),
+        Finding("slip-force", float(np.quantile(forces, 0.95) / measured["calculated_high"]),
+                f"{len(forces)} active contacts carry {forces.min():.2g} to {forces.max():.3g} N (paper: measured {measured['measured_low']:g} to {measured['measured_high']:g} N, "
+                f"calculated {measured['calculated_low']:g} to {measured['calculated_high']:g} N); {inside:.0%} of them lie in the range that the paper calculated.", force_figure),
+    ]
+
+
+STUDY = Study(
+    order=100,
+    title="The paper's case",
+    claim="With the corrective forces calibrated on the paper's frictionless column alone, friction lowers mean and spread of the slip in all three zones, as in the paper.",
+    reference="Table 1 and section 4.2 of the paper, whose geometry is another: the values are set beside each other, only the trend is claimed.",
+    acceptance=(
+        Acceptance("calibration", "The frictionless column is met: largest relative difference of the means and 6σ, on fresh samples.", 0.15),
+        Acceptance("trend", "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to frictionless, both laws.", 1.0),
+        Acceptance("laws", "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.", 0.15),
+        Acceptance("slip-force", "Friction forces are of the published size: the 95 % quantile over the active contacts, over the largest published.", 1.0),
+    ),
+    seconds=(120, 30),
+    run=run,
+)

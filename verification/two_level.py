@@ -1,0 +1,128 @@
+"""Many cheap samples and a few dear ones, put together: the regression (control-variate) estimate.
+
+Each of N samples has a cheap result y (the reduced model); n of them also have the dear result x (the full finite elements). With
+
+    x = α + β y + e,        e of zero mean and variance σ_e², given y,
+
+and least squares over the n pairs (β̂, residual variance s_e² with n − 2 degrees of freedom, S_yy = Σ (y_j − ȳ_n)²),
+
+    mean      μ̂  = x̄_n + β̂ (ȳ_N − ȳ_n)                                                                     (1)
+              var μ̂ = s_e² [1/n + (ȳ_N − ȳ_n)²/S_yy] + β̂² s_y²/N
+    variance  σ̂² = (β̂² − s_e²/S_yy) s_y² + s_e²,       s_e²/S_yy being the bias of β̂²                       (2)
+              var σ̂² = 4 β̂² s_y⁴ s_e²/S_yy + (1 − s_y²/S_yy)² 2 s_e⁴/(n − 2) + β̂⁴ var s_y²
+              var s_y² = [m₄ − s_y⁴ (N − 3)/(N − 1)]/N,     m₄ the fourth central moment
+
+Intervals are Student's, with the degrees of freedom that Welch and Satterthwaite give to the sum of variances; that of σ is taken on
+ln σ, so that it stays positive. Nothing in (1) and (2) asks that the n samples be drawn at random: they may be *chosen by y*, since e is
+judged given y. Extreme samples make S_yy large and β̂ sharp; that the relation is a straight line is then what one relies on.
+Where y does not vary over the n samples, β = 1 and the residuals have n − 1 degrees of freedom.
+
+References
+----------
+Cochran (1977), Sampling Techniques, 3rd ed., Wiley, chapter 7: regression estimators.
+Lavenberg, Welch (1981), A perspective on the use of control variables …, Management Science 27, 322–335: the interval of (1).
+Peherstorfer, Willcox, Gunzburger (2018), Survey of multifidelity methods …, SIAM Review 60, 550–591.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from mic.statistics import LEVEL, Estimate
+
+__all__ = ["TwoLevel", "two_level"]
+
+
+@dataclass(frozen=True)
+class TwoLevel:
+    """Corrected statistics of one quantity.
+
+    Attributes
+    ----------
+    mean, sigma : Estimate
+        In the unit of the samples; `used` counts the dear samples. Intervals are NaN with fewer than three of them.
+    slope : float
+        β̂.
+    residual : float
+        s_e, in the unit of the samples: what the straight line leaves unexplained.
+    worth : float
+        Dear samples that would know the mean as well without the cheap ones.
+    """
+
+    mean: Estimate
+    sigma: Estimate
+    slope: float
+    residual: float
+    worth: float
+
+    @property
+    def six_sigma(self) -> Estimate:
+        """Six standard deviations."""
+        s = self.sigma
+        return Estimate(6 * s.value, 6 * s.low, 6 * s.high, s.used, s.excluded)
+
+
+def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
+    """Combine N cheap results with n dear ones.
+
+    Parameters
+    ----------
+    cheap : (N,) array
+        y, all finite.
+    chosen : (n,) int array
+        Which of the N samples have a dear result; each once.
+    dear : (n,) array
+        x of these.
+    level : float
+        Confidence level.
+
+    Raises
+    ------
+    ValueError
+        Without dear results, with fewer than two cheap ones, or with values that are not finite.
+    """
+    y_all, x = np.asarray(cheap, dtype=float), np.asarray(dear, dtype=float)
+    y = y_all[np.asarray(chosen, dtype=int)]
+    N, n = len(y_all), len(x)
+    if n < 1 or N < 2 or len(y) != n:
+        raise ValueError(f"two-level estimate: got {N} cheap and {n} dear results for {len(y)} chosen samples; at least 2 and 1 are needed")
+    if not (np.isfinite(y_all).all() and np.isfinite(x).all()):
+        raise ValueError("two-level estimate: results must be finite; leave failed samples out")
+    centred = y_all - y_all.mean()
+    s_y2 = centred @ centred / (N - 1)
+    var_s_y2 = max(0.0, ((centred**4).mean() - s_y2**2 * (N - 3) / (N - 1)) / N)
+    S_yy = float(((y - y.mean()) ** 2).sum())
+    varies = n > 2 and S_yy > 1e-20 * n * max(np.abs(y_all).max() ** 2, 1e-300)
+    slope = float((y - y.mean()) @ (x - x.mean()) / S_yy) if varies else 1.0
+    freedom = n - 2 if varies else n - 1
+    e = x - x.mean() - slope * (y - y.mean())
+    s_e2 = float(e @ e / freedom) if n > 1 else 0.0
+    per_S = 1 / S_yy if varies else 0.0
+    off = y_all.mean() - y.mean()
+
+    mean = x.mean() + slope * off
+    mean_parts = np.array([s_e2 * (1 / n + off**2 * per_S), slope**2 * s_y2 / N])
+    variance = max(slope**2 - s_e2 * per_S, 0.0) * s_y2 + s_e2
+    variance_parts = np.array([4 * slope**2 * s_y2**2 * s_e2 * per_S + (1 - s_y2 * per_S) ** 2 * 2 * s_e2**2 / max(freedom, 1),
+                               slope**4 * var_s_y2])
+    sigma = np.sqrt(variance)
+    nan = n < 3
+    half = np.nan if nan else _half_width(mean_parts, (freedom, N - 1), level)
+    share = np.nan if nan or variance == 0 else _half_width(variance_parts, (freedom, N - 1), level) / (2 * variance)
+    worth = variance / mean_parts.sum() if mean_parts.sum() > 0 else float("inf")
+    with np.errstate(over="ignore"):
+        return TwoLevel(Estimate(float(mean), float(mean - half), float(mean + half), n, N - n),
+                        Estimate(float(sigma), float(sigma * np.exp(-share)), float(sigma * np.exp(share)), n, N - n),
+                        slope, float(np.sqrt(s_e2)), float(worth))
+
+
+def _half_width(parts, freedoms, level):
+    """Half the width of Student's interval of a sum of independently estimated variances."""
+    total = parts.sum()
+    if total == 0:
+        return 0.0
+    freedom = total**2 / (parts**2 / np.asarray(freedoms, dtype=float)).sum()
+    return float(stdtrit(freedom, 0.5 + level / 2) * np.sqrt(total))
