@@ -235,6 +235,18 @@ def _solve_dense(J, r):
 
 
 @_jit
+def _force_scale(scale, q, y, w):
+    """What errors are relative to, as in :mod:`mic.contact.certificate`: the larger of ``scale`` and ``(yᵀ W y)^{1/2}``."""
+    energy = 0.0
+    rounding = 0.0
+    for i in range(len(q)):
+        energy += y[i] * (w[i] - q[i])
+        rounding += y[i] * y[i]
+    energy -= 1e-15 * len(q) * rounding
+    return max(scale, np.sqrt(max(energy, 0.0)))
+
+
+@_jit
 def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
     """Semismooth Newton on ``Φ(y, W y + q) = 0``, restricted in each step to the contacts that are not open.
 
@@ -245,7 +257,7 @@ def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
     Returns
     -------
     float, int
-        ``‖Φ‖ / max(scale, ‖y‖)`` and the steps taken.
+        ``‖Φ‖ / max(scale, (yᵀ W y)^{1/2})`` and the steps taken.
     """
     m, n = len(mu), len(q)
     phi = np.empty(n)
@@ -256,7 +268,7 @@ def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
     trial_phi = np.empty(n)
     error = _merit(associated, mu, y, w, phi)
     for iteration in range(steps):
-        size = max(scale, np.linalg.norm(y))
+        size = _force_scale(scale, q, y, w)
         if error <= tol * size:
             return error / size if size > 0.0 else 0.0, iteration
         count = 0
@@ -308,7 +320,7 @@ def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
         y[:] = trial_y
         w[:] = np.dot(W, y) + q
         error = _merit(associated, mu, y, w, phi)
-    size = max(scale, np.linalg.norm(y))
+    size = _force_scale(scale, q, y, w)
     return error / size if size > 0.0 else 0.0, steps
 
 
@@ -392,7 +404,7 @@ def solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations):
             w = np.dot(W, y) + q
             for _ in range(12):
                 error = np.linalg.norm(np.minimum(y, w))
-                size = max(scale, np.linalg.norm(y))
+                size = _force_scale(scale, q, y, w)
                 error = error / size if size > 0.0 else 0.0
                 if error < best:
                     best = error
