@@ -241,7 +241,7 @@ class Report(_Table):
     """What the run shall produce; what is not asked for is not computed."""
 
     laws: Annotated[list[Literal["frictionless", "associated", "coulomb"]], Field(min_length=1)] = ["coulomb"]
-    slip: bool = Field(True, description="tangential motion of the contacts; without it and without friction only normals are modelled")
+    slip: bool = Field(False, description="tangential motion of the contacts even where no friction requires it")
     fields: bool = Field(False, description="mean and 6 sigma displacement fields of the parts")
 
     @field_validator("laws")

@@ -45,7 +45,7 @@ def test_run_check_report(command, tmp_path):
 
 
 def test_check_shows_what_is_not_modelled(command, tmp_path):
-    text = (LAP / "scene.toml").read_text().replace("fields = true", "slip = false")
+    text = (LAP / "scene.toml").read_text().replace("fields = true", "")
     text = re.sub(r'\[\[stages\]\]\nkind = "release".*?\n\n', "", text, flags=re.S)
     (tmp_path / "scene.toml").write_text(text)
     (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
