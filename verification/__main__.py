@@ -10,6 +10,7 @@ from typing import Annotated, Optional
 import typer
 from rich.console import Console
 
+from mic.scene import SceneError
 from verification.run import run as run_studies
 from verification.run import team
 from verification.study import studies
@@ -64,6 +65,29 @@ def run(names: Annotated[Optional[list[str]], typer.Argument(help="Studies to ru
 
 
 @app.command()
+def scene(scene: Annotated[Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)],
+          samples: Annotated[int, typer.Option(min=1, help="Samples to solve by full finite elements; three at least for confidence intervals.")] = 5,
+          out: Annotated[Optional[Path], typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE-verified.", show_default=False)] = None,
+          nominal: Annotated[bool, typer.Option("--nominal", help="Full solves on the nominal meshes, as the reduced model assumes, not on meshes "
+                                                "that carry each sample's shape.")] = False):
+    """Verify your own scene: run its Monte Carlo, solve a few samples by full finite elements, and correct mean and 6σ.
+
+    The samples are chosen by the Monte Carlo: one typical, then extreme and random ones by turns. Full solves that the folder holds already are kept:
+    call again to complete an interrupted run, or with more samples. Under `mpirun -n N` the samples are shared out over N processes.
+    """
+    from mic import cache_folder
+    from mic.scene import load_scene
+    from verification.scene import verify_scene
+
+    workers = team()
+    loaded = load_scene(scene)
+    folder = out or Path("results") / f"{loaded.name}-verified"
+    verify_scene(loaded, folder, cache_folder(), samples, not nominal, workers, lambda line: print(line, flush=True))
+    if workers.rank == 0:
+        print(f"report: {folder / 'report.html'}")
+
+
+@app.command()
 def report(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)]):
     """Write summary.json and report.html of a run folder again."""
     from verification.report import write_report
@@ -77,7 +101,7 @@ def main():
     try:
         app()
     except Exception as error:
-        if isinstance(error, FileNotFoundError) and workers.size == 1:
+        if isinstance(error, (FileNotFoundError, SceneError)) and workers.size == 1:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)
         traceback.print_exc()

@@ -10,7 +10,7 @@ import pandas as pd
 
 from verification.run import read_results, write_summary
 
-__all__ = ["write_report"]
+__all__ = ["number", "table_cells", "write_report"]
 
 
 def write_report(folder: Path) -> Path:
@@ -32,10 +32,10 @@ def write_report(folder: Path) -> Path:
             if "figure" in finding:
                 finding["image"] = base64.b64encode((result["folder"] / finding["figure"]).read_bytes()).decode()
             if "table" in finding:
-                finding["rows"] = _table(pd.read_csv(result["folder"] / finding["table"], keep_default_na=False, na_values=["nan", ""]))
+                finding["rows"] = table_cells(pd.read_csv(result["folder"] / finding["table"], keep_default_na=False, na_values=["nan", ""]))
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True,
                                      lstrip_blocks=True)
-    environment.filters["number"] = _number
+    environment.filters["number"] = number
     page = environment.get_template("report.html").render(
         results=results, entries=len(entries), failed=sum(not entry["passed"] for entry in entries),
         seconds=sum(result["seconds"] for result in results))
@@ -46,7 +46,7 @@ def write_report(folder: Path) -> Path:
     return path
 
 
-def _number(value) -> str:
+def number(value) -> str:
     """Three significant figures, or a dash for what does not exist."""
     if value is None or value != value:
         return "–"
@@ -55,7 +55,8 @@ def _number(value) -> str:
     return f"{value:.3g}" if abs(value) < 1e3 or abs(value) >= 1e5 else f"{value:.0f}"
 
 
-def _table(frame: pd.DataFrame) -> dict:
+def table_cells(frame: pd.DataFrame) -> dict:
+    """Columns and rows of a table as text."""
     return {"columns": list(frame.columns), "rows": [[_cell(value) for value in row] for row in frame.itertuples(index=False)]}
 
 

@@ -15,7 +15,7 @@ from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
-PULL = 0.05  # weight of the pull towards the scene's own forces: twelve unknowns, six targets
+PULL = 0.03  # weight of the pull towards the scene's own forces: twelve unknowns, six targets
 LAWS = ("frictionless", "associated", "coulomb")
 
 

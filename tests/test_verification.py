@@ -1,0 +1,248 @@
+"""The verification package: its framework on cheap studies, its pages, and proof that its limits catch planted errors."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from verification import run as runs
+from verification.report import write_report
+from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Study, Team, studies
+
+ROOT = FOLDER.parent
+
+# Two studies that cost nothing; the same file is the program of the MPI tests.
+CHEAP = '''
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from verification.run import run, team, write_summary
+from verification.study import Acceptance, Finding, Study
+
+
+def cell(i):
+    return float(np.random.default_rng(i).standard_normal(1000).mean())
+
+
+def means(context):
+    values = context.team.map(cell, range(7))
+    return [Finding("mean", max(map(abs, values))), Finding("sum", abs(sum(values)), "a note")]
+
+
+def broken(context):
+    def item(i):
+        if i == 3 and Path(sys.argv[1], "break").exists():
+            raise ArithmeticError("planted failure of item 3")
+        return i
+    return [Finding("total", sum(context.team.map(item, range(5))))]
+
+
+def studies():
+    common = dict(claim="c", reference="r", seconds=(1, 1))
+    return [Study(1, "Means", acceptance=(Acceptance("mean", "Small.", 0.1), Acceptance("sum", "Small.", 0.01)), run=means, name="means", **common),
+            Study(2, "Broken", acceptance=(Acceptance("total", "Ten.", 10.0),), run=broken, name="broken", **common)]
+
+
+if __name__ == "__main__":
+    workers = team()
+    run(studies(), Path(sys.argv[1]), False, workers)
+    if workers.rank == 0:
+        write_summary(Path(sys.argv[1]))
+'''
+
+
+def cheap_studies(tmp_path):
+    path = tmp_path / "cheap.py"
+    path.write_text(CHEAP)
+    namespace = {"__name__": "cheap"}
+    exec(compile(CHEAP, str(path), "exec"), namespace)
+    return namespace["studies"]()
+
+
+def launch(tmp_path, ranks, folder):
+    program = tmp_path / "cheap.py"
+    program.write_text(CHEAP)
+    command = [sys.executable, "-m", "mpi4py", str(program), str(folder)] if ranks > 1 else [sys.executable, str(program), str(folder)]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), "--oversubscribe", *command]
+    environment = os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
+
+
+def entries(folder):
+    return [{key: value for key, value in entry.items() if key != "seconds"} for entry in json.loads((folder / "summary.json").read_text())]
+
+
+@pytest.mark.parametrize("bound, measured, passed", [("at most", 1.0, True), ("at most", 1.1, False), ("at least", 0.9, False),
+                                                     ("at least", 1.0, True), ("at most", np.nan, False), ("at least", np.inf, False)])
+def test_a_number_is_judged(bound, measured, passed):
+    assert Judged(Finding("x", measured), Acceptance("x", "c", 1.0, bound=bound), 1.0).passed is passed
+
+
+def test_quick_runs_may_have_their_own_limit():
+    assert Acceptance("x", "c", 1.0).at(True) == 1.0
+    assert Acceptance("x", "c", 1.0, quick=2.0).at(True) == 2.0 and Acceptance("x", "c", 1.0, quick=2.0).at(False) == 1.0
+
+
+def test_each_acceptance_number_must_be_measured(tmp_path):
+    study = replace(cheap_studies(tmp_path)[0], run=lambda context: [Finding("mean", 0.0)])
+    with pytest.raises(ValueError, match="'sum'"):
+        study.judge(Context(True, tmp_path, Team()))
+
+
+def test_a_finished_study_is_kept_and_another_version_is_not(tmp_path):
+    first, second = cheap_studies(tmp_path)
+    lines = []
+    runs.run([first], tmp_path / "out", False, Team(), lines.append)
+    runs.run([first, second], tmp_path / "out", False, Team(), lines.append)
+    assert "means: finished before" in lines and not any(line.startswith("broken: finished") for line in lines)
+    lines.clear()
+    runs.run([first], tmp_path / "out", True, Team(), lines.append)
+    assert not any("finished before" in line for line in lines)
+
+
+def test_a_run_that_broke_leaves_what_was_finished(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "break").touch()
+    monkeypatch.setattr(sys, "argv", ["cheap", str(out)])
+    with pytest.raises(ArithmeticError, match="planted"):
+        runs.run(cheap_studies(tmp_path), out, False, Team(), lambda line: None)
+    assert [result["study"] for result in runs.read_results(out)] == ["means"]
+    write_report(out)  # readable as it is
+    assert {entry["study"] for entry in entries(out)} == {"means"}
+
+
+def test_report_shows_every_number_offline(tmp_path):
+    import pandas as pd
+
+    from verification.plots import panels
+
+    figure, (axis,) = panels(1)
+    axis.plot([0, 1], [0, 1])
+    study = replace(cheap_studies(tmp_path)[0], run=lambda context: [
+        Finding("mean", 0.0123, "note <b>", figure, pd.DataFrame({"a, mm": [1.5, np.nan]})), Finding("sum", np.nan)])
+    runs.run([study], tmp_path / "out", False, Team(), lambda line: None)
+    page = write_report(tmp_path / "out").read_text()
+    assert "0.0123" in page and "note &lt;b&gt;" in page and "data:image/svg+xml" in page and "1 not kept" in page
+    assert "http" not in page.replace("http-equiv", "")
+    summary = entries(tmp_path / "out")
+    assert [entry["passed"] for entry in summary] == [True, False] and summary[1]["measured"] is None
+
+
+def test_results_do_not_depend_on_the_number_of_ranks(tmp_path):
+    found = []
+    for ranks in (1, 2, 4):
+        done = launch(tmp_path, ranks, tmp_path / f"out{ranks}")
+        assert done.returncode == 0, done.stderr
+        found.append(entries(tmp_path / f"out{ranks}"))
+    assert found[0] == found[1] == found[2]
+
+
+def test_one_rank_that_fails_ends_all_with_its_traceback(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "break").touch()
+    done = launch(tmp_path, 2, out)
+    assert done.returncode != 0 and "planted failure of item 3" in done.stderr
+    (out / "break").unlink()
+    again = launch(tmp_path, 2, out)
+    assert again.returncode == 0 and "means: finished before" in again.stdout
+
+
+def test_list_names_every_study():
+    from typer.testing import CliRunner
+
+    from verification.__main__ import app
+
+    shown = CliRunner().invoke(app, ["list"]).output
+    for study in studies().values():
+        assert study.name in shown and all(acceptance.words() in shown for acceptance in study.acceptance)
+
+
+@pytest.mark.parametrize("name", studies())
+def test_page_opens_with_claim_reference_and_acceptance_numbers(name):
+    study = studies()[name]
+    page = (FOLDER / name / "README.md").read_text()
+    assert page.startswith(study.opening()), f"verification/{name}/README.md must open with:\n\n{study.opening()}"
+
+
+# --- planted errors ------------------------------------------------------------------------------------------------------
+
+
+def kept(folder):
+    """Whether the quick analytic study keeps all its limits; it stops at the first that it does not."""
+    from verification.analytic.study import CASES, STUDY
+
+    context = Context(True, folder, Team())
+    limits = {acceptance.name: acceptance for acceptance in STUDY.acceptance}
+    for case in CASES:
+        try:
+            findings = case(context)
+        except (ArithmeticError, ValueError):
+            return False
+        if not all(Judged(finding, limits[finding.name], limits[finding.name].at(True)).passed for finding in findings):
+            return False
+    return True
+
+
+def frame_sign(monkeypatch):
+    from mic import assembly
+
+    find = assembly.find_pairs
+
+    def flipped(*arguments):
+        pairs = find(*arguments)
+        for pair in pairs:
+            pair.frame[:, 0] *= -1
+        return pairs
+
+    monkeypatch.setattr(assembly, "find_pairs", flipped)
+
+
+def surface_side(monkeypatch):
+    from mic import assembly
+
+    find = assembly.find_pairs
+    monkeypatch.setattr(assembly, "find_pairs", lambda *a: [replace(pair, sides=(-pair.sides[0], -pair.sides[1])) for pair in find(*a)])
+
+
+def friction_ignored(monkeypatch):
+    from mic import process
+
+    solver = process.ContactSolver
+    monkeypatch.setattr(process, "ContactSolver", lambda S, mu, **options: solver(S, 0 * mu, **options))
+
+
+def welds_forgotten(monkeypatch):
+    from mic import process
+
+    plan = process.plan_stages
+
+    def without(*arguments):
+        return [replace(item, bilateral=tuple(row for row in item.bilateral if row[0] != "weld")) for item in plan(*arguments)]
+
+    monkeypatch.setattr(process, "plan_stages", without)
+
+
+def thickness_doubled(monkeypatch):
+    from fem_reference.part import ShellPart
+
+    build = ShellPart.__init__
+    monkeypatch.setattr(ShellPart, "__init__", lambda self, surface, thickness, *rest, **options: build(self, surface, 2 * thickness, *rest, **options))
+
+
+def test_without_a_planted_error_all_limits_are_kept(tmp_path):
+    assert kept(tmp_path)
+
+
+@pytest.mark.parametrize("plant", [frame_sign, surface_side, friction_ignored, welds_forgotten, thickness_doubled], ids=lambda plant: plant.__name__)
+def test_a_planted_error_is_found(plant, monkeypatch, tmp_path):
+    plant(monkeypatch)
+    assert not kept(tmp_path)

@@ -1,0 +1,320 @@
+"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean and 6σ.
+
+The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second call takes up where the
+first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+import numpy as np
+import pandas as pd
+from mpi4py import MPI
+from threadpoolctl import threadpool_limits
+
+from fem_reference.contact import ContactFailure, FullModel
+from mic import statistics
+from mic.montecarlo import run as monte_carlo
+from mic.outcome import read_outcome
+from mic.scene import Scene
+from mic.variation import draw
+from verification.comparison import reduced_and_assembly, relative, zone_slip
+from verification.plots import panels
+from verification.run import versions
+from verification.study import FOLDER, Team
+from verification.two_level import two_level
+
+__all__ = ["Choice", "choose", "verify_scene"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A sample chosen for a full solve.
+
+    Attributes
+    ----------
+    sample : int
+    kind : {"typical", "extreme", "random"}
+    """
+
+    sample: int
+    kind: str
+
+
+def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> list[Choice]:
+    """Pick samples by their cheap results: one typical, then extreme and random ones by turns.
+
+    Parameters
+    ----------
+    results : (n, k) array
+        Finite results of the samples.
+    numbers : (n,) int array
+        The samples' numbers.
+    count : int
+        At most n are picked.
+    seed : int
+
+    Returns
+    -------
+    list of Choice
+        The first is the sample nearest to the median; each extreme one is the farthest from all picked before it, every
+        quantity measured in its own standard deviation; the random ones do not depend on `results`.
+    """
+    spread = results.std(axis=0)
+    z = (results - np.median(results, axis=0))[:, spread > 0] / spread[spread > 0]
+    picked, kinds = [int(np.argmin((z**2).sum(axis=1)))], ["typical"]
+    order = list(np.random.Generator(np.random.Philox(key=np.array([seed, 2**40], dtype=np.uint64))).permutation(len(results)))
+    while len(picked) < min(count, len(results)):
+        if len(picked) % 2:
+            distance = np.min([((z - z[i]) ** 2).sum(axis=1) for i in picked], axis=0)
+            distance[picked] = -1
+            picked.append(int(np.argmax(distance)))
+            kinds.append("extreme")
+        else:
+            picked.append(int(next(i for i in order if i not in picked)))
+            kinds.append("random")
+    return [Choice(int(numbers[i]), kind) for i, kind in zip(picked, kinds)]
+
+
+def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: bool, team: Team, say=print) -> dict:
+    """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
+
+    Parameters
+    ----------
+    scene : mic.scene.Scene
+    folder : Path
+    cache : Path
+        Folder of meshes and influence coefficients.
+    count : int
+        Full solves.
+    deviated : bool
+        Whether they are done on meshes that carry each sample's shape deviation, with its stiffness, normals and gaps.
+    team : Team
+        Ranks that share the samples.
+    say : callable
+        Called on the first rank with one line of text at a time.
+
+    Raises
+    ------
+    ValueError
+        If no sample of the Monte Carlo is valid, or the scene has nothing to compare.
+    """
+    folder = Path(folder)
+    tell = say if team.rank == 0 else lambda line: None
+    scene = _with_truth(scene)
+    truth = "coulomb" if any(zone.friction > 0 for zone in scene.zones) else "frictionless"
+    samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
+    start = time.perf_counter()
+    with threadpool_limits(limits=1, user_api="blas"):
+        tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
+        model, assembly = reduced_and_assembly(scene, cache)
+        prepared = time.perf_counter()
+        monte_carlo(model, folder / "reduced", scene.report.laws, samples, seed)
+        evaluated = time.perf_counter()
+        outcome = read_outcome(folder / "reduced")
+        cheap = {law: _quantities(outcome.valid(law)) for law in outcome.laws}
+        base = cheap.get(truth, next(iter(cheap.values())))
+        if base.shape[1] == 0 or len(base) == 0:
+            raise ValueError("the scene has nothing to verify: it needs valid samples, and measurements or contact zones with slip")
+        chosen = choose(base.to_numpy(), base.index.to_numpy(), count, seed)
+        tell(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples "
+             + ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen))
+        full_model = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF)
+        key = hashlib.sha256(json.dumps([_model_key(model), deviated, truth, seed]).encode()).hexdigest()[:16]
+        full = team.map(lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen)
+    if team.rank > 0:
+        return {}
+    solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
+    per_sample = pd.DataFrame([row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)])
+    table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
+    laws = len(scene.report.laws)
+    summary = {
+        "scene": scene.name, "samples": samples, "seed": seed, "truth": {"law": truth, "deviated_meshes": deviated},
+        "chosen": [{"sample": c.sample, "kind": c.kind, "seconds": r.get("seconds"), "failure": r.get("failure")} for c, r in zip(chosen, full)],
+        "seconds": {"reduced_model": prepared - start, "reduced_sample": (evaluated - prepared) * team.size / (samples * laws),
+                    "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None},
+        "per_sample": per_sample.to_dict("records"), "statistics": table.to_dict("records"), "versions": versions(), "ranks": team.size,
+    }
+    summary = _finite(summary)
+    per_sample.to_csv(folder / "samples.csv", index=False)
+    table.to_csv(folder / "statistics.csv", index=False)
+    _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    _write(folder / "report.html", _page(summary, per_sample, table, truth))
+    return summary
+
+
+def _with_truth(scene):
+    """The scene with Coulomb's law among its laws where it has friction, and without fields."""
+    laws = list(scene.report.laws)
+    if any(zone.friction > 0 for zone in scene.zones) and "coulomb" not in laws:
+        laws.insert(0, "coulomb")
+    return scene.model_copy(update={"report": scene.report.model_copy(update={"laws": laws, "fields": False})})
+
+
+def _model_key(model):
+    digest = hashlib.sha256(model.scene.model_dump_json(exclude={"monte_carlo", "report", "description"}).encode())
+    for array in (model.H, model.G, model.shape, model.contacts.gap, model.contacts.frame):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
+    """The full solve of one sample, from the folder if it holds it."""
+    path = folder / f"{sample:06d}-{key}.npz"
+    if path.is_file():
+        with np.load(path) as data:
+            return dict(data)
+    start = time.perf_counter()
+    try:
+        found = full_model.evaluate(draw(scene, seed, sample, 1)[0], law)
+    except ContactFailure as problem:
+        say(f"  sample {sample} failed: {problem}")
+        return {"failure": str(problem)}
+    result = {"measurements": found.measurements, "seconds": np.array(time.perf_counter() - start)}
+    for stage, resolution in found.resolutions.items():
+        result |= {f"force:{stage}": resolution.force, f"displacement:{stage}": resolution.displacement, f"state:{stage}": resolution.state}
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}")
+    np.savez(temporary, **result)
+    temporary.replace(path)
+    say(f"  sample {sample}: {result['seconds']:.0f} s")
+    return result
+
+
+def _quantities(valid) -> pd.DataFrame:
+    """Slips and measurements of the valid samples, indexed by sample."""
+    columns = [name for name in valid.columns if name.startswith(("slip:", "measurement:"))]
+    return valid.set_index("sample")[columns]
+
+
+def _of_full(model, result) -> dict[str, float]:
+    """The same quantities of one full solve."""
+    scene, found = model.scene, {}
+    for name, values in result.items():
+        if name.startswith("displacement:") and model.contacts.dimension == 3:
+            slip = zone_slip(values, model.contacts, len(scene.zones))
+            found |= {f"slip:{name.removeprefix('displacement:')}:{zone.name}": float(s) for zone, s in zip(scene.zones, slip)}
+    return found | {f"measurement:{item.name}": float(value) for item, value in zip(scene.measurements, result["measurements"])}
+
+
+def _sample_rows(outcome, model, choice, result) -> list[dict]:
+    """How far one sample's reduced results are from the full ones, under each law."""
+    stages = [name.removeprefix("force:") for name in result if name.startswith("force:")]
+    axes = ("n", "t1", "t2")[:model.contacts.dimension]
+    truth, rows = _of_full(model, result), []
+    for law in outcome.laws:
+        valid = outcome.valid(law)
+        place = np.flatnonzero(valid["sample"].to_numpy() == choice.sample)
+        if not len(place):
+            continue
+        force, states = [], 0
+        for stage in stages:
+            mine = np.stack([outcome.contact(law, stage, f"f_{axis}")[place[0]] for axis in axes], axis=-1)
+            force.append(relative(mine, result[f"force:{stage}"]))
+            states += int((outcome.contact(law, stage, "state")[place[0]] != result[f"state:{stage}"]).sum())
+        row = valid.iloc[place[0]]
+        slips, measured = ([name for name in truth if name.startswith(kind)] for kind in ("slip:", "measurement:"))
+        rows.append({"law": law, "sample": choice.sample, "kind": choice.kind, "force, relative": max(force, default=0.0),
+                     "zone slip, relative": relative([row[name] for name in slips], [truth[name] for name in slips]),
+                     "zone slip, mm": max((abs(row[name] - truth[name]) for name in slips), default=0.0),
+                     "measurement, mm": max((abs(row[name] - truth[name]) for name in measured), default=0.0), "changed states": states})
+    return rows
+
+
+def _statistics_rows(law, cheap, model, solved) -> list[dict]:
+    """Mean and 6σ of every quantity: what the Monte Carlo says, and what the two levels together say."""
+    dear = {choice.sample: _of_full(model, result) for choice, result in solved if choice.sample in cheap.index}
+    place = [cheap.index.get_loc(sample) for sample in dear]
+    rows = []
+    for name in cheap.columns:
+        y = cheap[name].to_numpy()
+        row = {"law": law, "quantity": name}
+        row |= _estimate("mean", statistics.mean(y)) | _estimate("6σ", statistics.six_sigma(y))
+        if dear:
+            found = two_level(y, place, [values[name] for values in dear.values()])
+            row |= _estimate("corrected mean", found.mean) | _estimate("corrected 6σ", found.six_sigma)
+            row |= {"slope": found.slope, "residual, mm": found.residual, "worth, full solves": found.worth,
+                    "error of the mean, σ": (row["mean"] - found.mean.value) / found.sigma.value if found.sigma.value > 0 else 0.0,
+                    "error of 6σ": row["6σ"] / found.six_sigma.value - 1 if found.sigma.value > 0 else 0.0}
+        rows.append(row)
+    return rows
+
+
+def _estimate(name, estimate):
+    return {name: estimate.value, f"{name} low": estimate.low, f"{name} high": estimate.high}
+
+
+def _figure(table, truth):
+    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the reduced ones."""
+    laws = list(dict.fromkeys(table["law"]))
+    names = list(dict.fromkeys(table["quantity"]))
+    figure, (left, right) = panels(2, 6.0, 1.4 + 0.26 * len(names))
+    for k, law in enumerate(laws):
+        own = table[table["law"] == law].set_index("quantity").loc[names]
+        y = np.arange(len(names)) + 0.22 * (k - (len(laws) - 1) / 2)
+        sigma = own["6σ"].to_numpy() / 6
+        for axis, corrected, centre, scale in ((left, "corrected mean", own["mean"], sigma), (right, "corrected 6σ", own["6σ"], own["6σ"])):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                value, low, high = ((own[f"{corrected}{end}"] - centre) / scale for end in ("", " low", " high"))
+            axis.errorbar(value, y, xerr=[(value - low).clip(lower=0), (high - value).clip(lower=0)], fmt="o", ms=3.5, lw=1.2, label=law)
+    for axis, label in ((left, "corrected mean − reduced mean, in σ"), (right, "corrected 6σ / reduced 6σ − 1")):
+        axis.axvline(0, color="k", lw=0.8)
+        axis.set(yticks=range(len(names)), yticklabels=names, xlabel=label, xscale="linear")
+        axis.invert_yaxis()
+        axis.set_xscale("symlog", linthresh=0.05)
+    right.set_yticklabels([])
+    left.legend(title=f"reduced law; full: {truth}", loc="best")
+    return figure
+
+
+def _page(summary, per_sample, table, truth) -> str:
+    image = None
+    if len(table) and "corrected mean" in table:
+        figure, buffer = _figure(table, truth), io.BytesIO()
+        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
+        image = base64.b64encode(buffer.getvalue()).decode()
+        import matplotlib.pyplot as plt
+
+        plt.close(figure)
+    from verification.report import number, table_cells
+
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["number"] = number
+    return environment.get_template("scene.html").render(summary=summary, image=image, level=statistics.LEVEL, worst=worst(table),
+                                                         per_sample=table_cells(per_sample), statistics=table_cells(table))
+
+
+def worst(table) -> list[dict]:
+    """By law, the largest error of the mean and of 6σ over all quantities, as the two-level estimate sees it."""
+    found = []
+    for law, own in table.groupby("law", sort=False):
+        if "error of 6σ" in own:
+            six, mean = own.loc[own["error of 6σ"].abs().idxmax()], own.loc[own["error of the mean, σ"].abs().idxmax()]
+            found.append({"law": law, "six_sigma": six["error of 6σ"], "six_sigma_of": six["quantity"], "low": six["6σ"] / six["corrected 6σ high"] - 1,
+                          "high": six["6σ"] / six["corrected 6σ low"] - 1, "mean": mean["error of the mean, σ"], "mean_of": mean["quantity"]})
+    return found
+
+
+def _finite(value):
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _finite(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _write(path, text):
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(text)
+    temporary.replace(path)
