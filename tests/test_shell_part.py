@@ -67,6 +67,22 @@ def test_functionals_average_the_field(element):
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
+def test_linear_fields_are_read_exactly_anywhere(element):
+    """At single points off the middle of triangles, and at vertices."""
+    surface = grid(4, 4, lambda X, Y: np.column_stack([20 * X, 20 * Y, 0 * X]), jitter=0.2)
+    part = ShellPart(surface, T, E, NU, element)
+    linear = lambda x: np.column_stack([1 + x[:, 0], 2 * x[:, 1], x[:, 0] - x[:, 1], 0.1 * x[:, 0], 0.3 * x[:, 1], 0.2 * x[:, 0]])
+    freedoms = linear(part.dof_position)[np.arange(part.ndof), part.dof_component]
+    at_vertices = (part.vertex_values @ freedoms).reshape(-1, 6)
+    assert at_vertices == pytest.approx(linear(surface.points), abs=1e-12)
+    point = surface.at([7], [[0.7, 0.1, 0.2]])[0]
+    rows = functionals(surface, [point], 0.0)
+    reading = part.functional_matrix(rows) @ freedoms
+    exact = linear(point[None])[0]
+    assert reading[3:6] == pytest.approx(exact[:3], abs=1e-12) and reading[9:] == pytest.approx(exact[3:], abs=1e-12)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
 def test_fields_come_back_in_the_surface_s_order(element):
     surface = panel()
     part = ShellPart(surface, T, E, NU, element)
@@ -96,6 +112,15 @@ def test_weight_and_its_moment(element):
     resultant = part.rigid_modes.T @ load
     assert resultant[:3] == pytest.approx(weight, abs=1e-12 * abs(weight).max())
     assert resultant[3:] == pytest.approx(0, abs=1e-9)  # about the centroid
+
+
+@pytest.mark.parametrize(("element", "tolerance"), [("dkt-opt", 0.01), ("p2-cr", 1e-12)])
+def test_the_load_of_gravity_does_the_work_of_the_weight(element, tolerance):
+    """On u3 = x² the weight's work is ρ t g ∫ x² dA: exact for quadratic displacements, of second order for linear ones."""
+    part = ShellPart(grid(16, 4, lambda X, Y: np.column_stack([20 * X, 10 * Y, 0 * X])), T, E, NU, element)
+    quadratic = np.where(part.dof_component == 2, part.dof_position[:, 0] ** 2, 0.0)
+    work = part.gravity([0, 0, 1000.0], 1e-9) @ quadratic
+    assert work == pytest.approx(1e-9 * T * 1000.0 * 10 * 20**3 / 3, rel=tolerance)
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
