@@ -227,7 +227,9 @@ class Process:
                 raise SceneError(f"stages ({plan.name}): {self._free(error, plan)}") from error
             solver = None
             if plan.resolves and len(model.contacts):
-                solver = ContactSolver(response.S, model.contacts.friction, law=law, backend=solver_name, tol=tol, threads=threads,
+                # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
+                smooth = model.contacts.dimension == 1 and not model.contacts.friction.any()
+                solver = ContactSolver(response.S, model.contacts.friction, law="frictionless" if smooth else law, backend=solver_name, tol=tol, threads=threads,
                                        dimension=model.contacts.dimension)
             self.stages.append(_Prepared(plan, response, solver, bilateral, load))
 

@@ -119,6 +119,15 @@ def test_normals_alone_suffice_without_friction(lap_scene, lap_model, cache):
                                atol=1e-6 * np.abs(few.resolutions["clamp"].force).max())
 
 
+def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
+    zones = [zone.model_copy(update={"friction": 0.0}) for zone in lap_scene.zones]
+    model = mic.reduce(lap_scene.model_copy(update={"zones": zones}), cache)
+    assert model.contacts.dimension == 1
+    smooth, default = (model.evaluate({}, law) for law in ("frictionless", "coulomb"))
+    assert not default.failed.any()
+    np.testing.assert_array_equal(default.measurements, smooth.measurements)
+
+
 def test_no_release_no_second_resolution(lap_scene, cache):
     scene = with_stages(lap_scene, ("locate", "clamp", "weld", "measure"))
     assert list(mic.reduce(scene, cache).evaluate({}).resolutions) == ["clamp"]
