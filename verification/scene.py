@@ -35,6 +35,10 @@ from verification.two_level import two_level
 
 __all__ = ["Choice", "choose", "verify_scene"]
 
+SHOWN, LINEAR = 5.0, 0.1  # range of the error-bar figure, and its linear part
+TICKS = (-5, -1, -0.1, 0, 0.1, 1, 5)
+LEADING = 0.1  # quantities that vary by less than this share of the most variable one of their kind do not make the headline
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -268,9 +272,11 @@ def _figure(table, truth):
             axis.errorbar(value, y, xerr=[(value - low).clip(lower=0), (high - value).clip(lower=0)], fmt="o", ms=3.5, lw=1.2, label=law)
     for axis, label in ((left, "corrected mean − reduced mean, in σ"), (right, "corrected 6σ / reduced 6σ − 1")):
         axis.axvline(0, color="k", lw=0.8)
-        axis.set(yticks=range(len(names)), yticklabels=names, xlabel=label, xscale="linear")
+        axis.set(yticks=range(len(names)), yticklabels=names, xlabel=label)
+        axis.set_xscale("symlog", linthresh=LINEAR)
+        axis.set(xlim=(-SHOWN, SHOWN), xticks=TICKS, xticklabels=[f"{tick:g}" for tick in TICKS])
+        axis.minorticks_off()
         axis.invert_yaxis()
-        axis.set_xscale("symlog", linthresh=0.05)
     right.set_yticklabels([])
     left.legend(title=f"reduced law; full: {truth}", loc="best")
     return figure
@@ -289,14 +295,16 @@ def _page(summary, per_sample, table, truth) -> str:
 
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["number"] = number
-    return environment.get_template("scene.html").render(summary=summary, image=image, level=statistics.LEVEL, worst=worst(table),
+    return environment.get_template("scene.html").render(summary=summary, image=image, level=statistics.LEVEL, worst=worst(table), leading=LEADING,
                                                          per_sample=table_cells(per_sample), statistics=table_cells(table))
 
 
 def worst(table) -> list[dict]:
-    """By law, the largest error of the mean and of 6σ over all quantities, as the two-level estimate sees it."""
+    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees it."""
     found = []
-    for law, own in table.groupby("law", sort=False):
+    kind = table["quantity"].str.split(":").str[0]
+    leading = table[table["6σ"] >= LEADING * table.groupby(["law", kind])["6σ"].transform("max")] if len(table) else table
+    for law, own in leading.groupby("law", sort=False):
         if "error of 6σ" in own:
             six, mean = own.loc[own["error of 6σ"].abs().idxmax()], own.loc[own["error of the mean, σ"].abs().idxmax()]
             found.append({"law": law, "six_sigma": six["error of 6σ"], "six_sigma_of": six["quantity"], "low": six["6σ"] / six["corrected 6σ high"] - 1,
