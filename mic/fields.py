@@ -197,7 +197,8 @@ def write_fields(folder) -> list[PartField]:
         old.unlink()
     surfaces = {part.name: part.surface for part in kept_parts(outcome)}
     for name, surface in surfaces.items():
-        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data={"normal": surface.vertex_normals}).write(folder / f"{name}.vtu")
+        data = {"normal": surface.vertex_normals}
+        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(folder / f"{name}.vtu")
     found, skipped = [], None
     if not outcome.model.scene.report.fields:
         skipped = "The scene does not ask for fields, so none were computed."

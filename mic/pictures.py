@@ -153,7 +153,8 @@ def slip_force_picture(outcome, stage, published) -> Picture | None:
     if measured:
         axes[0].axhspan(measured["measured_low"], measured["measured_high"], color="#f2d95c", alpha=0.35, lw=0, zorder=0,
                         label=f"measured range {number(measured['measured_low'])}–{number(measured['measured_high'])} N (paper)")
-        axes[0].axhline(measured["measured_mean"], color="#a8860a", lw=1, ls="--", label=f"measured mean {number(measured['measured_mean'])} N (paper)")
+        axes[0].axhline(measured["measured_mean"], color="#a8860a", lw=1, ls="--",
+                        label=f"measured mean {number(measured['measured_mean'])} N (paper)")
     for law in laws:
         rows = table[table["law"] == law]
         for ax, name in zip(axes, ("mean_slip_force", "six_sigma_slip_force")):
@@ -173,7 +174,8 @@ def slip_force_picture(outcome, stage, published) -> Picture | None:
         text += f" ({number(force[active].min())} to {number(force[active].max())} N, mean {number(force[active].mean())} N)"
     if measured:
         inside = (force[active] >= measured["measured_low"]) & (force[active] <= measured["measured_high"])
-        text += f"; {inside.sum()} of them lie within the range that the paper measured on another geometry: an order of magnitude, no validation"
+        text += (f"; {inside.sum()} of them lie within the range that the paper measured on another geometry: an order of magnitude, "
+                 "no validation")
     return _svg(fig, "slip-force", f"Friction force at each contact, stage {stage}", text + ".")
 
 
@@ -203,7 +205,8 @@ def sample_picture(outcome, stage, quantity) -> Picture | None:
     _law_legend(fig, laws)
     text = f"Sample {common[0]}, stage {stage}. "
     if quantity == "f":
-        text += "; ".join(f"{law}: total normal force {number(values[law, 'n'].sum())} N at {(values[law, 'n'] > 0).sum()} closed contacts" for law in laws)
+        text += "; ".join(f"{law}: total normal force {number(values[law, 'n'].sum())} N at {(values[law, 'n'] > 0).sum()} closed contacts"
+                          for law in laws)
     else:
         text += "; ".join(f"{law}: largest gap {number(values[law, 'n'].max())} mm" + (
             f", largest slip {number(np.hypot(values[law, 't1'], values[law, 't2']).max())} mm" if outcome.has_slip else "") for law in laws)
@@ -238,12 +241,13 @@ def state_picture(outcome) -> Picture | None:
         if i >= len(panels) - laws:
             ax.set_xlabel("contact")
         if i < laws:
-            sentences.append(f"{law}: {percent(rows['open'].mean())} open, {percent(rows['stick'].mean())} sticking, {percent(rows['slip'].mean())} slipping")
+            shares = (f"{percent(rows[state].mean())} {word}" for state, word in zip(STATES, ("open", "sticking", "slipping")))
+            sentences.append(f"{law}: {', '.join(shares)}")
     _zone_strips(outcome, axes, names=False)
     handles = [Line2D([], [], marker="s", ls="", ms=8, color=STATE_COLOURS[state], label=state) for state in STATES]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
-    return _svg(fig, "states", "Open, sticking, slipping", f"Averaged over contacts and samples after stage {outcome.stages[0]}: " + "; ".join(sentences)
-                + ". Without friction every closed contact slips.")
+    return _svg(fig, "states", "Open, sticking, slipping", f"Averaged over contacts and samples after stage {outcome.stages[0]}: "
+                f"{'; '.join(sentences)}. Without friction every closed contact slips.")
 
 
 @_styled
@@ -298,11 +302,12 @@ def law_cost(outcome, stage) -> dict | None:
     changed = 1 - np.trace(states)
     sentence = f"Over the {len(common)} samples valid under both laws: "
     if len(gaps):
-        sentence += (f"under the associated law {percent(np.mean(gaps > 1e-3))} of the loaded contacts stand open by more than 1 µm while they carry force "
-                     f"(median {number(np.median(gaps) * 1e3)} µm, largest {number(gaps.max() * 1e3)} µm), where Coulomb's law keeps them closed; ")
+        sentence += (f"under the associated law {percent(np.mean(gaps > 1e-3))} of the loaded contacts stand open by more than 1 µm while "
+                     f"they carry force (median {number(np.median(gaps) * 1e3)} µm, largest {number(gaps.max() * 1e3)} µm), where Coulomb's "
+                     "law keeps them closed; ")
     if np.isfinite(ratio).any():
-        sentence += (f"normal forces are wrong by {percent(np.nanmean(ratio), 1)} of their sum on average ({percent(np.nanmax(ratio), 1)} in the worst "
-                     f"sample), the sum itself by {percent(np.nanmean(np.abs(balance)), 1)}; ")
+        sentence += (f"normal forces are wrong by {percent(np.nanmean(ratio), 1)} of their sum on average "
+                     f"({percent(np.nanmax(ratio), 1)} in the worst sample), the sum itself by {percent(np.nanmean(np.abs(balance)), 1)}; ")
     sentence += f"{percent(changed, 1)} of all contact states differ."
     return {"samples": len(common), "gaps": gaps, "f_coulomb": f.ravel(), "f_associated": a.ravel(), "states": states, "changed": changed,
             "force_error": ratio, "total_error": balance, "sentence": sentence}
@@ -316,8 +321,8 @@ def friction_picture(outcome, stage) -> Picture | None:
         return None
     table = summarise(study)
     fig, axes = _panels(3, 3, (3.5, 2.6))
-    for ax, column, label, factor in zip(axes, ("slip", "normal_force", "gap_at_load"),
-                                         ("RMS slip, all contacts (mm)", "total normal force (N)", "largest gap at a loaded contact (µm)"), (1, 1, 1e3)):
+    for ax, (column, label, factor) in zip(axes, (("slip", "RMS slip, all contacts (mm)", 1), ("normal_force", "total normal force (N)", 1),
+                                                  ("gap_at_load", "largest gap at a loaded contact (µm)", 1e3))):
         for law in LAW_COLOURS:
             rows = table.xs(law, level="law")
             ax.plot(rows.index, factor * rows[column], LAW_MARKS[law] + "-", ms=4, lw=1.3, color=LAW_COLOURS[law])
@@ -325,9 +330,9 @@ def friction_picture(outcome, stage) -> Picture | None:
         ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None), ylim=(0, None))
     _law_legend(fig, list(LAW_COLOURS))
     gaps = table.xs("associated", level="law")["gap_at_load"]
-    text = (f"{study['sample'].nunique()} samples, stage {stage}, solved anew with every friction coefficient scaled; dashed: the scene's. The gap that the "
-            f"associated law opens under load averages {number(1e3 * gaps.iloc[0])} µm at μ = {number(gaps.index[0], 2)} and {number(1e3 * gaps.iloc[-1])} µm at "
-            f"μ = {number(gaps.index[-1], 2)}; Coulomb's law has none.")
+    ends = " and ".join(f"{number(1e3 * gaps.iloc[i])} µm at μ = {number(gaps.index[i], 2)}" for i in (0, -1))
+    text = (f"{study['sample'].nunique()} samples, stage {stage}, solved anew with every friction coefficient scaled; dashed: the scene's. "
+            f"The largest gap that the associated law opens under load averages {ends}; Coulomb's law has none.")
     left_out = int(table["left_out"].sum())
     if left_out:
         text += f" {left_out} of {len(study)} solutions did not converge and are left out."
@@ -343,8 +348,8 @@ def _friction_study(outcome, stage):
     if not len(chosen):
         return None
     S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
-    force, displacement = (np.stack([outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")], axis=2)
-                           .reshape(len(chosen), -1) for quantity in ("f", "u"))
+    force, displacement = (np.stack([outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")],
+                                    axis=2).reshape(len(chosen), -1) for quantity in ("f", "u"))
     b = displacement - force @ S  # u = S f + b
     return compare_laws(S, b, [scale * outcome.model.contacts.friction for scale in STUDIED_FRICTION], threads=2)
 
@@ -424,11 +429,11 @@ class _View:
         start = np.cumsum([0] + [len(surface.points) for surface in surfaces])
         points = np.concatenate([surface.points for surface in surfaces])
         triangles = np.concatenate([surface.triangles + first for surface, first in zip(surfaces, start)])
-        rgba = np.concatenate([np.column_stack([colour * (1 - shading + shading * np.abs(surface.vertex_normals @ light))[:, None], np.ones(len(surface.points))])
-                               for surface, colour in zip(surfaces, colours)])
+        bright = [1 - shading + shading * np.abs(surface.vertex_normals @ light) for surface in surfaces]
+        rgb = np.concatenate([colour * share[:, None] for colour, share in zip(colours, bright)])
         order = np.argsort((points @ self.eye)[triangles].mean(axis=1))
         mesh = TriMesh(Triangulation(*self.flat(points).T, triangles[order]))
-        mesh.set_facecolor(rgba.clip(0, 1))
+        mesh.set_facecolor(np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))]))
         ax.add_collection(mesh)
         ax.autoscale_view()
         ax.set_aspect("equal")
@@ -472,7 +477,8 @@ def assembly_picture(outcome, surfaces) -> Picture | None:
         ax.plot(*flat.T, "D", ms=5, color="white", mec="#1b1f24", mew=1)
         for item, position in zip(scene.measurements[:MOST_PANELS], flat):
             ax.annotate(item.name, position, xytext=(5, 4), textcoords="offset points", fontsize=8)
-        handles.append(Line2D([], [], marker="D", ls="", ms=5, color="white", mec="#1b1f24", label=f"measurement ({len(scene.measurements)})"))
+        handles.append(Line2D([], [], marker="D", ls="", ms=5, color="white", mec="#1b1f24",
+                              label=f"measurement ({len(scene.measurements)})"))
     fig.legend(handles=handles, loc="outside right upper", fontsize=9)
     kinds = {"locator": len(scene.locators), "clamp": len(scene.clamps), "weld": len(scene.welds), "contact pair": len(contacts),
              "measurement point": len(scene.measurements)}
@@ -495,12 +501,11 @@ def overview_picture(outcome, surfaces, fields, law) -> Picture | None:
     view = _View(list(surfaces.values()))
     view.draw(ax, list(surfaces.values()), [colormaps["YlOrRd"](scale(values))[:, :3] for values in spread.values()], 0.35)
     handles = []
-    if len(outcome.model.contacts):
-        ax.plot(*view.flat(outcome.model.contacts.point).T, "o", ms=3, mew=0.5, mec="#1b1f24", color="white")
-        handles.append(Line2D([], [], marker="o", ls="", ms=4, mew=0.5, mec="#1b1f24", color="white", label=f"{len(outcome.model.contacts)} contact pairs"))
-    if outcome.model.scene.welds:
-        ax.plot(*view.flat(np.array([weld.point for weld in outcome.model.scene.welds])).T, "o", ms=9, color="#4cc9f0", mec="#1b1f24", mew=1.2)
-        handles.append(Line2D([], [], marker="o", ls="", ms=8, color="#4cc9f0", mec="#1b1f24", label=f"{len(outcome.model.scene.welds)} welds"))
+    welds = np.array([weld.point for weld in outcome.model.scene.welds]).reshape(-1, 3)
+    for points, label, style in ((outcome.model.contacts.point, "contact pairs", {"ms": 3, "mew": 0.5, "color": "white"}),
+                                 (welds, "welds", {"ms": 9, "mew": 1.2, "color": "#4cc9f0"})):
+        if len(points):
+            handles += ax.plot(*view.flat(points).T, "o", mec="#1b1f24", label=f"{len(points)} {label}", **style)
     fig.colorbar(ScalarMappable(scale, "YlOrRd"), ax=ax, label="6σ of the displacement (mm)", shrink=0.7)
     fig.legend(handles=handles, loc="outside lower left", ncols=2)
     return _png(fig, "overview", "Variation of the assembly", f"6σ displacement of the assembly under {law}: at most {number(top)} mm.", 100)
@@ -515,24 +520,25 @@ def field_picture(surfaces, fields, law) -> Picture | None:
     fig = Figure(figsize=(10.5, 7.2), layout="constrained")
     axes = fig.subplots(2, len(fields), squeeze=False)
     texts = []
-    for row, (quantity, label, cmap) in enumerate((("mean", "mean displacement (mm)", "viridis"), ("six_sigma_magnitude", "6σ displacement (mm)", "YlOrRd"))):
-        values = {part: np.linalg.norm(field.mean, axis=1) if quantity == "mean" else field.six_sigma_magnitude for part, field in fields.items()}
+    means = {part: np.linalg.norm(field.mean, axis=1) for part, field in fields.items()}
+    spreads = {part: field.six_sigma_magnitude for part, field in fields.items()}
+    for row, values, label, cmap in ((axes[0], means, "mean", "viridis"), (axes[1], spreads, "6σ", "YlOrRd")):
         known = np.concatenate(list(values.values()))
         known = known[np.isfinite(known)]
         scale = Normalize(0.0, float(known.max(initial=0.0)) or 1.0)
-        for ax, (part, value) in zip(axes[row], values.items()):
+        for ax, (part, value) in zip(row, values.items()):
             surface = surfaces[part]
             _View([surface]).draw(ax, [surface], [colormaps[cmap](scale(np.nan_to_num(value)))[:, :3]], 0.2)
             ax.set_title(part)
-        fig.colorbar(ScalarMappable(scale, cmap), ax=list(axes[row]), label=label, shrink=0.8)
+        fig.colorbar(ScalarMappable(scale, cmap), ax=list(row), label=f"{label} displacement (mm)", shrink=0.8)
         if len(known):
             part = max(values, key=lambda name: np.nan_to_num(values[name]).max())
             x, y, z = surfaces[part].points[int(np.argmax(np.nan_to_num(values[part])))]
-            texts.append(f"the largest {'mean' if row == 0 else '6σ'} is {number(known.max())} mm, on {part} at ({x:.0f}, {y:.0f}, {z:.0f})")
-    worst = max(fields.values(), key=lambda field: field.rank)
+            texts.append(f"the largest {label} is {number(known.max())} mm, on {part} at ({x:.0f}, {y:.0f}, {z:.0f})")
+    rank, discarded, error = (max(getattr(field, name) for field in fields.values()) for name in ("rank", "discarded", "error"))
     caption = (f"Deviation from nominal after the last stage under {law}, the parts' own shape deviation included: {'; '.join(texts)}. "
-               f"6σ rests on {worst.rank + 1} solves at most per part; the truncation leaves out {number(max(f.discarded for f in fields.values()), 2)} "
-               f"of the elastic energy and {number(max(f.error for f in fields.values()), 2)} mm at the retained points.")
+               f"6σ rests on {rank + 1} solves at most per part; the truncation leaves out "
+               f"{number(discarded, 2)} of the elastic energy and {number(error, 2)} mm at the retained points.")
     return _png(fig, f"fields-{law}", f"Mean and 6σ displacement fields, {law}", caption, 100)
 
 

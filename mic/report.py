@@ -90,12 +90,13 @@ def _published(folder):
 def _facts(outcome):
     """Heading facts as (name, value) pairs."""
     record, model = outcome.record, outcome.model
-    contacts = len(model.contacts)
+    contacts, zones = len(model.contacts), len(outcome.zones)
     return [
         ("Samples", f"{record['samples']}, seed {record['seed']}"),
         ("Contact laws", ", ".join(record["laws"])),
         ("Stages", " → ".join(item.name for item in model.scene.stages)),
-        ("Contact pairs", f"{contacts} in {len(outcome.zones)} zone{'s' if len(outcome.zones) > 1 else ''}, {model.contacts.dimension * contacts} unknowns" if contacts else "none"),
+        ("Contact pairs", f"{contacts} in {zones} zone{'s' if zones > 1 else ''}, {model.contacts.dimension * contacts} unknowns"
+         if contacts else "none"),
         ("Contact resolutions per sample", f"{len(outcome.stages)} ({', '.join(outcome.stages)})" if outcome.stages else "none"),
         ("Retained functionals", ", ".join(f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.offsets)))),
     ]
@@ -173,18 +174,21 @@ def _viewer(outcome, surfaces, fields):
                                      "six_sigma_normal": _packed(field.six_sigma_normal, "<f4")}
                          for field in fields if field.part == name}}
              for i, (name, surface) in enumerate(surfaces.items())]
-    arrows = [{"name": label, "colour": colour, "items": [{"name": item.name, "head": item.point, "direction": item.direction} for item in items]}
+    arrows = [{"name": label, "colour": colour,
+               "items": [{"name": item.name, "head": item.point, "direction": item.direction} for item in items]}
               for items, colour, label in ((scene.locators, "#1b1f24", "locators"), (scene.clamps, "#c1121f", "clamps")) if items]
     points = [{"name": zone.name, "colour": zone_colour(z), "size": 2.5, "points": contacts.point[contacts.zone == z].round(3).tolist(),
                "labels": [f"{zone.name}, contact {k}" for k in np.flatnonzero(contacts.zone == z)]} for z, zone in enumerate(scene.zones)]
-    points += [{"name": label, "colour": colour, "size": 5, "points": [item.point for item in items], "labels": [item.name for item in items]}
+    points += [{"name": label, "colour": colour, "size": 5, "points": [item.point for item in items],
+                "labels": [item.name for item in items]}
                for items, colour, label in ((scene.welds, "#f4d35e", "welds"), (scene.measurements, "#ffffff", "measurements")) if items]
     laws = [law for law in outcome.laws if any(field.law == law for field in fields)]
     everything = np.concatenate([surface.points for surface in surfaces.values()])
     low, high = everything.min(axis=0) - ARROW * size, everything.max(axis=0) + ARROW * size
     scales = {name: [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)] for name in ("viridis", "YlOrRd", "RdBu_r")}
     data = {"scales": scales, "eye": dict(zip("xyz", 1.9 * pictures.viewpoint(surfaces.values()))), "arrow": ARROW * size,
-            "range": np.column_stack([low, high]).tolist(), "parts": parts, "arrows": arrows, "points": [group for group in points if group["points"]], "laws": laws}
+            "range": np.column_stack([low, high]).tolist(), "parts": parts, "arrows": arrows,
+            "points": [group for group in points if group["points"]], "laws": laws}
     return json.dumps(data).replace("<", "\\u003c")
 
 
