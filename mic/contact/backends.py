@@ -22,7 +22,7 @@ __all__ = ["BACKENDS", "ConeProgramme"]
 BACKENDS = {
     "ecos": ("ECOS", dict(abstol=1e-12, reltol=1e-12, feastol=1e-12, max_iters=200)),
     "osqp": ("OSQP", dict(eps_abs=1e-10, eps_rel=1e-10, max_iter=100_000, polishing=True)),
-    "clarabel": ("CLARABEL", dict(tol_gap_abs=1e-13, tol_gap_rel=1e-13, tol_feas=1e-13)),
+    "clarabel": ("CLARABEL", dict(tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)),
     "scs": ("SCS", dict(eps_abs=1e-9, eps_rel=1e-9, max_iters=100_000)),
 }
 

@@ -1,11 +1,11 @@
-"""How far a force is from obeying its contact law: one scale-free number, and the physics behind it.
+r"""How far a force is from obeying its contact law: one scale-free number, and the physics behind it.
 
 With ``u = S f + b`` and ``û`` the displacement that the law makes complementary to the force (:mod:`mic.contact.laws`),
 ``f`` is a solution exactly when it is a fixed point of the projection,
 
 .. math::
 
-    F_k(f) = f_k - P_K\\bigl(f_k - \\rho_k \\hat u_k\\bigr) = 0, \\qquad \\rho_k = 1 / \\|S_{kk}\\|_2 .
+    F_k(f) = f_k - P_K\bigl(f_k - \rho_k \hat u_k\bigr) = 0, \qquad \rho_k = 1 / \|S_{kk}\|_2 .
 
 ``ρ_k`` turns a displacement into the force that would cause it at that contact, so every term is a force.  The residual is
 

@@ -1,4 +1,4 @@
-"""A primal-dual interior-point method for the conic laws, Coulomb's included.
+r"""A primal-dual interior-point method for the conic laws, Coulomb's included.
 
 It costs a dense factorisation per step, some tens in all, so it serves the problems on which cheap iterations stall: many
 more contacts than degrees of freedom, jammed piles.  Its iterates approach the middle of the set of solutions, where stuck
@@ -9,14 +9,14 @@ In the variables ``z = T⁻¹ y``, ``v = T ŵ`` with ``T_k = diag(1, μ, μ) / m
 
 .. math::
 
-    L \\ni z \\perp v \\in L, \\qquad v = A z + q + \\|v_t\\| e_0 + s, \\quad A = T W T,
+    L \ni z \perp v \in L, \qquad v = A z + q + \|v_t\| e_0 + s, \quad A = T W T,
 
 with De Saxcé's shift ``‖v_t‖ e_0`` for Coulomb's law (Acary, Armand, Nguyen and Shpakovych 2022) and a given shift ``s``
 without it for the convex law.  Each step linearises ``z ∘ v = σ τ e`` in the Nesterov-Todd scaling, ``M z = v``,
 
 .. math::
 
-    (M + (I + G) A) \\, dz = R\\,r_c + (I + G) r, \\quad dv = R\\,r_c - M dz, \\quad G = e_0 (0, v_t/\\|v_t\\|)^T,
+    (M + (I + G) A) \, dz = R\,r_c + (I + G) r, \quad dv = R\,r_c - M dz, \quad G = e_0 (0, v_t/\|v_t\|)^T,
 
 with ``G² = 0``, ``r`` the residual of the equation for ``v``, and Mehrotra's predictor and corrector for ``σ`` and ``r_c``.
 """
@@ -33,6 +33,7 @@ __all__ = ["interior_point"]
 _REFLECTION = np.diag([1.0, -1.0, -1.0])
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an infeasible problem sends forces to infinity
 def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
     """Solve one sample in scaled variables.
 
@@ -161,8 +162,7 @@ def _distance_to_boundary(x, d):
     a = _determinant(d)
     b = x[:, 0] * d[:, 0] - x[:, 1] * d[:, 1] - x[:, 2] * d[:, 2]
     c = _determinant(x)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        root = np.sqrt(b * b - a * c)
-        half = -(b + np.copysign(root, b))
-        roots = np.stack([half / a, c / half])
+    root = np.sqrt(b * b - a * c)
+    half = -(b + np.copysign(root, b))
+    roots = np.stack([half / a, c / half])
     return np.min(roots, initial=np.inf, where=roots > 0.0)

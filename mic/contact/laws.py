@@ -1,12 +1,12 @@
-"""The three contact laws, and the cone that they share.
+r"""The three contact laws, and the cone that they share.
 
 Contact ``k`` carries the force ``f = (f_n, f_t1, f_t2)`` and the relative displacement ``u = (u_n, u_t1, u_t2)``;
 ``f_n >= 0`` is compression, ``u_n >= 0`` separation.  With the friction cone ``K`` and its dual ``K*``,
 
 .. math::
 
-    K   = \\{f : \\|f_t\\| \\le \\mu f_n\\},        \\qquad
-    K^* = \\{v : v_n \\ge \\mu \\|v_t\\|\\},
+    K   = \{f : \|f_t\| \le \mu f_n\},        \qquad
+    K^* = \{v : v_n \ge \mu \|v_t\|\},
 
 and ``u = S f + b``, the laws read
 

@@ -110,8 +110,9 @@ class NativeSolver:
         mu, W = self.friction, self.W
         coulomb = self.law is Law.COULOMB
         # The shift μ‖w_t‖ moves with the iterates, ...
-        z, steps = interior_point(W, q, mu, None if coulomb else np.zeros_like(mu))
-        for polished, more in self._polished(q, z):
+        shift = None if coulomb else np.zeros_like(mu)
+        z, steps = interior_point(W, q, mu, shift)
+        for polished, more in self._polished(W, q, z):
             yield polished, steps + more
             steps = 0
         # ... or is held while a convex problem is solved, then moved: De Saxcé's fixed point.
@@ -119,20 +120,22 @@ class NativeSolver:
             shift = np.zeros_like(mu)
             for _ in range(FIXED_POINT_STEPS):
                 z, steps = interior_point(W, q, mu, shift)
-                for polished, more in self._polished(q, z):
+                for polished, more in self._polished(W, q, z):
                     yield polished, steps + more
                     steps = 0
                 w = W @ z + q
                 shift = np.hypot(w[1::3], w[2::3])
         for start in (y, z):
             yield from self._proximal_points(q, start)
+        for alpha in (1e-4, 1e-3):
+            yield from self._interior_proximal_points(q, alpha)
 
-    def _polished(self, q, y):
+    def _polished(self, W, q, y):
         """Newton from ``y``, plain and damped."""
         scale = kernels.starting_scale(self.friction, q)
         for damping in (1e-9, 1e-6):
-            z, w = y.copy(), self.W @ y + q
-            _, steps = kernels.newton(self.law is Law.ASSOCIATED, self.W, q, self.friction, z, w, damping, scale,
+            z, w = y.copy(), W @ y + q
+            _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, q, self.friction, z, w, damping, scale,
                                       1e-14, 20)
             yield z, steps
 
@@ -148,6 +151,16 @@ class NativeSolver:
             y = Y[0]
             yield y, int(counts[0])
             alpha = max(0.2 * alpha, 1e-9) if solved else min(5.0 * alpha, 10.0)
+
+    def _interior_proximal_points(self, q, alpha):
+        """Proximal-point steps of constant ``α``, each by the interior point: slow, steady, for jammed piles."""
+        y = np.zeros_like(q)
+        shift = None if self.law is Law.COULOMB else np.zeros_like(self.friction)
+        W = self.W + alpha * np.eye(len(q))
+        for _ in range(PROXIMAL_STEPS):
+            z, steps = interior_point(W, q - alpha * y, self.friction, shift)
+            y, more = next(self._polished(W, q - alpha * y, z))
+            yield y, steps + more
 
     def _run_kernel(self, W, Q, Y, tol, first, last, rounds, errors, iterations):
         if self.law is Law.FRICTIONLESS:

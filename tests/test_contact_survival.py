@@ -1,0 +1,237 @@
+"""What the solver must survive: degenerate, extreme and impossible problems.  The certificate is the oracle throughout."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+from mic.contact import ContactSolver, Law, Status, certify, solve
+from mic.contact.problems import (arch, box_stack, brick_wall, capsule_pile, compliant, hanging_chain, manufactured,
+                                  slip_dominated, sphere_pile)
+
+FRICTION = [0.0, 1e-12, 0.27, 1.0, 5.0, 1e3]
+LAWS = list(Law)
+
+
+def assert_solved(solution, S, b, mu, law="coulomb", tol=1e-10):
+    assert solution.converged.all(), (solution.residual, solution.status)
+    recomputed = certify(S, b, mu, solution.force, law)
+    assert recomputed.residual.max(initial=0.0) <= tol
+    np.testing.assert_allclose(solution.displacement, solution.force @ S + b, atol=1e-9 * np.abs(b).max(initial=1.0))
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(m=st.integers(1, 8), rank=st.floats(0.34, 1.0), mu=st.lists(st.sampled_from(FRICTION), min_size=8, max_size=8),
+       law=st.sampled_from(LAWS), seed=st.integers(0, 10_000), log_size=st.floats(-9, 9))
+def test_random_feasible_problems(m, rank, mu, law, seed, log_size):
+    """Any rank, any friction, any size: feasible because ``b - S f₀`` opens every contact for some ``f₀``."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((3 * m, max(1, int(rank * 3 * m))))
+    S, mu = root @ root.T, np.array(mu[:m])
+    opening = np.zeros((m, 3))
+    opening[:, 0] = rng.uniform(0.0, 1.0, m)
+    b = 10.0**log_size * (opening.ravel() - rng.uniform(0.0, 2.0, m).repeat(3) * rng.standard_normal(3 * m) @ S)
+    solution = solve(S, b, mu, law)
+    # Only existence for small friction is guaranteed, so an honest failure passes and a false success does not.
+    residual = certify(S, b, mu, solution.force, law).residual
+    assert solution.converged == (residual <= 1e-10) or abs(residual - 1e-10) < 1e-12
+    if max(mu) <= 1.0 or law is not Law.COULOMB:
+        assert solution.converged, (solution.status, residual)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("mu", FRICTION)
+def test_every_friction(mu, law):
+    rng = np.random.default_rng(3)
+    S = compliant(12, rng)
+    b = rng.standard_normal((6, 36))
+    solution = solve(S, b, mu, law)
+    assert_solved(solution, S, b, mu, law)
+    if mu == 0.0:
+        np.testing.assert_allclose(solution.force, solve(S, b, 0.0, "frictionless").force, atol=1e-8)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "associated"])
+def test_friction_that_differs_from_contact_to_contact(law):
+    rng = np.random.default_rng(4)
+    S, b = compliant(18, rng), rng.standard_normal((6, 54))
+    mu = np.tile([0.0, 1e-12, 0.27, 1.0, 5.0, 1e3], 3)
+    assert_solved(solve(S, b, mu, law), S, b, mu, law)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "associated"])
+@pytest.mark.parametrize("stick, slide", [(1.0, 0.0), (0.0, 0.0), (0.0, 1.0), (0.7, 0.2)])
+def test_manufactured_solutions_are_found(law, stick, slide):
+    rng = np.random.default_rng(5)
+    problem = manufactured(compliant(20, rng, condition=1e4), np.full(20, 0.27), 10, rng, stick, slide, law)
+    solution = solve(problem.S, problem.b, problem.mu, law)
+    assert_solved(solution, problem.S, problem.b, problem.mu, law)
+    size = np.abs(problem.b).max()
+    np.testing.assert_allclose(solution.displacement, problem.displacement, atol=1e-8 * size)
+    np.testing.assert_allclose(solution.force, problem.force, atol=1e-5 * max(np.abs(problem.force).max(), 1e-12))
+
+
+@pytest.mark.parametrize("gap", [1e-12, 1e-6, 1.0, 1e3])
+def test_gaps_of_every_size(gap):
+    rng = np.random.default_rng(6)
+    S = compliant(10, rng, condition=1e3)
+    b = rng.standard_normal((5, 30))
+    b[:, ::6] = gap * np.abs(b[:, ::6])
+    assert_solved(solve(S, b, 0.3), S, b, 0.3)
+    open_scene = np.abs(b) * gap
+    solution = solve(S, open_scene, 0.3)
+    np.testing.assert_array_equal(solution.force, 0.0)
+    np.testing.assert_array_equal(solution.residual, 0.0)
+
+
+def test_zero_right_hand_side():
+    solution = solve(compliant(5, np.random.default_rng(0)), np.zeros((2, 15)), 0.3)
+    assert solution.converged.all() and not solution.force.any()
+    np.testing.assert_array_equal(solution.residual, 0.0)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_duplicated_contacts_have_the_displacements_of_single_ones(law):
+    rng = np.random.default_rng(7)
+    single = manufactured(compliant(8, rng, condition=1e3), np.full(8, 0.3), 5, rng, 0.5, 0.3)
+    pick = np.arange(24).reshape(8, 3)[[0, 0, 1, 2, 2, 2, 3, 4, 5, 6, 7, 7]].ravel()
+    S, b = single.S[np.ix_(pick, pick)], single.b[:, pick]
+    solution = solve(S, b, 0.3, law)
+    assert_solved(solution, S, b, 0.3, law)
+    expected = solve(single.S, single.b, 0.3, law).displacement[:, pick]
+    np.testing.assert_allclose(solution.displacement, expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_contact_without_compliance(law):
+    """An all-zero block: harmless while it is open, infeasible once it overlaps."""
+    S = np.zeros((6, 6))
+    S[:3, :3] = np.eye(3)
+    fine = solve(S, [-1.0, 0.1, 0.0, 0.5, 0.0, 0.0], 2.0, law)
+    assert fine.converged and fine.force[0] == pytest.approx(1.0, rel=1e-9)
+    impossible = solve(S, [-1.0, 0.1, 0.0, -0.5, 0.0, 0.0], 2.0, law)
+    assert impossible.status is Status.INFEASIBLE and not impossible.converged and impossible.residual > 1e-3
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_tangential_rows_without_compliance(law):
+    S = np.diag([1.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    S[0, 3] = S[3, 0] = 0.5
+    b = np.array([-1.0, 0.0, 0.0, -1.0, 0.3, 0.0])
+    solution = solve(S, b, 0.3, law)
+    assert solution.status is Status.CONVERGED and certify(S, b, 0.3, solution.force, law).residual <= 1e-10
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_infeasible_loads_are_never_solved(law):
+    """A wedge between two rigid jaws: any force that opens one contact closes the other."""
+    S = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
+    b = np.array([[-1.0, 0.1, 0.0, -1.0, 0.0, 0.0],   # too thick
+                  [-1.0, 0.1, 0.0, 2.0, 0.0, 0.0]])   # fits
+    solution = solve(S, b, 0.3, law)
+    assert solution.status[0] is Status.INFEASIBLE and not solution.converged[0] and solution.residual[0] > 1e-3
+    assert solution.status[1] is Status.CONVERGED
+
+
+RIGID = {
+    "stack": lambda: box_stack(10), "tower": lambda: box_stack(15, (0.3, 0.3, 1.0)), "wall": lambda: brick_wall(4, 3),
+    "arch": lambda: arch(15), "spheres": lambda: sphere_pile(3, 3, np.random.default_rng(1)),
+    "logs": lambda: capsule_pile(5, 4), "chain": lambda: hanging_chain(15),
+}
+
+
+@pytest.mark.parametrize("mu", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("scene", RIGID)
+def test_rigid_bodies(scene, mu):
+    """Many more contacts than degrees of freedom, at rest and disturbed."""
+    for speed in (0.0, 0.05):
+        problem = RIGID[scene]().problem(mu, np.random.default_rng(2), speed)
+        assert np.linalg.matrix_rank(problem.S, 1e-9 * np.abs(problem.S).max()) < 0.7 * len(problem.S)
+        assert_solved(solve(problem.S, problem.b, problem.mu), problem.S, problem.b, problem.mu)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("condition", [1e3, 1e8, 1e12])
+def test_ill_conditioned_compliance(condition, law):
+    rng = np.random.default_rng(8)
+    S = compliant(10, rng, condition)
+    problem = manufactured(S, np.full(10, 0.27), 6, rng, 0.4, 0.4, "associated" if law is Law.ASSOCIATED else "coulomb")
+    assert_solved(solve(S, problem.b, 0.27, law), S, problem.b, 0.27, law)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("length, force", [(1e-3, 1.0), (1.0, 1e-3), (1e-3, 1e3), (1e6, 1e-6)])
+def test_units_do_not_matter(length, force, law):
+    rng = np.random.default_rng(9)
+    problem = slip_dominated(15, 6, rng)
+    reference = solve(problem.S, problem.b, 0.27, law)
+    other = solve(problem.S * length / force, problem.b * length, 0.27, law)
+    size = np.abs(reference.force).max()
+    np.testing.assert_allclose(other.force / force, reference.force, atol=1e-8 * size)
+    assert np.abs(other.iterations - reference.iterations).max() <= 2
+    wrong = reference.force + 0.01 * size
+    np.testing.assert_allclose(certify(problem.S * length / force, problem.b * length, 0.27, wrong * force, law).residual,
+                               certify(problem.S, problem.b, 0.27, wrong, law).residual, rtol=1e-9)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("ratio", [1e-4, 1e-2, 1e2, 1e4])
+def test_tangential_units_do_not_matter(ratio, law):
+    """Tangential lengths in another unit: ``S_tt`` changes by ``ratio`` against ``S_nn``, ``μ`` by ``ratio^{-1/2}``."""
+    rng = np.random.default_rng(10)
+    problem = slip_dominated(15, 6, rng)
+    unit = np.tile([1.0, np.sqrt(ratio), np.sqrt(ratio)], 15)
+    S = problem.S * unit[:, None] * unit
+    solution = solve(S, problem.b * unit, 0.27 / np.sqrt(ratio), law)
+    assert_solved(solution, S, problem.b * unit, 0.27 / np.sqrt(ratio), law)
+    reference = solve(problem.S, problem.b, 0.27, law).force
+    np.testing.assert_allclose(solution.force * unit, reference, atol=1e-8 * np.abs(reference).max())
+
+
+@pytest.mark.parametrize("ratio", [1e-4, 1e-2, 1e2, 1e4])
+def test_tangential_compliance_unlike_the_normal_one(ratio):
+    rng = np.random.default_rng(10)
+    S = compliant(15, rng, condition=1e3, tangential=ratio)
+    b = manufactured(S, np.full(15, 0.27), 6, rng, 0.4, 0.4).b
+    assert_solved(solve(S, b, 0.27), S, b, 0.27)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_sample_does_not_depend_on_its_batch(law):
+    rng = np.random.default_rng(11)
+    S = compliant(15, rng)
+    b = rng.standard_normal((12, 45))
+    b[3] *= 1e6
+    solver = ContactSolver(S, 0.27, law)
+    batch = solver.solve(b)
+    parallel = ContactSolver(S, 0.27, law, threads=2).solve(b[::-1])
+    for sample in range(12):
+        alone = solver.solve(b[sample])
+        size = np.abs(alone.force).max()
+        np.testing.assert_allclose(batch.force[sample], alone.force, atol=1e-10 * size)
+        np.testing.assert_allclose(parallel.force[11 - sample], alone.force, atol=1e-10 * size)
+
+
+def test_a_hopeless_sample_does_not_stop_the_rest():
+    S = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
+    b = np.tile([-1.0, 0.1, 0.0, 2.0, 0.0, 0.0], (5, 1))
+    b[2, 3] = -1.0
+    solution = solve(S, b, 0.3)
+    np.testing.assert_array_equal(solution.converged, [True, True, False, True, True])
+
+
+def test_normal_rows_alone_give_the_frictionless_answer():
+    rng = np.random.default_rng(12)
+    S, b = compliant(15, rng), rng.standard_normal((6, 45))
+    full = solve(S, b, 0.3, "frictionless")
+    normal = solve(S[::3, ::3], b[:, ::3], 0.3, "frictionless", dimension=1)
+    np.testing.assert_allclose(normal.force, full.force[:, ::3], atol=1e-12)
+    np.testing.assert_allclose(normal.displacement, full.displacement[:, ::3], atol=1e-12)
+    np.testing.assert_allclose(normal.residual, full.residual, atol=1e-12)
+
+
+def test_a_good_guess_saves_work():
+    problem = slip_dominated(30, 10, np.random.default_rng(13))
+    solver = ContactSolver(problem.S, problem.mu)
+    cold = solver.solve(problem.b)
+    warm = solver.solve(problem.b, guess=cold.force)
+    assert warm.converged.all() and warm.iterations.sum() < cold.iterations.sum()
