@@ -207,6 +207,7 @@ def frame_sign(monkeypatch):
 
 
 def surface_side(monkeypatch):
+    """Each pair reads the sheets' averted faces."""
     from mic import assembly
 
     find = assembly.find_pairs

@@ -278,7 +278,7 @@ def _figure(table, truth):
         axis.minorticks_off()
         axis.invert_yaxis()
     right.set_yticklabels([])
-    left.legend(title=f"reduced law; full: {truth}", loc="best")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=len(laws), frameon=False, title=f"reduced law; full: {truth}")
     return figure
 
 

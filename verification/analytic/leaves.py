@@ -20,7 +20,7 @@ import numpy as np
 
 from verification import strips
 
-__all__ = ["Leaves", "deflections"]
+__all__ = ["Leaves", "deflections", "slips"]
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,12 @@ class Leaves:
         return 2 * 4 * self.slip_load * (peak - self.slip_load) * (self.sliding_compliance - self.stuck_compliance)
 
 
+    def exact_slips(self, load: float, x) -> np.ndarray:
+        """Sliding freely, the upper leaf's face moves along x against the lower's by h times the slope, mm; mean over each pair's cell."""
+        x, cell = np.asarray(x), 2 * self.length / self.columns
+        bending = self.young * self.width * self.depth**3 / 12
+        return np.sign(x) * self.depth * load / 2 * (self.length * np.abs(x) - x**2 / 2 - cell**2 / 24) / bending
+
     def welded_deflection(self, load: float, at: float) -> float:
         """Deflection of frictionless leaves that are tied at the distance `at` (mm) from the middle, mm.
 
@@ -155,7 +161,15 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
     stages = [dict(kind="locate"), dict(kind="clamp", name="press"), *([dict(kind="weld")] if welds else []),
               *(dict(kind="clamp", name=f"load{k}", increments=increments) for k in range(len(loads))), dict(kind="measure")]
     return strips.build(folder, sheets, name="leaves", locators=locators, clamps=clamps, welds=welds, zones=[zone], stages=stages,
-                        deviations=deviations, measurements=measurements)
+                        deviations=deviations, measurements=measurements, report={"slip": True})
+
+
+def slips(leaves: Leaves, context, load: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the pairs along x, and the slip along x of each under one load, mm."""
+    model = context.model(scene(leaves, context.cache / "meshes", [load]))
+    displacement = model.evaluate({}).resolutions["load0"].displacement[0]
+    tangents = model.contacts.frame[:, 0, 1:]  # x components of t1 and t2
+    return model.contacts.point[:, 0], (displacement[:, 1:] * tangents).sum(1)
 
 
 def deflections(leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from verification.analytic.leaves import Leaves, deflections
+from verification.analytic.leaves import Leaves, deflections, slips
 from verification.analytic.sheet import Sheet, dragged_ends, incline_reaction, stop_force
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
@@ -42,7 +42,7 @@ def layered_cantilever(context):
 
 
 def welded_leaves(context):
-    """Leaves without friction, tied by welds: between one beam and two."""
+    """Leaves without friction: how they slide on each other, and how welds tie them, between one beam and two."""
     leaves = Leaves(size=5.0 if context.quick else 2.5, columns=20, friction=0.0)
     rows = []
     for at in (40.0, 70.0, 90.0):
@@ -50,7 +50,16 @@ def welded_leaves(context):
         rows.append({"welds at, mm": at, "deflection, mm": found, "closed form, mm": exact, "relative error": found / exact - 1,
                      "without welds, mm": 10.0 * leaves.sliding_compliance})
     table = pd.DataFrame(rows)
-    return [Finding("welded", float(table["relative error"].abs().max()), table=table)]
+    x, slip = slips(leaves, context, 10.0)
+    exact_slip = leaves.exact_slips(10.0, x)
+    error = np.abs(slip - exact_slip).max() / np.abs(exact_slip).max()
+    figure, (axis,) = panels(1)
+    axis.plot(x, exact_slip, "k-", lw=1, label="closed form")
+    axis.plot(x, slip, "o", color="tab:red", ms=4, label=f"reduced model, error {error:.2%}")
+    axis.set(xlabel="x, mm", ylabel="slip of the upper leaf along x, mm")
+    axis.legend()
+    return [Finding("slip", error, "Its sign tells which faces of the sheets the pairs read.", figure),
+            Finding("welded", float(table["relative error"].abs().max()), table=table)]
 
 
 def incline(context):
@@ -114,6 +123,7 @@ STUDY = Study(
         Acceptance("cantilever", "Layered cantilever with slip between the leaves (Goodman and Klumpp), before, at and after the slip load, loading and "
                    "unloading: largest error of the deflection over the largest deflection.", 0.003, quick=0.008),
         Acceptance("hysteresis", "The energy that friction takes in a closed loop of the layered cantilever: relative error.", 0.003, quick=0.008),
+        Acceptance("slip", "Leaves without friction slide on each other by their depth times the slope: largest error over the largest slip.", 0.003, quick=0.006),
         Acceptance("welded", "Leaves without friction, tied by welds: relative error of the deflection.", 0.002, quick=0.006),
         Acceptance("incline", "A sheet on an incline stays below the angle of friction, and leans on its stop with W (sin α - μ cos α) above it: largest error "
                    "over the weight.", 1e-4),
