@@ -90,7 +90,7 @@ def part_surface(part, folder: Path, cache: Path) -> Surface:
         np.savez(temporary, points=surface.points, triangles=surface.triangles)
         temporary.replace(kept)
         return surface
-    except (ValueError, KeyError, ImportError) as error:
+    except (ValueError, KeyError, ImportError, OSError) as error:
         raise SceneError(f"part {part.name!r}: {key}: {path}: {error}") from error
 
 
