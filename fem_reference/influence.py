@@ -15,11 +15,16 @@ from __future__ import annotations
 import ctypes
 import warnings
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse import bmat, csr_matrix, dia_matrix
+
+if TYPE_CHECKING:
+    from fem_reference.part import ShellPart
+    from mic.functional import Functionals
 
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
 
@@ -236,14 +241,15 @@ except (OSError, AttributeError) as problem:  # pragma: no cover - no such PETSc
 
 
 def compute_influence(
-    parts: Mapping[str, Callable[[], "ShellPart"]],
-    functionals: Mapping[str, "Functionals"],
+    parts: Mapping[str, Callable[[], ShellPart]],
+    functionals: Mapping[str, Functionals],
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """H (n, n) and G (n, 6) of every part, the parts shared out over the processes.
 
     Each part is factorised on one process alone (a serial factorisation per part beats a distributed one at these sizes),
-    so that the result does not depend on how many there are.
+    so that the result does not depend on how many there are. The Schur complement leaves no right-hand sides to share out further;
+    processes beyond the number of parts have nothing to do.
 
     Parameters
     ----------

@@ -119,6 +119,15 @@ def several_parts():
 if __name__ == "__main__":  # one of the processes of the test below
     from mpi4py import MPI
 
+    # a part whose mesh is shared out has other numbers for its freedoms, and the same compliance
+    shared = ShellPart(panel(6), T, E, NU, comm=MPI.COMM_WORLD)
+    alone = ShellPart(panel(6), T, E, NU)
+    rows = functionals(alone.surface, PLACES, 6.0)
+    (H, G), (H_alone, G_alone) = shared.influence(rows), alone.influence(rows)
+    balanced = np.linalg.svd(G_alone)[0][:, 6:]
+    assert abs(G - G_alone).max() < 1e-12 * abs(G).max()
+    assert abs(balanced.T @ (H - H_alone) @ balanced).max() < 1e-10 * abs(balanced.T @ H @ balanced).max()
+
     coefficients = compute_influence(*several_parts())
     if MPI.COMM_WORLD.rank == 0:
         np.savez(sys.argv[1], **{f"{name} {key}": value for name, pair in coefficients.items() for key, value in zip("HG", pair)})
