@@ -105,7 +105,7 @@ def plane_stress(strain, material: Material):
 
 
 def opt_beta0(poisson: float) -> float:
-    """β0 = max(½(1 − 4ν²), 0.01): Felippa (2003), table 1, the optimum for in-plane bending at any aspect ratio."""
+    """β0 = max(½(1 − 4ν²), 0.01): Felippa (2003), the optimum for in-plane bending at any aspect ratio."""
     return max(0.5 * (1 - 4 * poisson**2), 0.01)
 
 
@@ -150,7 +150,7 @@ def dkt_curvature(T: Triangle, v: Kinematics):
     """Curvature of the discrete Kirchhoff triangle.
 
     β is linear plus one quadratic bubble per edge, directed along the edge's tangent s, whose amplitude makes
-    the shear along the edge vanish in the mean and at both ends (Batoz et al. 1980, eqs 20–23):
+    the shear along the edge vanish in the mean and at both ends (Batoz et al. 1980):
 
         β = Σ λi βi + Σ_edges 3/2 γ_s s 4 λi λj,      γ_s = (wj − wi)/l − ½(βi + βj)·s
         κ = sym ∇β
@@ -180,7 +180,7 @@ def opt_strain(T: Triangle, v: Kinematics, material: Material):
 
         ε_h = −√β0 A Σ_k s_k sym(∇λi ⊗ ∇λj),     s_k = (1 − 3λj) ω̃i − (1 − 3λi) ω̃j + (λi − λj) ω̃k
 
-    This is Felippa (2003), eqs 16–28 with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2), in a form free of coordinates:
+    This is the ANDES template of Felippa (2003) with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2), in a form free of coordinates:
     his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on integration, and ε_b, ε_h do not couple.
     """
     α_b = 3 / 2

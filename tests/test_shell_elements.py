@@ -116,7 +116,7 @@ def test_exactly_six_zero_energy_modes(element, surface):
 
 
 def felippa_opt_stiffness(x, y, t):
-    """OPT stiffness (9, 9), order (u_x, u_y, θ) per node, by the matrices printed in Felippa (2003), eqs 9–28."""
+    """OPT stiffness (9, 9), order (u_x, u_y, θ) per node, by the matrices printed in Felippa (2003)."""
     X = lambda i, j: x[i - 1] - x[j - 1]
     Y = lambda i, j: y[i - 1] - y[j - 1]
     A = (X(2, 1) * Y(3, 1) - X(3, 1) * Y(2, 1)) / 2
@@ -175,7 +175,7 @@ def test_membrane_equals_the_published_matrices():
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49])
 @pytest.mark.parametrize("sides", [(1, 1), (10, 1), (100, 1), (1, 100)])
 def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
-    """A rectangle a × b of two triangles bent in its plane stores E I κ² a/2, what OPT is optimal for (Felippa 2003, section 6).
+    """A rectangle a × b of two triangles bent in its plane stores E I κ² a/2, what OPT is optimal for (Felippa 2003).
 
     Nodal values of u1 = −κ x y, u2 = κ x²/2, ω = κ x.
     """
@@ -197,7 +197,7 @@ def test_pinched_ring_from_thick_to_thin(element, t, jitter):
     Flat triangles askew to the generators cannot bend without stretching once their rise h²/(8R) = 0.03 mm exceeds the thickness,
     whatever the element: at t/R = 1e-4 on the jittered mesh both are some 20 % too stiff, at 1e-5 90 %.
 
-    Thin-ring theory, bending and stretching of a quarter under P/2 at the crown (Timoshenko, Strength of Materials II, art. 12):
+    Thin-ring theory, bending and stretching of a quarter under P/2 at the crown (Timoshenko, Strength of Materials):
     δ/2 = P R³/(8 E I) (π − 8/π) + π P R/(8 E b t), δ the change of the pinched diameter; transverse shear adds π P R/(8 · 5/6 G b t).
     """
     R, b = 100.0, 40.0
