@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["local_factors", "newton", "solve_frictional", "solve_frictionless", "starting_scale"]
+__all__ = ["gauss_seidel", "local_factors", "newton", "solve_frictional", "solve_frictionless", "starting_scale"]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 

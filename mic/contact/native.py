@@ -8,6 +8,7 @@ laws, without units.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 
 import numpy as np
 from scipy.optimize import nnls
@@ -23,7 +24,7 @@ __all__ = ["NativeSolver"]
 KERNEL_MARGIN = 1e-2
 #: Rounds of Gauss-Seidel and Newton before the patient methods take over.
 ROUNDS = 3
-FIXED_POINT_STEPS, PROXIMAL_STEPS = 8, 40
+FIXED_POINT_STEPS, PROXIMAL_STEPS, PATIENCE = 8, 25, 10
 #: A pressure ``d`` with ``‖W d‖`` below this share of its work on the overlaps proves infeasibility: balancing the load would
 #: take forces this many times over the natural ones.
 INFEASIBLE_COMPLIANCE = 1e-11
@@ -109,12 +110,16 @@ class NativeSolver:
     def _attempts_frictional(self, q, y):
         mu, W = self.friction, self.W
         coulomb = self.law is Law.COULOMB
+        yield from self._polished(W, q, y)
         # The shift μ‖w_t‖ moves with the iterates, ...
         shift = None if coulomb else np.zeros_like(mu)
         z, steps = interior_point(W, q, mu, shift)
         for polished, more in self._polished(W, q, z):
             yield polished, steps + more
             steps = 0
+        if coulomb:
+            sweeping = self._patient_sweeps(q, y)
+            yield from islice(sweeping, 3 * PATIENCE // 2)
         # ... or is held while a convex problem is solved, then moved: De Saxcé's fixed point.
         if coulomb:
             shift = np.zeros_like(mu)
@@ -125,15 +130,26 @@ class NativeSolver:
                     steps = 0
                 w = W @ z + q
                 shift = np.hypot(w[1::3], w[2::3])
+            yield from sweeping
         for start in (y, z):
             yield from self._proximal_points(q, start)
         for alpha in (1e-4, 1e-3):
             yield from self._interior_proximal_points(q, alpha)
 
+    def _patient_sweeps(self, q, y):
+        """Gauss-Seidel in runs of 100, 200, 400, ... sweeps, polished after each: slow on stacks, but hard to defeat."""
+        y, w, slip = y.copy(), self.W @ y + q, np.zeros_like(self.friction)
+        for doubling in range(PATIENCE):
+            sweeps = kernels.gauss_seidel(self.W, self.factors, self.friction, y, w, slip, 100 * 2**doubling, 1e-15)
+            w = self.W @ y + q
+            for polished, more in self._polished(self.W, q, y):
+                yield polished, sweeps + more
+                sweeps = 0
+
     def _polished(self, W, q, y):
         """Newton from ``y``, plain and damped."""
         scale = kernels.starting_scale(self.friction, q)
-        for damping in (1e-9, 1e-6):
+        for damping in (1e-9, 1e-6, 1e-14):
             z, w = y.copy(), W @ y + q
             _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, q, self.friction, z, w, damping, scale,
                                       1e-14, 20)
