@@ -12,6 +12,8 @@ References
        Biometrika 26 (1934) 404-413.
 .. [4] S. S. Wilks: Determination of sample sizes for setting tolerance limits, Ann. Math. Statist. 12 (1941) 91-96.
 .. [5] D. W. Scott: Multivariate Density Estimation, 2nd ed., 2015, section 6.2.
+.. [6] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat. Data Anal.
+       50 (2006) 775-782.
 """
 
 from __future__ import annotations
@@ -55,9 +57,13 @@ def mean(x, level: float = LEVEL) -> Estimate:
 
 
 def sigma(x, level: float = LEVEL) -> Estimate:
-    """Standard deviation (n - 1 in the denominator), with the chi-squared interval of a normal population [1]_."""
+    """Standard deviation (n - 1 in the denominator).
+
+    Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that; such an
+    interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [6]_.
+    """
     n, _, s = _moments(x)
-    low, high = _sigma_factors(n, level)
+    low, high = _sigma_factors(x, level)
     spread = np.where(s > 0, s, np.nan)
     return _estimate(x, s, low * spread, high * spread)
 
@@ -91,7 +97,7 @@ def covered_share(n: int, level: float = LEVEL) -> float:
 
 
 def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Cp = (upper - lower) / 6σ, with the chi-squared interval; infinite without spread.
+    """Cp = (upper - lower) / 6σ, with the interval that belongs to that of :func:`sigma`; infinite without spread.
 
     Parameters
     ----------
@@ -102,7 +108,7 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     n, _, s = _moments(x)
     with np.errstate(divide="ignore"):
         value = (np.asarray(upper, dtype=float) - lower) / (6 * s)
-    low, high = _sigma_factors(n, level)
+    low, high = _sigma_factors(x, level)
     known = np.where(np.isfinite(value), value, np.nan)
     return _estimate(x, value, known / high, known / low)
 
@@ -110,13 +116,19 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
 def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     """Cpk = min(upper - mean, mean - lower) / 3σ, with Bissell's interval [2]_.
 
-    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))``. Without spread it is infinite, of the sign that the mean's place demands.
+    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples that look normal. Where they show heavier tails, the variance is that
+    of the ratio to first order, ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis κ, plus towards the upper limit.
+    Without spread it is infinite, of the sign that the mean's place demands.
     """
     n, m, s = _moments(x)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.minimum(np.asarray(upper, dtype=float) - m, m - lower) / (3 * s)
     known = np.where(np.isfinite(value), value, np.nan)
-    half = ndtri(0.5 + level / 2) * np.sqrt(1 / (9 * np.maximum(n, 1)) + known**2 / (2 * np.maximum(n - 1, 1)))
+    skewness, kurtosis, heavy = _tails(x)
+    towards = np.where(np.asarray(upper, dtype=float) - m <= m - lower, 1, -1)
+    normal = 1 / (9 * np.maximum(n, 1)) + known**2 / (2 * np.maximum(n - 1, 1))
+    general = (1 / 9 + known**2 * (kurtosis - 1) / 4 + towards * known * skewness / 3) / np.maximum(n, 1)
+    half = ndtri(0.5 + level / 2) * np.sqrt(np.where(heavy, general, normal))
     return _estimate(x, value, known - half, known + half)
 
 
@@ -189,11 +201,29 @@ def _t_quantile(n, level):
     return np.where(n > 1, stdtrit(np.maximum(n - 1, 1), 0.5 + level / 2), np.nan)
 
 
-def _sigma_factors(n, level):
+def _sigma_factors(x, level):
     """Ends of the interval of σ, as multiples of the estimate."""
+    n, _, _ = _moments(x)
     freedom = np.maximum(n - 1, 1)
     known = np.where(n > 1, 1.0, np.nan)
-    return tuple(known * np.sqrt(freedom / chdtri(freedom, tail)) for tail in ((1 - level) / 2, (1 + level) / 2))
+    _, kurtosis, heavy = _tails(x)
+    z = ndtri(0.5 + level / 2)
+    c = n / np.maximum(n - z, 1)
+    spread = z * c * np.sqrt(np.where(heavy, kurtosis - (n - 3) / np.maximum(n, 1), 0.0) / freedom)
+    return tuple(known * np.where(heavy, np.sqrt(c) * np.exp(sign * spread / 2), np.sqrt(freedom / chdtri(freedom, tail)))
+                 for sign, tail in ((-1, (1 - level) / 2), (1, (1 + level) / 2)))
+
+
+def _tails(x):
+    """Skewness, kurtosis, and whether the kurtosis exceeds a normal population's by more than two of its standard errors."""
+    x = np.asarray(x, dtype=float)
+    n, m, s = _moments(x)
+    z = np.where(np.isfinite(x), x - m, 0.0) / np.where(s > 0, s, 1.0)
+    second = (z**2).sum(axis=0) / np.maximum(n, 1)
+    second = np.where(second > 0, second, 1.0)
+    skewness = (z**3).sum(axis=0) / np.maximum(n, 1) / second**1.5
+    kurtosis = (z**4).sum(axis=0) / np.maximum(n, 1) / second**2
+    return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / np.maximum(n, 1))
 
 
 def _extreme(x, choose):
