@@ -132,6 +132,12 @@ class FullEvaluation:
         """
         return self._mesh.vertex_fields(self.freedoms[stage])
 
+    def strain_energy(self, stage: str) -> float:
+        """Strain energy of all parts at the end of a stage, N mm."""
+        parts, u = self._mesh.parts, self.freedoms[stage]
+        owned, _ = parts.layout(0)
+        return parts.comm.allreduce(0.5 * float(u[owned] @ (parts.stiffness @ u)))
+
 
 class FullModel:
     """Full finite-element contact model of an assembly.
@@ -180,6 +186,10 @@ class FullModel:
                 load = mesh.rows["force"][i].toarray().ravel()
                 shape[:, j] = held.linear(load, np.zeros(len(support)), np.zeros((0, 1))).u
         return shape
+
+    def shape_fields(self, deviations) -> dict[str, np.ndarray]:
+        """Displacements and rotations (n_points, 6) that the deviations of shape give the vertices of each part, mm and rad."""
+        return self._nominal.vertex_fields(self._shape @ np.asarray(deviations, dtype=float))
 
     # ------------------------------------------------------------------------------------------ one assembly
 

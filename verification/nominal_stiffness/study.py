@@ -1,0 +1,133 @@
+"""MIC's assumption: one stiffness, that of the nominal mesh, for every deviated part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from mpi4py import MPI
+
+from fem_reference.contact import ContactFailure, FullModel
+from mic.variation import draw
+from verification.comparison import difference, reduced_and_assembly, zone_slip
+from verification.plots import panels
+from verification.scenes import shipped
+from verification.study import Acceptance, Finding, Study
+
+CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", 12.0, 12.0), ("wheelhouse", "coarse", None))
+DEVIATIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # mm, the largest displacement of the shape anywhere
+QUICK_DEVIATIONS = (0.1, 1.0, 10.0)
+TYPICAL = 1.0  # mm, of a stamped part
+
+
+def scaled(assembly, full, size):
+    """Deviations of the scene's first sample with its shapes scaled so that the largest displacement is `size` mm, and nothing else moved."""
+    scene = assembly.scene
+    shaped = np.array([deviation.kind == "force" for deviation in scene.deviations])
+    deviations = np.where(shaped, draw(scene, scene.monte_carlo.seed, 0, 1)[0], 0.0)
+    fields = full.shape_fields(deviations)
+    return deviations * size / max(np.linalg.norm(field[:, :3], axis=1).max() for field in fields.values())
+
+
+def stretching(assembly, full) -> float:
+    """Bound on what geometric nonlinearity does: membrane energy of the strains that linear kinematics leaves out, over the strain energy.
+
+    In each flat triangle, with ∇w the gradient of the displacement normal to it once the part's rigid motion is taken out, the strain ½ ∇w ⊗ ∇w of
+    von Kármán comes on top of the linear membrane strain. The energy of this part alone,
+
+        U = Σ ½ A ε : D : ε,      ε = ½ ∇w ⊗ ∇w,      D = E t/(1 − ν²) [plane stress],
+
+    is put on a displacement that was found without it. A plate free to move in its plane gives way and keeps much less: hence a bound.
+    """
+    stage = next(iter(full.resolutions))
+    added, fields = 0.0, full.field(stage)
+    for part in assembly.parts:
+        x, triangles = part.surface.points, part.surface.triangles
+        u = _without_rigid_motion(x, fields[part.name][:, :3])
+        a, b = x[triangles[:, 1]] - x[triangles[:, 0]], x[triangles[:, 2]] - x[triangles[:, 0]]
+        normal = np.cross(a, b)
+        double_area = np.linalg.norm(normal, axis=1)
+        normal /= double_area[:, None]
+        w = np.einsum("tij,tj->ti", u[triangles], normal)
+        gradient = ((w[:, 1] - w[:, 0])[:, None] * np.cross(b, normal) + (w[:, 2] - w[:, 0])[:, None] * np.cross(normal, a)) / double_area[:, None]
+        square = (gradient**2).sum(axis=1)  # ε has the one eigenvalue ½|∇w|², so ε : D : ε = E t/(1 − ν²) (½|∇w|²)²
+        added += float((0.5 * double_area / 2 * part.young * part.thickness / (1 - part.poisson**2) * (0.5 * square) ** 2).sum())
+    return added / full.strain_energy(stage)
+
+
+def _without_rigid_motion(x, u):
+    """(n, 3) displacements less the rigid motion (translation and small rotation) nearest to them."""
+    r = x - x.mean(axis=0)
+    skew = np.zeros((len(x), 3, 3))
+    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = r[:, 2], -r[:, 1], r[:, 0]
+    skew -= skew.transpose(0, 2, 1)
+    modes = np.concatenate([np.tile(np.eye(3), (len(x), 1, 1)), skew], axis=2).reshape(3 * len(x), 6)
+    return (u.ravel() - modes @ np.linalg.lstsq(modes, u.ravel(), rcond=None)[0]).reshape(-1, 3)
+
+
+def compare(built, size) -> dict:
+    """The reduced model against full solves on deviated meshes, one size of deviation."""
+    model, assembly = built
+    nominal = FullModel(assembly, comm=MPI.COMM_SELF)
+    deviations = scaled(assembly, nominal, size)
+    reduced = model.evaluate(deviations, "coulomb")
+    row = {"deviation, mm": size}
+    try:
+        deviated = FullModel(assembly, deviated=True, comm=MPI.COMM_SELF).evaluate(deviations)
+        flat = nominal.evaluate(deviations)
+    except ContactFailure as problem:
+        return row | {"failure": str(problem)}
+    off = difference(reduced, 0, deviated)
+    stage, zones = next(iter(deviated.resolutions)), len(assembly.scene.zones)
+    mine, truth = (zone_slip(d, assembly.contacts, zones) for d in (reduced.resolutions[stage].displacement[0], deviated.resolutions[stage].displacement))
+    return row | {"measurement": off.measurement, "force": off.force, "zone slip": float(np.abs(mine - truth).max() / truth.max()),
+                  "zone slip, mm": float(np.abs(mine - truth).max()), "changed states": off.states, "same mesh": difference(reduced, 0, flat).largest,
+                  "stretching": stretching(assembly, flat), "failure": ""}
+
+
+def run(context):
+    cases = [(name, quick if context.quick else size) for name, size, quick in CASES if not context.quick or quick is not None]
+    built = {name: reduced_and_assembly(shipped(name, size), context.cache) for name, size in cases}
+    sizes = QUICK_DEVIATIONS if context.quick else DEVIATIONS
+    items = [(name, size) for name, _ in cases for size in sizes]
+    rows = pd.DataFrame([{"assembly": name} | row for (name, _), row in zip(items, context.team.map(lambda i: compare(built[i[0]], i[1]), items))])
+    solved = rows[rows["failure"] == ""]
+    least, typical, large = (solved[solved["deviation, mm"] == size] for size in (min(sizes), TYPICAL, max(sizes)))
+    orders = {name: np.polyfit(np.log(own["deviation, mm"]), np.log(own["measurement"]), 1)[0]
+              for name, own in solved[solved["deviation, mm"] <= TYPICAL].groupby("assembly", sort=False) if len(own) > 1}
+
+    figure, axes = panels(4, 3.7)
+    for axis, quantity in zip(axes, ("measurement", "force", "zone slip", "stretching")):
+        for name, own in solved.groupby("assembly", sort=False):
+            axis.loglog(own["deviation, mm"], own[quantity], "o-", ms=4, lw=1, label=name.replace("_", " "))
+        axis.set(xlabel="largest shape deviation, mm", title="added membrane energy, relative" if quantity == "stretching" else f"{quantity}, relative difference")
+    axes[0].legend()
+
+    def each(table, column, form):
+        return ", ".join(f"{row['assembly'].replace('_', ' ')} {row[column]:{form}}" for _, row in table.iterrows())
+
+    return [
+        Finding("measurement", typical["measurement"].max(), f"At {TYPICAL} mm: {each(typical, 'measurement', '.2%')}. At {max(sizes)} mm: {each(large, 'measurement', '.1%')}. "
+                f"Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
+                f"{(rows['failure'] != '').sum()} of {len(rows)} pairs of full solves failed.", figure, rows),
+        Finding("growth", min(orders.values()), "Observed: " + ", ".join(f"{n.replace('_', ' ')} {o:.2f}" for n, o in orders.items()) + "."),
+        Finding("same-mesh", solved["same mesh"].max(), "What is left when the full solve keeps the nominal mesh: the differences above come from the geometry alone."),
+        Finding("stretching", least["stretching"].max(), f"At {min(sizes)} mm. At {TYPICAL} mm: {each(typical, 'stretching', '.1%')}; at {max(sizes)} mm: {each(large, 'stretching', '.1%')}. The bound takes the linear displacement as it is and "
+                "adds the membrane energy of the rotations' squares; a real sheet gives way in its plane, so the truth is less."),
+    ]
+
+
+STUDY = Study(
+    order=60,
+    title="Nominal stiffness",
+    claim="One stiffness, that of the nominal mesh, serves all deviated parts: its error grows with the deviations and is this large.",
+    reference="Full frictional contact finite elements on meshes that carry the deviated shape, with its stiffness, normals and gaps; deviations of 0.1 … 10 mm.",
+    acceptance=(
+        Acceptance("measurement", f"Key characteristics at deviations of {TYPICAL} mm: largest relative difference.", 0.1),
+        Acceptance("growth", "Smaller deviations leave smaller differences, at first order or better: lowest observed order up to there.", 0.8, bound="at least"),
+        Acceptance("same-mesh", "On the nominal mesh the full solve finds what the reduced model finds: largest relative difference.", 1e-7),
+        Acceptance("stretching", f"Geometric nonlinearity at deviations of {min(DEVIATIONS)} mm: bound on the membrane energy that linear kinematics leaves out, "
+                   "over the strain energy.", 0.1),
+    ),
+    seconds=(600, 60),
+    run=run,
+)
