@@ -1,0 +1,269 @@
+"""Contact solvers side by side: time per sample, ratio to the native solver, residual of the law that each one solves.
+
+    python benchmarks/contact.py                     # all cases, about ten minutes
+    python benchmarks/contact.py --quick             # few samples, no growth beyond 300 contacts
+    python benchmarks/contact.py --reduced wheel.npz # a scene's own S (3m, 3m), B (n, 3m), mu
+
+Everything runs in this one process, single-threaded first, then the native solver on all cores.  Residuals are the scale-free
+certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the associated law;
+preparation that is done once per S is not timed for anybody.  Peers that are not installed are skipped by name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from mic.contact import ContactSolver, certify
+from mic.contact.problems import ContactProblem, compliant, manufactured, slip_dominated
+
+#: A solver that is slower than this on one case stops after the samples done so far.
+SECONDS_PER_CASE = 20.0
+COLUMNS = ["case", "contacts", "solver", "law", "samples", "ms_median", "ms_max", "ratio", "residual_median", "residual_max",
+           "failed"]
+
+
+@dataclass
+class Competitor:
+    """A name, a law, and a function from problem to a function from one ``b`` to a force."""
+
+    name: str
+    law: str
+    prepare: object
+
+
+def cvxpy_backend(backend):
+    def prepare(problem):
+        solver = ContactSolver(problem.S, problem.mu, "associated", backend)
+        solver.solve(problem.b[0])  # CVXPY canonicalises at the first call
+        return lambda b: solver.solve(b).force
+    return prepare
+
+
+def paper_programme(problem):
+    """(13) as printed, redundant non-penetration rows and all, in CVXPY with ECOS; only b is a parameter."""
+    import cvxpy
+    m = len(problem.mu)
+    f, load = cvxpy.Variable(3 * m), cvxpy.Parameter(3 * m)
+    root = np.linalg.cholesky(problem.S + 1e-14 * np.trace(problem.S) * np.eye(3 * m)).T
+    contacts = cvxpy.reshape(f, (m, 3), order="C")
+    programme = cvxpy.Problem(
+        cvxpy.Minimize(0.5 * cvxpy.sum_squares(root @ f) + load @ f),
+        [cvxpy.norm(contacts[:, 1:], axis=1) <= cvxpy.multiply(problem.mu, contacts[:, 0]),
+         load[::3] + problem.S[::3] @ f >= 0])
+
+    def solve(b):
+        load.value = b
+        programme.solve(solver="ECOS")
+        return f.value if f.value is not None else np.zeros(3 * m)
+    solve(problem.b[0])
+    return solve
+
+
+def _cone_rows(problem):
+    """Rows of ``-G f ∈ K`` contact by contact: (μ f_n, f_t)."""
+    from scipy.sparse import diags
+    m = len(problem.mu)
+    return diags(-np.column_stack([problem.mu, np.ones(m), np.ones(m)]).ravel()).tocsc()
+
+
+def clarabel_direct(problem):
+    import clarabel
+    from scipy.sparse import csc_matrix, triu
+    P, G, m = csc_matrix(triu(problem.S)), _cone_rows(problem), len(problem.mu)
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    cones = [clarabel.SecondOrderConeT(3)] * m
+    return lambda b: np.array(clarabel.DefaultSolver(P, b, G, np.zeros(3 * m), cones, settings).solve().x)
+
+
+def ecos_direct(problem):
+    """``min t + bᵀ f`` with ``‖(√2 Rᵀ f, 1 - t)‖ <= 1 + t``, ``R Rᵀ = S``."""
+    import ecos
+    from scipy.sparse import bmat, csc_matrix, vstack
+    m = len(problem.mu)
+    root = np.linalg.cholesky(problem.S + 1e-14 * np.trace(problem.S) * np.eye(3 * m)).T
+    cone = bmat([[_cone_rows(problem), csc_matrix((3 * m, 1))]])
+    energy = bmat([[None, csc_matrix([[-1.0]])], [csc_matrix(-np.sqrt(2.0) * root), None], [None, csc_matrix([[1.0]])]])
+    G = vstack([cone, energy]).tocsc()
+    h = np.concatenate([np.zeros(3 * m), [1.0], np.zeros(3 * m), [1.0]])
+    dims = {"l": 0, "q": [3] * m + [3 * m + 2]}
+    return lambda b: ecos.solve(np.append(b, 1.0), G, h, dims, verbose=False)["x"][:-1]
+
+
+def scs_direct(problem):
+    import scs
+    from scipy.sparse import csc_matrix, triu
+    m = len(problem.mu)
+    data = dict(P=csc_matrix(triu(problem.S)), A=_cone_rows(problem), b=np.zeros(3 * m), c=problem.b[0])
+    solver = scs.SCS(data, dict(q=[3] * m), verbose=False, eps_abs=1e-9, eps_rel=1e-9, max_iters=50_000)
+
+    def solve(b):
+        solver.update(c=b)
+        return solver.solve(warm_start=True)["x"]
+    return solve
+
+
+def siconos(name):
+    def prepare(problem):
+        import siconos.numerics as numerics
+        numerics.numerics_set_verbose(0)
+        identifier = getattr(numerics, f"SICONOS_FRICTION_3D_{name}")
+        limit = {"NSGS": 100_000, "ADMM": 20_000}.get(name, 1000)
+        m = len(problem.mu)
+        size = np.trace(problem.S) / (3 * m)
+        W = np.asfortranarray(problem.S / size)
+
+        def solve(b):
+            contact = numerics.FrictionContactProblem(3, m, W, b.copy(), problem.mu.copy())
+            options = numerics.SolverOptions(identifier)
+            options.dparam[numerics.SICONOS_DPARAM_TOL] = 1e-10
+            options.iparam[numerics.SICONOS_IPARAM_MAX_ITER] = limit
+            force, displacement = np.zeros(3 * m), np.zeros(3 * m)
+            numerics.fc3d_driver(contact, force, displacement, options)
+            return force / size
+        solve(problem.b[0])
+        return solve
+    return prepare
+
+
+def native(law):
+    def prepare(problem):
+        solver = ContactSolver(problem.S, problem.mu, law)
+        solver.solve(problem.b[:1])  # compile
+        return lambda b: solver.solve(b).force
+    return prepare
+
+
+COMPETITORS = [
+    Competitor("native", "coulomb", native("coulomb")),
+    *(Competitor(f"Siconos {name}", "coulomb", siconos(name)) for name in ("NSGS", "NSN_AC", "PROX", "ADMM")),
+    Competitor("native", "associated", native("associated")),
+    Competitor("CVXPY + ECOS, (13) as printed", "associated", paper_programme),
+    Competitor("CVXPY + ECOS", "associated", cvxpy_backend("ecos")),
+    Competitor("ECOS", "associated", ecos_direct),
+    Competitor("Clarabel", "associated", clarabel_direct),
+    Competitor("SCS", "associated", scs_direct),
+]
+
+
+def cases(quick):
+    """Named problems with 102 contacts, the paper's number."""
+    rng = np.random.default_rng(2024)
+    n = 20 if quick else 100
+    yield "slip-dominated", slip_dominated(102, n, rng)
+    yield "stick-rich", manufactured(compliant(102, rng), np.full(102, 0.27), n, rng)
+
+
+def measure(name, problem, competitor, reference, console):
+    """Time one competitor on one case; one row of the result."""
+    try:
+        solve = competitor.prepare(problem)
+    except ImportError as missing:
+        console.print(f"[yellow]{competitor.name} skipped: {missing}")
+        return None
+    times, forces = [], []
+    for b in problem.b:
+        start = time.perf_counter()
+        forces.append(solve(b))
+        times.append(time.perf_counter() - start)
+        if sum(times) > SECONDS_PER_CASE:
+            break
+    forces = np.array(forces, dtype=float)
+    residual = certify(problem.S, problem.b[:len(forces)], problem.mu, forces, competitor.law).residual
+    return _row(name, problem, competitor.name, competitor.law, times, residual, reference)
+
+
+def measure_batch(name, problem, threads, reference):
+    """The native solver on the whole batch at once, as the Monte Carlo calls it."""
+    solver = ContactSolver(problem.S, problem.mu, threads=threads)
+    solver.solve(problem.b[:1])
+    start = time.perf_counter()
+    solution = solver.solve(problem.b)
+    times = [(time.perf_counter() - start) / len(problem.b)]
+    label = f"native batch, {threads} thread{'s' * (threads > 1)}"
+    return _row(name, problem, label, "coulomb", times, solution.residual, reference)
+
+
+def _row(name, problem, solver, law, times, residual, reference):
+    median = 1e3 * np.median(times)
+    return dict(case=name, contacts=len(problem.mu), solver=solver, law=law, samples=len(residual), ms_median=median,
+                ms_max=1e3 * np.max(times), ratio=median / (reference or median), residual_median=np.median(residual),
+                residual_max=np.max(residual), failed=int(np.sum(residual > 1e-8)))
+
+
+def growth(quick, console):
+    """Time per sample against the number of contacts at a fixed share of active contacts; fits the exponent."""
+    rows = []
+    for m in (10, 30, 102, 300) if quick else (10, 30, 102, 300, 1000, 2000):
+        rng = np.random.default_rng(m)
+        points = rng.random((m, 2))
+        distance = np.linalg.norm(points[:, None] - points, axis=-1)
+        modes = rng.standard_normal((3 * m, 20)) / np.sqrt(60 * m)
+        S = np.kron(np.exp(-3.0 * distance) / np.sqrt(m) + 0.5 * np.eye(m), np.eye(3)) + modes @ modes.T
+        problem = manufactured(S, np.full(m, 0.27), max(2, min(50, 3000 // m)), rng, stick=0.2, slide=0.3)
+        rows.append(measure_batch("growth", problem, 1, None))
+        console.print(f"growth: {m} contacts, {rows[-1]['ms_median']:.3g} ms per sample")
+    large = [row for row in rows if row["contacts"] >= 100]
+    slope = np.polyfit(np.log([r["contacts"] for r in large]), np.log([r["ms_median"] for r in large]), 1)[0]
+    console.print(f"growth: time per sample ∝ m^{slope:.2f} from 102 contacts on (goal: no worse than m^2.3)")
+    return rows
+
+
+def show(rows, console):
+    table = Table(title="Contact solvers, milliseconds per sample")
+    for column in COLUMNS:
+        table.add_column(column.replace("_", " "), justify="left" if column in ("case", "solver", "law") else "right")
+    for row in rows:
+        table.add_row(*(f"{row[c]:.3g}" if isinstance(row[c], float) else str(row[c]) for c in COLUMNS))
+    console.print(table)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--reduced", type=Path, help="npz file with S, B, mu to run instead of the built-in cases")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--csv", type=Path, default=Path("results/contact_benchmark.csv"))
+    options = parser.parse_args()
+    console = Console(width=180)
+    if options.reduced:
+        data = np.load(options.reduced)
+        problems = [(options.reduced.stem, ContactProblem(
+            data["S"], data["B"], np.broadcast_to(data["mu"], (len(data["S"]) // 3,)).astype(float)))]
+    else:
+        problems = list(cases(options.quick))
+    rows = []
+    with threadpool_limits(1):
+        for name, problem in problems:
+            reference = None
+            for competitor in COMPETITORS:
+                row = measure(name, problem, competitor, reference, console)
+                if row:
+                    reference = reference or row["ms_median"]
+                    rows.append(row)
+                    console.print(f"{name}: {row['solver']} ({row['law']}) {row['ms_median']:.3g} ms, "
+                                  f"{row['ratio']:.3g} ×, residual {row['residual_max']:.1e}")
+            for threads in sorted({1, os.cpu_count()}):
+                rows.append(measure_batch(name, problem, threads, reference))
+        if not options.reduced:
+            rows += growth(options.quick, console)
+    show(rows, console)
+    options.csv.parent.mkdir(parents=True, exist_ok=True)
+    with options.csv.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    console.print(f"written to {options.csv}")
+
+
+if __name__ == "__main__":
+    main()
