@@ -50,7 +50,8 @@ __all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "
 OPEN, STICK, SLIP = 0, 1, 2
 STATES = ("open", "stick", "slip")
 
-_MAX_ITERATIONS = 40
+_MAX_ITERATIONS = 60
+_PATIENCE = 25  # iterations with full steps
 _TOLERANCE = 1e-11  # of the largest force in the system
 _LINE_SEARCH = 0.8  # a full step whose work falls below this share of the start's is taken as it is
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
@@ -165,11 +166,11 @@ class ContactLaw:
         stick = (size <= self.friction * y[:, 0]) & (self.friction > 0)
         return np.where(closed, np.where(stick, STICK, SLIP), OPEN)
 
-    def smooth(self, δ: np.ndarray, new: np.ndarray, state: np.ndarray) -> bool:
-        """Whether no contact changes its state on the way from δ to `new`, nor a slip its direction by more than 60°."""
-        (y, size), (z, length) = self._trial(δ), self._trial(new)
-        turned = np.einsum("kj,kj->k", y[:, 1:], z[:, 1:]) < 0.5 * size * length
-        return bool((self.state(new) == state).all() and not (turned & (state == SLIP) & (self.friction > 0)).any())
+    def reverses(self, δ: np.ndarray, new: np.ndarray) -> bool:
+        """Whether a contact that slips at δ and at `new` turns by more than 90° between them: a kink that Newton steps over."""
+        (y, _), (z, _) = self._trial(δ), self._trial(new)
+        slips = (self.state(δ) == SLIP) & (self.state(new) == SLIP) & (self.friction > 0)
+        return bool((slips & (np.einsum("kj,kj->k", y[:, 1:], z[:, 1:]) < 0)).any())
 
     def linearise(self, δ: np.ndarray, f: np.ndarray, state: np.ndarray):
         """Residual (m, d) of the lines (4) and its derivatives by δ and f, both (m, d, d)."""
@@ -381,13 +382,13 @@ class Equilibrium:
         δ = self._contact(x)
         state = law.state(δ)
         history = []
-        for _ in range(_MAX_ITERATIONS):
+        for iteration in range(_MAX_ITERATIONS):
             contact, by_δ, by_f = law.linearise(δ, x[N + b:].reshape(self.m, self.d), state)
             self._update(by_δ, by_f)
             F = self._residual(x, p, v, contact)
             dx = -self._solve(F)
             dx -= self._solve(F + self._multiply(dx))
-            α = self._step_length(x, dx, F, law, state)
+            α = self._step_length(x, dx, F, law, state, iteration)
             x = x + α * dx
             δ = self._contact(x)
             before, state = state, law.state(δ)
@@ -426,14 +427,17 @@ class Equilibrium:
             return (0.0 if residual <= 1e-13 * rounding else np.inf), 0.0
         return residual / scale, max(_TOLERANCE, 1e-14 * rounding / scale)
 
-    def _step_length(self, x, dx, F, law, state):
-        """α with G(α) = du·(K(u + α du) − p − Cᵀ f(u + α du)) = 0, the work of the residual on the step.
+    def _step_length(self, x, dx, F, law, state, iteration):
+        """α with G(α) = du·(K u(α) − p − Cᵀ f(u(α))) = 0, u(α) = u + α du: the residual does no more work on the step.
 
-        A step that moves the bilateral rows, or along which (4) stays smooth, is taken whole.
+        At first full steps find the contacts that open and close fastest, and only a slip that turns back is searched along;
+        after `_PATIENCE` iterations every step that changes a state is. A step that moves the bilateral rows is taken whole.
         """
         N, b = self.N, self.b
         δ, dδ = self._contact(x), self._contact(dx)
-        if not self.m or law.smooth(δ, δ + dδ, state) or np.abs(F[N:N + b]).max(initial=0.0) > 1e-9 * np.abs(x[:N]).max():
+        if not law.reverses(δ, δ + dδ) and (iteration < _PATIENCE or (law.state(δ + dδ) == state).all()):
+            return 1.0
+        if np.abs(F[N:N + b]).max(initial=0.0) > 1e-9 * np.abs(x[:N]).max():
             return 1.0
         work = lambda force: float((dδ * force).sum())
         constant = float(dx[:N] @ F[:N]) + work(x[N + b:].reshape(self.m, self.d))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.functional import Functionals
-from mic.pairing import Side, find_pairs, pair_at
+from mic.pairing import Side, find_pairs, node_pairs, pair_at
 from mic.part import Part, fixture_surface, part_surface
 from mic.scene import Scene, SceneError
 from mic.surface import Patch
@@ -115,7 +115,7 @@ class _Retained:
                            np.array(self.side, dtype=float), tuple(self.label))
 
 
-def assemble(scene: Scene, cache: Path) -> Assembly:
+def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     """Mesh the parts, find the contact pairs and set up all rows.
 
     Parameters
@@ -123,6 +123,8 @@ def assemble(scene: Scene, cache: Path) -> Assembly:
     scene : Scene
     cache : Path
         Folder for generated meshes.
+    every_node : bool
+        One contact pair per mesh vertex in the zones (:func:`mic.pairing.node_pairs`), not the pairs that the zones ask for.
 
     Raises
     ------
@@ -159,7 +161,7 @@ def assemble(scene: Scene, cache: Path) -> Assembly:
         gap = _weld_rows(f"welds[{i}]", weld, surfaces, thickness, retained, row)
         weld_size.append(6 if weld.moment else 3)
         weld_gap.append(gap)
-    contacts = _contact_rows(scene, bodies, thickness, retained, row)
+    contacts = _contact_rows(scene, bodies, thickness, retained, row, node_pairs if every_node else find_pairs)
     for i, deviation in enumerate(scene.deviations):
         if deviation.kind == "force":
             single("force", f"deviations[{i}]", deviation)
@@ -210,7 +212,7 @@ def _weld_rows(key, weld, surfaces, thickness, retained, row):
     return pair.gap
 
 
-def _contact_rows(scene, bodies, thickness, retained, row):
+def _contact_rows(scene, bodies, thickness, retained, row, find):
     """Rows of all contact pairs, and what is known of the pairs."""
     friction = any(law != "frictionless" for law in scene.report.laws) and any(zone.friction > 0 for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
@@ -219,7 +221,7 @@ def _contact_rows(scene, bodies, thickness, retained, row):
     for i, zone in enumerate(scene.zones if resolved else ()):
         sides = [Side(bodies[name], thickness[name]) for name in zone.parts]
         try:
-            found = find_pairs(zone, *sides)
+            found = find(zone, *sides)
         except ValueError as error:
             raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
         for pair in found:

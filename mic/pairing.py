@@ -5,6 +5,9 @@ region and its closest point on the other surface faces it: normals within an an
 the gap between the *facing* surfaces (both half-thicknesses taken off) within a limit. The candidates are then gathered
 into cells of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the projections
 on the other, so that a pair's two forces act on one line and leave no couple behind.
+
+`node_pairs` takes the mesh's own sampling instead: every vertex of the first surface in the zone against its closest point on
+the other, as node-to-surface contact does.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from mic.surface import Patch, Surface
 
-__all__ = ["ContactPair", "Side", "find_pairs", "pair_at"]
+__all__ = ["ContactPair", "Side", "find_pairs", "node_pairs", "pair_at"]
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,33 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
             if not len(reading.area):
                 reading = own.take([np.argmin(np.linalg.norm(own.point - centre, axis=1))])
         pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
+    _set_tangents(pairs)
+    return pairs
+
+
+def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
+    """A pair at every vertex of the first surface that lies in the zone and faces the second; its patches are points.
+
+    The zone's own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it, and
+    looks along the mean normal of its triangles. (A rigid first body is looked at from the second, as in `find_pairs`.)
+
+    Raises
+    ------
+    ValueError
+        If the zone is empty.
+    """
+    swap = first.thickness == 0
+    sampled, other = (second, first) if swap else (first, second)
+    surface = sampled.surface
+    vertex, first_use = np.unique(surface.triangles, return_index=True)
+    inside = _in_region(zone, surface.points[vertex])
+    vertex, (triangle, corner) = vertex[inside], np.divmod(first_use[inside], 3)
+    area = np.bincount(surface.triangles.ravel(), np.repeat(surface.areas / 3, 3))
+    cloud = _project(sampled, other, zone.max_gap, np.radians(zone.max_angle_deg), triangle, np.eye(3)[corner], area[vertex],
+                     surface.vertex_normals[vertex])
+    if not len(cloud.area):
+        raise ValueError("no vertex of the mesh faces the other surface there; refine the mesh, move the region, or widen max_gap")
+    pairs = [_pair(cloud.take([i]), cloud.area[i], sampled, other, swap) for i in range(len(cloud.area))]
     _set_tangents(pairs)
     return pairs
 
@@ -190,10 +220,11 @@ def _in_region(zone, x, margin=0.0):
     return np.ones(len(x), dtype=bool)
 
 
-def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area):
+def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, normal=None):
     """Sampling points with their closest points on the other surface, those that face nothing left out."""
     surface, opposite = sampled.surface, other.surface
-    point, normal = surface.at(triangle, barycentric), surface.normals[triangle]
+    point = surface.at(triangle, barycentric)
+    normal = surface.normals[triangle] if normal is None else normal
     foot = opposite.project(point, normal, max_angle)
     step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
     along = np.einsum("ij,ij->i", step, normal)
