@@ -13,7 +13,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
 
-__all__ = ["Scene", "SceneError", "load_scene"]
+__all__ = ["SETTINGS", "Scene", "SceneError", "load_scene"]
+
+#: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per zone, load
+#: increments per stage, samples. What each of them costs, and how far off it is, `verification/trade` measures. The tolerance of the
+#: contact solver is not among them: the tightest costs no more than the loosest.
+SETTINGS = {
+    "draft": {"size": "coarse", "pairs": 17, "increments": 1, "samples": 100},
+    "standard": {"size": "medium", "pairs": 34, "increments": 1, "samples": 500},
+    "reference": {"size": "fine", "pairs": 68, "increments": 4, "samples": 2000},
+}
 
 LAWS = ("frictionless", "associated", "coulomb")
 
@@ -265,6 +274,7 @@ class Scene(_Table):
 
     name: Name
     description: str = ""
+    setting: Literal["draft", "standard", "reference"] | None = Field(None, description="fills in what the scene leaves open, see SETTINGS")
     element: Literal["dkt-opt", "p2-cr"] = "dkt-opt"
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
@@ -278,6 +288,26 @@ class Scene(_Table):
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()
     folder: Path = Field(Path("."), exclude=True, description="set by load_scene: where relative file names start")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, table):
+        """What the named setting gives, where the scene leaves it open."""
+        setting = SETTINGS.get(table.get("setting")) if isinstance(table.get("setting"), str) else None
+        if setting is None:
+            return table
+
+        def filled(item, key, rivals=(), applies=True):
+            given = not isinstance(item, dict) or any(item.get(name) is not None for name in (key, *rivals))
+            return item if given or not applies else item | {key: setting[key]}
+
+        def each(key, fill):
+            return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
+
+        return (table | each("parts", lambda part: filled(part, "size", applies=isinstance(part, dict) and "geometry" in part))
+                | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
+                | each("stages", lambda stage: filled(stage, "increments"))
+                | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples")})
 
     @model_validator(mode="after")
     def _references(self):

@@ -7,6 +7,7 @@ import pytest
 
 import mic
 from mic.assembly import assemble
+from mic.scene import SETTINGS
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -78,6 +79,26 @@ def test_all_problems_are_listed_at_once(tmp_path):
     with pytest.raises(mic.SceneError) as caught:
         mic.load_scene(path)
     assert len(str(caught.value).splitlines()) == 2
+
+
+def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
+    text = 'setting = "draft"\n' + re.sub(r"pairs = 24\n", "", (LAP / "scene.toml").read_text()).replace('size = "medium"\n', "", 1)
+    (tmp_path / "scene.toml").write_text(text)
+    scene = mic.load_scene(tmp_path)
+    draft = SETTINGS["draft"]
+    assert [part.size for part in scene.parts] == [draft["size"], "medium"]  # the second part gives its own
+    assert scene.zones[0].pairs == draft["pairs"] and scene.monte_carlo.samples == 200
+    assert {stage.increments for stage in scene.stages} == {draft["increments"]}
+    assert mic.Scene(**scene.model_dump(mode="json")) == scene.model_copy(update={"folder": Path(".")})
+    (tmp_path / "scene.toml").write_text(text.replace('"draft"', '"hasty"'))
+    with pytest.raises(mic.SceneError, match="setting: .*'draft', 'standard' or 'reference'.*'hasty'"):
+        mic.load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_documentation_names_every_setting(name):
+    row = next(line for line in (LAP.parents[1] / "docs" / "scene.md").read_text().splitlines() if line.startswith(f'| `"{name}"`'))
+    assert [cell.strip(' `"') for cell in row.split("|")[2:-1]] == [str(value) for value in SETTINGS[name].values()]
 
 
 def test_missing_scene():
