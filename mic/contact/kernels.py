@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["gauss_seidel", "local_factors", "newton", "solve_frictional", "solve_frictionless", "starting_scale"]
+__all__ = ["gauss_seidel", "local_factors", "newton", "relative_errors", "solve_frictional", "solve_frictionless", "split", "starting_scale"]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
@@ -126,13 +126,13 @@ def gauss_seidel(W, P, mu, y, w, slip, sweeps, tol):
 
     Returns
     -------
-    int
-        Sweeps done.
+    int, float
+        Sweeps done, and the relative change in the last of them.
     """
     m = len(mu)
+    change = size = 0.0
     for sweep in range(sweeps):
-        change = 0.0
-        size = 0.0
+        change = size = 0.0
         for k in range(m):
             i = 3 * k
             y0, y1, y2 = y[i], y[i + 1], y[i + 2]
@@ -151,8 +151,8 @@ def gauss_seidel(W, P, mu, y, w, slip, sweeps, tol):
             change += d0 * d0 + d1 * d1 + d2 * d2
             size += z0 * z0 + z1 * z1 + z2 * z2
         if change <= tol * tol * size:
-            return sweep + 1
-    return sweeps
+            return sweep + 1, 0.0
+    return sweeps, np.sqrt(change / size) if size > 0.0 else np.inf
 
 
 @_jit
@@ -335,43 +335,91 @@ def starting_scale(mu, q):
 
 
 @_jit
-def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, errors, iterations):
+def split(associated, X, Q, mu, rho, Z, L, R):
+    """Second half of an over-relaxed ADMM step for each row of the batch, and the right-hand side ``R`` of the next step.
+
+    ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that De Saxcé's shift is
+    ``μ‖l_t‖``; ``R = ρ z - l - q - shift``.
+    """
+    for s in range(len(X)):
+        for k in range(len(mu)):
+            i = 3 * k
+            v0 = 1.6 * X[s, i] - 0.6 * Z[s, i] + L[s, i] / rho
+            v1 = 1.6 * X[s, i + 1] - 0.6 * Z[s, i + 1] + L[s, i + 1] / rho
+            v2 = 1.6 * X[s, i + 2] - 0.6 * Z[s, i + 2] + L[s, i + 2] / rho
+            t = np.sqrt(v1 * v1 + v2 * v2)
+            if mu[k] * t <= -v0:
+                z0, shrink = 0.0, 0.0
+            elif t <= mu[k] * v0:
+                z0, shrink = v0, 1.0
+            else:
+                z0 = (v0 + mu[k] * t) / (1.0 + mu[k] * mu[k])
+                shrink = mu[k] * z0 / t
+            Z[s, i], Z[s, i + 1], Z[s, i + 2] = z0, shrink * v1, shrink * v2
+            l0 = rho * (v0 - z0)
+            l1, l2 = rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
+            L[s, i], L[s, i + 1], L[s, i + 2] = l0, l1, l2
+            shift = 0.0 if associated else mu[k] * np.sqrt(l1 * l1 + l2 * l2)
+            R[s, i] = rho * z0 - l0 - Q[s, i] - shift
+            R[s, i + 1] = rho * Z[s, i + 1] - l1 - Q[s, i + 1]
+            R[s, i + 2] = rho * Z[s, i + 2] - l2 - Q[s, i + 2]
+
+
+@_jit
+def relative_errors(associated, Q, mu, Z, WZ):
+    """``‖Φ‖`` relative to the force scale for each row, with ``WZ = Z W``."""
+    errors = np.empty(len(Z))
+    phi = np.empty(Z.shape[1])
+    for s in range(len(Z)):
+        w = WZ[s] + Q[s]
+        size = _force_scale(starting_scale(mu, Q[s]), Q[s], Z[s], w)
+        error = _merit(associated, mu, Z[s], w, phi)
+        errors[s] = error / size if size > 0.0 else error
+    return errors
+
+
+@_jit
+def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweeps, calm, errors, iterations):
     """Samples ``first:last`` of the batch: Gauss-Seidel, then Newton, in rounds with twice the sweeps each.
 
-    ``Y`` holds the initial guess and receives the forces.
+    ``Y`` holds the initial guess and receives the forces.  Without ``sweeps``, or for the associated law, which the
+    Gauss-Seidel kernel does not know, only Newton runs.  A sample whose last sweep still changed ``y`` by more than ``calm``
+    is too far off for Newton, and is left for other methods.
     """
     m = len(mu)
     slip = np.zeros(m)
+    if associated:
+        sweeps = 0
     for s in range(first, last):
         q = Q[s]
-        y = Y[s]
+        y = Y[s].copy()
         scale = starting_scale(mu, q)
         w = np.dot(W, y) + q
         slip[:] = 0.0
         total = 0
-        sweeps = 10
-        error = np.inf
+        run = sweeps
         best = np.inf
-        best_y = y.copy()
-        for _ in range(rounds):
-            if not associated:
-                total += gauss_seidel(W, P, mu, y, w, slip, sweeps, 1e-15)
+        for _ in range(rounds if sweeps > 0 else 1):
+            if run > 0:
+                done, change = gauss_seidel(W, P, mu, y, w, slip, run, 1e-15)
+                total += done
                 w = np.dot(W, y) + q
-            guess_y, guess_w = y.copy(), w.copy()
+                if change > calm:
+                    Y[s] = y
+                    break
+            guess = y.copy()
             error, steps = newton(associated, W, q, mu, y, w, 1e-12, scale, tol, 12)
             total += steps
             if error < best:
                 best = error
-                best_y[:] = y
+                Y[s] = y
             if error <= tol:
                 break
-            if not associated:
-                y[:] = guess_y
-                w[:] = guess_w
-            sweeps *= 2
-        Y[s] = best_y
+            y[:] = guess
+            w = np.dot(W, y) + q
+            run *= 2
         errors[s] = best
-        iterations[s] = total
+        iterations[s] += total
 
 
 @_jit
@@ -436,4 +484,4 @@ def solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations):
             w = np.dot(W, y) + q
             sweeps *= 2
         errors[s] = best
-        iterations[s] = total
+        iterations[s] += total

@@ -11,8 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 
 import numpy as np
+from scipy.linalg import eigvalsh, inv
 from scipy.optimize import nnls
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from mic.contact import kernels
 from mic.contact.interior_point import interior_point
@@ -22,12 +23,21 @@ __all__ = ["NativeSolver"]
 
 #: The kernels work to this fraction of the tolerance, because their residual and the certificate weigh contacts differently.
 KERNEL_MARGIN = 1e-2
+#: Samples to a chunk: one product ``R @ inverse`` of the splitting, one task of a thread.
+CHUNK = 32
+#: Gauss-Seidel's relative change in its tenth sweep above which Newton is not tried.
+CALM = 0.1
+#: The splitting hands over to Newton at this relative error, or after so many steps.
+SPLITTING_ACCURACY, SPLITTING_STEPS = 1e-6, 400
 #: Rounds of Gauss-Seidel and Newton before the patient methods take over.
 ROUNDS = 3
 FIXED_POINT_STEPS, PROXIMAL_STEPS, PATIENCE = 8, 25, 10
 #: A pressure ``d`` with ``‖W d‖`` below this share of its work on the overlaps proves infeasibility: balancing the load would
 #: take forces this many times over the natural ones.
 INFEASIBLE_COMPLIANCE = 1e-11
+
+
+_THREADPOOLS = ThreadpoolController()
 
 
 class NativeSolver:
@@ -58,6 +68,7 @@ class NativeSolver:
             d_t = _inverse_root(0.5 * (diagonal[:, 1] + diagonal[:, 2]))
             self.scaling = np.column_stack([d_n, d_t, d_t]).ravel()
             self.friction = mu * d_n / d_t
+        self._splitting = None
         self.W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
         if law is not Law.FRICTIONLESS:
             self.factors = kernels.local_factors(self.W)
@@ -98,7 +109,7 @@ class NativeSolver:
         stride = self.dimension if self.law is Law.FRICTIONLESS else 1
         q, y = b[::stride] * self.scaling, force[::stride] / self.scaling
         method = self._attempts_frictionless if self.law is Law.FRICTIONLESS else self._attempts_frictional
-        with threadpool_limits(self.threads):
+        with _THREADPOOLS.limit(limits=self.threads):
             for y, iterations in method(q, y):
                 force = np.zeros_like(b)
                 force[::stride] = y * self.scaling
@@ -140,7 +151,7 @@ class NativeSolver:
         """Gauss-Seidel in runs of 100, 200, 400, ... sweeps, polished after each: slow on stacks, but hard to defeat."""
         y, w, slip = y.copy(), self.W @ y + q, np.zeros_like(self.friction)
         for doubling in range(PATIENCE):
-            sweeps = kernels.gauss_seidel(self.W, self.factors, self.friction, y, w, slip, 100 * 2**doubling, 1e-15)
+            sweeps, _ = kernels.gauss_seidel(self.W, self.factors, self.friction, y, w, slip, 100 * 2**doubling, 1e-15)
             w = self.W @ y + q
             for polished, more in self._polished(self.W, q, y):
                 yield polished, sweeps + more
@@ -161,7 +172,8 @@ class NativeSolver:
         errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
         for _ in range(PROXIMAL_STEPS):
             W, Q, Y = self.W + alpha * identity, (q - alpha * y)[None], y[None].copy()
-            self._run_kernel(W, Q, Y, 1e-13, 0, 1, 3, errors, counts)
+            counts[0] = 0
+            self._run_kernel(W, Q, Y, 1e-13, 0, 1, errors, counts)
             step = np.linalg.norm(Y[0] - y)
             solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
             y = Y[0]
@@ -178,13 +190,13 @@ class NativeSolver:
             y, more = next(self._polished(W, q - alpha * y, z))
             yield y, steps + more
 
-    def _run_kernel(self, W, Q, Y, tol, first, last, rounds, errors, iterations):
+    def _run_kernel(self, W, Q, Y, tol, first, last, errors, iterations, rounds=ROUNDS, sweeps=10, calm=np.inf):
         if self.law is Law.FRICTIONLESS:
             kernels.solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations)
         else:
             factors = self.factors if W is self.W else kernels.local_factors(W)
             kernels.solve_frictional(self.law is Law.ASSOCIATED, W, factors, Q, self.friction, Y, tol, first, last, rounds,
-                                     errors, iterations)
+                                     sweeps, calm, errors, iterations)
 
     def infeasible(self, b) -> bool:
         """Whether no force at all can keep the contacts from penetrating.
@@ -209,21 +221,79 @@ class NativeSolver:
         return work < -0.5 and np.linalg.norm(self.W[:, ::size] @ d) <= INFEASIBLE_COMPLIANCE * -work
 
     def _iterate(self, Q, Y):
+        """All samples, by the cheap methods: Gauss-Seidel with Newton, then splitting with Newton for those still unsolved."""
         n = len(Q)
         tol = KERNEL_MARGIN * self.tol
-        errors, iterations = np.zeros(n), np.zeros(n, dtype=np.int64)
+        errors, iterations = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
 
-        def run(first, last):
-            self._run_kernel(self.W, Q, Y, tol, first, last, ROUNDS, errors, iterations)
+        def stage(samples, method):
+            """Run ``method(Q, Y, errors, iterations)`` on chunks of the samples, in parallel."""
+            def chunk(first):
+                pick = samples[first:first + CHUNK]
+                parts = Q[pick], Y[pick], errors[pick], iterations[pick]
+                method(*parts)
+                Y[pick], errors[pick], iterations[pick] = parts[1:]
 
-        with threadpool_limits(1):
+            starts = range(0, len(samples), CHUNK)
             if self.threads == 1:
-                run(0, n)
+                for first in starts:
+                    chunk(first)
             else:
-                bounds = np.arange(0, n + 8, 8).clip(max=n)
                 with ThreadPoolExecutor(self.threads) as pool:
-                    list(pool.map(run, bounds[:-1], bounds[1:]))
+                    list(pool.map(chunk, starts))
+
+        def cheap(Q, Y, errors, iterations):
+            self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, rounds=1, calm=CALM)
+
+        def splitting(Q, Y, errors, iterations):
+            self._split(Q, Y, iterations)
+            self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, sweeps=0)
+
+        with _THREADPOOLS.limit(limits=1):
+            if self.law is Law.FRICTIONLESS:
+                stage(np.arange(n), lambda *parts: self._run_kernel(self.W, *parts[:2], tol, 0, len(parts[0]), *parts[2:]))
+            else:
+                # Newton from afar is a waste for the associated law, which has no Gauss-Seidel to come near; a guess is near.
+                if self.law is Law.COULOMB or Y.any():
+                    stage(np.arange(n), cheap)
+                unsolved = np.flatnonzero(errors > tol)
+                if unsolved.size:
+                    self._prepare_splitting()
+                    stage(unsolved, splitting)
         return iterations
+
+    def _prepare_splitting(self):
+        """``(W + ρ I)⁻¹`` with ``ρ`` the geometric mean of the extreme eigenvalues, the smallest bounded from below."""
+        if self._splitting is None:
+            eigenvalues = eigvalsh(self.W, check_finite=False)
+            smallest, largest = eigenvalues[0], eigenvalues[-1]
+            rho = np.sqrt(max(smallest, 1e-6 * largest) * largest)
+            self._splitting = rho, inv(self.W + rho * np.eye(len(self.W)))
+
+    def _split(self, Q, Y, iterations):
+        """ADMM from ``Y`` to a start good enough for Newton; each row stops by itself at its own accuracy.
+
+        The chunk is padded to a constant number of rows, so that the arithmetic of a row does not depend on the others.
+        """
+        rho, inverse = self._splitting
+        associated = self.law is Law.ASSOCIATED
+        n = len(Q)
+        load, Z = np.zeros((CHUNK, Q.shape[1])), np.zeros((CHUNK, Q.shape[1]))
+        load[:n], Z[:n] = Q, Y
+        L = np.zeros_like(Z)
+        R = rho * Z - load
+        waiting = np.arange(n)
+        for step in range(SPLITTING_STEPS):
+            kernels.split(associated, R @ inverse, load, self.friction, rho, Z, L, R)
+            if (step + 1) % 20 == 0:
+                errors = kernels.relative_errors(associated, load, self.friction, Z, Z @ self.W)
+                done = waiting[errors[waiting] <= SPLITTING_ACCURACY]
+                Y[done] = Z[done]
+                iterations[waiting] += 20
+                waiting = np.setdiff1d(waiting, done)
+                if not waiting.size:
+                    return
+        Y[waiting] = Z[waiting]
 
 
 def _inverse_root(diagonal: np.ndarray) -> np.ndarray:
