@@ -63,7 +63,7 @@ class InfluenceCoefficients:
             return cls(str(data["part"]), data["H"], data["G"], json.loads(str(data["provenance"])))
 
 
-def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[str, InfluenceCoefficients], dict[str, bool]]:
+def influence_coefficients(assembly, cache: Path, progress=None, comm=None) -> tuple[dict[str, InfluenceCoefficients], dict[str, bool]]:
     """Influence coefficients of all parts, from the cache where they fit, else from the finite elements.
 
     Parameters
@@ -73,6 +73,8 @@ def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[s
         Folder of cached coefficients; each file is named by the hash of everything that it depends on.
     progress : callable, optional
         Called with one line of text before each part that is computed.
+    comm : mpi4py.MPI.Comm, optional
+        Processes that call together and share the parts out; default: all.
 
     Returns
     -------
@@ -92,7 +94,7 @@ def influence_coefficients(assembly, cache: Path, progress=None) -> tuple[dict[s
         if progress:
             progress(f"influence coefficients of {part.name}: {len(part.functionals)} functionals, {len(part.surface.points)} nodes")
     if missing:
-        _compute(missing, cache)
+        _compute(missing, cache, comm)
     return {part.name: InfluenceCoefficients.load(_cached_file(part, cache)) for part in assembly.parts}, cached
 
 
@@ -105,8 +107,8 @@ def _cached_file(part, cache):
     return cache / "influence" / f"{part.fingerprint()}.npz"
 
 
-def _compute(parts, cache):
-    """Compute the parts' coefficients into the cache; under MPI a collective call that shares the parts out."""
+def _compute(parts, cache, comm):
+    """Compute the parts' coefficients into the cache; under MPI a collective call on `comm` that shares the parts out."""
     try:
         from mpi4py import MPI
 
@@ -116,9 +118,10 @@ def _compute(parts, cache):
         raise MissingFiniteElements(f"part {parts[0].name!r}: no cached influence coefficients fit, and the finite elements that compute them are "
                           f"not installed ({error}); on Debian: apt-get install python3-dolfinx, or copy a cache folder") from error
     shells = {part.name: lambda part=part: ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element) for part in parts}
-    computed = compute_influence(shells, {part.name: part.functionals for part in parts}, MPI.COMM_WORLD)
-    if MPI.COMM_WORLD.rank == 0:
+    comm = comm or MPI.COMM_WORLD
+    computed = compute_influence(shells, {part.name: part.functionals for part in parts}, comm)
+    if comm.rank == 0:
         for part in parts:
             provenance = {"element": part.element, "nodes": len(part.surface.points), "triangles": len(part.surface.triangles)}
             InfluenceCoefficients(part.name, *computed[part.name], provenance).save(_cached_file(part, cache))
-    MPI.COMM_WORLD.Barrier()
+    comm.Barrier()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from mpi4py import MPI
 
 from mic.assembly import Assembly, assemble
 from mic.contact import certify
@@ -18,9 +19,9 @@ __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
-    """The reduced model of a scene and the assembly that it came from, made by the production path."""
+    """The reduced model of a scene and the assembly that it came from, made by the production path on this process alone."""
     assembly = assemble(scene, cache)
-    return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0]), assembly
+    return ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]), assembly
 
 
 @dataclass(frozen=True)

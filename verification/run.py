@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import platform
 import shutil
 import time
@@ -19,6 +18,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from mic.montecarlo import communicator
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
@@ -29,11 +29,7 @@ SOURCES = (".py", ".toml", ".html")
 
 def team() -> Team:
     """The MPI world when started by ``mpirun``, else this process alone."""
-    if int(os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", "1"))) > 1:
-        from mpi4py import MPI
-
-        return Team(MPI.COMM_WORLD)
-    return Team()
+    return Team(communicator())
 
 
 def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -> None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Literal
 
-import mic
 from mic.reduced import ReducedModel
 from mic.scene import Scene
+from verification.comparison import reduced_and_assembly
 
 __all__ = ["Acceptance", "Context", "Finding", "Judged", "Study", "Team", "studies"]
 
@@ -149,8 +149,8 @@ class Context:
     team: Team
 
     def model(self, scene: Scene) -> ReducedModel:
-        """The scene's reduced model, made by the production path."""
-        return mic.reduce(scene, self.cache)
+        """The scene's reduced model, made by the production path on this process alone."""
+        return reduced_and_assembly(scene, self.cache)[0]
 
 
 @dataclass(frozen=True)
