@@ -383,8 +383,8 @@ def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweep
     """Samples ``first:last`` of the batch: Gauss-Seidel, then Newton, in rounds with twice the sweeps each.
 
     ``Y`` holds the initial guess and receives the forces.  Without ``sweeps``, or for the associated law, which the
-    Gauss-Seidel kernel does not know, only Newton runs.  A sample whose last sweep still changed ``y`` by more than ``calm``
-    is too far off for Newton, and is left for other methods.
+    Gauss-Seidel kernel does not know, only Newton runs.  A sample whose last sweep still changed ``y`` by more than ``calm``,
+    or a tenth of that if Newton's steps are dear because more than three contacts in five are loaded, is left for other methods.
     """
     m = len(mu)
     slip = np.zeros(m)
@@ -404,7 +404,10 @@ def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweep
                 done, change = gauss_seidel(W, P, mu, y, w, slip, run, 1e-15)
                 total += done
                 w = np.dot(W, y) + q
-                if change > calm:
+                loaded = 0
+                for k in range(m):
+                    loaded += y[3 * k] > 0.0
+                if change > (calm if 5 * loaded <= 3 * m else 0.1 * calm):
                     Y[s] = y
                     break
             guess = y.copy()

@@ -250,7 +250,9 @@ class NativeSolver:
             self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, sweeps=0)
 
         with _THREADPOOLS.limit(limits=1):
-            if self.law is Law.FRICTIONLESS:
+            if not Q.size:
+                pass
+            elif self.law is Law.FRICTIONLESS:
                 stage(np.arange(n), lambda *parts: self._run_kernel(self.W, *parts[:2], tol, 0, len(parts[0]), *parts[2:]))
             else:
                 # Newton from afar is a waste for the associated law, which has no Gauss-Seidel to come near; a guess is near.
