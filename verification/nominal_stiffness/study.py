@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from fem_reference.contact import ContactFailure, FullModel
 from mic.variation import draw
-from verification.comparison import difference, reduced_and_assembly, zone_slip
+from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
@@ -79,7 +79,8 @@ def compare(built, size) -> dict:
     off = difference(reduced, 0, deviated)
     stage, zones = next(iter(deviated.resolutions)), len(assembly.scene.zones)
     mine, truth = (zone_slip(d, assembly.contacts, zones) for d in (reduced.resolutions[stage].displacement[0], deviated.resolutions[stage].displacement))
-    return row | {"measurement": off.measurement, "force": off.force, "zone slip": float(np.abs(mine - truth).max() / truth.max()),
+    normal = max(relative(reduced.resolutions[name].force[0, :, 0], resolution.force[:, 0]) for name, resolution in deviated.resolutions.items())
+    return row | {"measurement": off.measurement, "force": off.force, "normal force": normal, "zone slip": float(np.abs(mine - truth).max() / truth.max()),
                   "zone slip, mm": float(np.abs(mine - truth).max()), "changed states": off.states, "same mesh": difference(reduced, 0, flat).largest,
                   "stretching": stretching(assembly, flat), "failure": ""}
 
@@ -107,7 +108,7 @@ def run(context):
 
     return [
         Finding("measurement", typical["measurement"].max(), f"At {TYPICAL} mm: {each(typical, 'measurement', '.2%')}. At {max(sizes)} mm: {each(large, 'measurement', '.1%')}. "
-                f"Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
+                f"Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}, their normal parts: {each(typical, 'normal force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
                 f"{(rows['failure'] != '').sum()} of {len(rows)} pairs of full solves failed.", figure, rows),
         Finding("growth", min(orders.values()), "Observed: " + ", ".join(f"{n.replace('_', ' ')} {o:.2f}" for n, o in orders.items()) + "."),
         Finding("same-mesh", solved["same mesh"].max(), "What is left when the full solve keeps the nominal mesh: the differences above come from the geometry alone."),

@@ -1,0 +1,154 @@
+"""The two-level estimate on populations with a known answer, and the verification of a user's own scene."""
+
+import json
+
+import numpy as np
+import pytest
+
+import mic
+from fem_reference.contact import FullModel
+from mic import statistics
+from verification.scene import choose, verify_scene
+from verification.study import FOLDER, Team
+from verification.two_level import two_level
+
+INTERCEPT, SLOPE, NOISE = 0.5, 1.2, 0.15  # x = INTERCEPT + SLOPE y + NOISE e
+MEAN, SIGMA = INTERCEPT + SLOPE * 5.0, np.hypot(SLOPE * 2.0, NOISE)  # with y normal, of mean 5 and σ 2
+
+
+def population(rng, count):
+    y = 5.0 + 2.0 * rng.standard_normal(count)
+    return y, INTERCEPT + SLOPE * y + NOISE * rng.standard_normal(count)
+
+
+def ends_and_random(rng, y, count):
+    """The middle, both extremes and random ones: chosen by the cheap result, as `choose` does."""
+    order = np.argsort(y)
+    rest = rng.choice(order[1:len(y) // 2], count - 3, replace=False)
+    return np.array([order[len(y) // 2], order[0], order[-1], *rest])
+
+
+def at_random(rng, y, count):
+    return rng.choice(len(y), count, replace=False)
+
+
+@pytest.mark.parametrize("chooser", [ends_and_random, at_random])
+def test_intervals_hold_as_often_as_they_say(chooser):
+    """2000 repetitions: the shares lie within 2.5 % of 95 %; ignoring the dear results would hold the mean never."""
+    rng, repetitions = np.random.default_rng(3), 2000
+    held, plain, errors = np.zeros(2), 0, []
+    for _ in range(repetitions):
+        y, x = population(rng, 300)
+        chosen = chooser(rng, y, 5)
+        found = two_level(y, chosen, x[chosen])
+        held += [found.mean.low <= MEAN <= found.mean.high, found.sigma.low <= SIGMA <= found.sigma.high]
+        errors.append([found.mean.value - MEAN, found.sigma.value - SIGMA])
+        cheap = statistics.mean(y)
+        plain += cheap.low <= MEAN <= cheap.high
+    assert np.abs(held / repetitions - statistics.LEVEL).max() < 0.025, held / repetitions
+    assert plain == 0
+    spread = np.std(errors, axis=0)
+    assert (np.abs(np.mean(errors, axis=0)) < 0.1 * spread + 3 * spread / np.sqrt(repetitions)).all()  # bias far below the spread
+    assert spread[0] < 1.5 * SIGMA / np.sqrt(300)  # five dear results, and nearly what 300 would give
+
+
+def test_perfect_cheap_results_leave_the_monte_carlo_as_it_is():
+    y, _ = population(np.random.default_rng(0), 200)
+    found = two_level(y, [3, 50, 120, 7], y[[3, 50, 120, 7]])
+    assert found.mean.value == pytest.approx(y.mean(), rel=1e-13) and found.sigma.value == pytest.approx(y.std(ddof=1), rel=1e-12)
+    assert found.slope == pytest.approx(1, rel=1e-12) and found.worth == pytest.approx(200, rel=1e-6)
+    assert found.six_sigma.low == pytest.approx(6 * found.sigma.low)
+    plain = statistics.mean(y)
+    assert found.mean.high - found.mean.low == pytest.approx(plain.high - plain.low, rel=1e-6)
+
+
+def test_a_wrong_scale_is_corrected():
+    """Cheap results 20 % too small: 6σ is put right; the Monte Carlo alone would be off by 20 %."""
+    x = np.random.default_rng(1).standard_normal(400)
+    found = two_level(0.8 * x - 1, [0, 1, 2, 3, 4], x[:5])
+    assert found.six_sigma.value == pytest.approx(6 * x.std(ddof=1), rel=1e-10) and found.mean.value == pytest.approx(x.mean(), abs=1e-12)
+
+
+def test_constant_cheap_results_leave_the_dear_ones():
+    x = np.array([1.0, 2.0, 4.0, 5.0])
+    found, plain = two_level(np.full(50, 3.0), range(4), x), statistics.mean(x)
+    assert (found.mean.value, found.mean.low, found.mean.high) == pytest.approx((plain.value, plain.low, plain.high))
+    assert found.sigma.value == pytest.approx(x.std(ddof=1))
+
+
+def test_too_few_dear_results_have_no_interval():
+    found = two_level([1.0, 2.0, 3.0], [0, 2], [2.0, 4.0])
+    assert found.mean.value == 3.0 and np.isnan([found.mean.low, found.sigma.high]).all()
+
+
+@pytest.mark.parametrize("cheap, chosen, dear, words", [([1.0, np.nan], [0], [1.0], "finite"), ([1.0, 2.0], [], [], "0 dear"),
+                                                        ([1.0, 2.0], [0, 1], [1.0], "2 chosen")])
+def test_bad_input_is_refused(cheap, chosen, dear, words):
+    with pytest.raises(ValueError, match=words):
+        two_level(cheap, chosen, dear)
+
+
+def test_choice_is_typical_then_extreme_and_random_by_turns():
+    x = np.random.default_rng(5).standard_normal((60, 3))
+    x[17] = 40.0, 0, 0  # the farthest
+    numbers = 100 + np.arange(60)
+    picked = choose(x, numbers, 5, seed=1)
+    assert [c.kind for c in picked] == ["typical", "extreme", "random", "extreme", "random"] and picked[1].sample == 117
+    assert len({c.sample for c in picked}) == 5 and choose(x, numbers, 3, seed=1) == picked[:3]
+    assert len(choose(x[:2], numbers[:2], 5, seed=1)) == 2
+    assert [c.sample for c in choose(1e3 * x, numbers, 5, seed=1)] == [c.sample for c in picked]  # units do not matter
+
+
+@pytest.fixture(scope="module")
+def lap():
+    scene = mic.load_scene(FOLDER.parent / "meshes" / "lap_joint")
+    return scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
+                                    "monte_carlo": scene.monte_carlo.model_copy(update={"samples": 40})})
+
+
+def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
+    """On nominal meshes the reduced Coulomb is exact; (13) is not. A second call solves nothing again."""
+    summary = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None)
+    samples = {(row["law"], row["sample"]): row for row in summary["per_sample"]}
+    assert len(samples) == 9
+    for (law, _), row in samples.items():
+        if law == "coulomb":
+            assert row["force, relative"] < 1e-8 and row["measurement, mm"] < 1e-8 and row["changed states"] == 0
+    assert max(row["force, relative"] for (law, _), row in samples.items() if law == "associated") > 0.1
+    for row in summary["statistics"]:
+        if row["law"] == "coulomb":
+            assert row["corrected 6σ"] == pytest.approx(row["6σ"], rel=1e-6) and row["corrected mean"] == pytest.approx(row["mean"], abs=1e-8)
+    page = (tmp_path / "report.html").read_text()
+    assert "<img" in page and "http" not in page.replace("http://www.w3.org", "")
+    written = json.loads((tmp_path / "summary.json").read_text())
+    monkeypatch.setattr(FullModel, "evaluate", None)
+    again = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None)
+    assert again["statistics"] == written["statistics"]
+
+
+def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, monkeypatch):
+    from fem_reference.contact import ContactFailure
+
+    solve, calls = FullModel.evaluate, []
+
+    def second_fails(self, deviations, law):
+        calls.append(law)
+        if len(calls) == 2:
+            raise ContactFailure("planted failure")
+        return solve(self, deviations, law)
+
+    monkeypatch.setattr(FullModel, "evaluate", second_fails)
+    summary = verify_scene(lap, tmp_path, cache, 4, True, Team(), lambda line: None)
+    assert [item["failure"] for item in summary["chosen"]] == [None, "planted failure", None, None]
+    assert {row["sample"] for row in summary["per_sample"]} == {item["sample"] for item in summary["chosen"] if item["failure"] is None}
+    assert "planted failure" in (tmp_path / "report.html").read_text()
+
+
+def test_the_truth_has_coulombs_law_even_where_the_scene_does_not_ask_for_it(lap, cache, tmp_path):
+    only = lap.model_copy(update={"report": replace_laws(lap, ["frictionless"])})
+    summary = verify_scene(only, tmp_path, cache, 1, False, Team(), lambda line: None)
+    assert summary["truth"]["law"] == "coulomb" and {row["law"] for row in summary["per_sample"]} == {"coulomb", "frictionless"}
+
+
+def replace_laws(scene, laws):
+    return scene.report.model_copy(update={"laws": laws})
