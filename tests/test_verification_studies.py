@@ -1,0 +1,157 @@
+"""The studies of algebra, law, mesh, nominal stiffness and of the trade: what they compute, and that they fail on wrong answers."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.sparse import csr_matrix, diags
+
+from mic.scene import SETTINGS
+from mic.variation import draw
+from verification.algebra.study import STUDY as ALGEBRA
+from verification.algebra.study import compare
+from verification.comparison import reduced_and_assembly, relative, zone_slip
+from verification.law import study as law
+from verification.mesh.study import converge
+from verification.nominal_stiffness import study as nominal
+from verification.scenes import shipped
+from verification.trade import study as trade
+
+AUGMENTED = next(a.limit for a in ALGEBRA.acceptance if a.name == "augmented")
+
+
+@pytest.fixture(scope="module")
+def lap(cache):
+    return reduced_and_assembly(shipped("lap_joint", "coarse", trade.LAWS), cache)
+
+
+def tangent_reversed(model):
+    """t1 of the first contact points the wrong way on one of the two parts."""
+    rows = model.rows["contact"].copy()
+    rows.data[rows.indptr[1]] *= -1
+    return replace(model, rows=model.rows | {"contact": rows})
+
+
+def weld_forgotten(model):
+    """The second weld reads nothing, and so holds nothing."""
+    kept = diags(np.repeat([1.0, 0.0], model.weld_size))
+    return replace(model, rows=model.rows | {"weld": csr_matrix(kept @ model.rows["weld"])})
+
+
+PLANTED = {
+    "frame's sign": tangent_reversed,
+    "friction ignored": lambda model: replace(model, contacts=replace(model.contacts, friction=0 * model.contacts.friction)),
+    "weld forgotten": weld_forgotten,
+    "thickness doubled": lambda model: replace(model, H=model.H / 8, shape=model.shape / 8),
+    "gap off by 0.1 µm": lambda model: replace(model, contacts=replace(model.contacts, gap=model.contacts.gap + 1e-4)),
+}
+
+
+def largest(rows):
+    return max(max(row[key] for key in ("force", "displacement", "measurement")) for row in rows if row["ε/k"] is None)
+
+
+def test_algebra_agrees_and_its_penalty_error_is_of_first_order(lap):
+    rows = compare(*lap, "coulomb", 0, (1e3, 1e5))
+    errors = [row["force"] for row in rows[:2]]
+    assert np.log10(errors[0] / errors[1]) / 2 == pytest.approx(1, abs=0.02), errors
+    assert largest(rows) < AUGMENTED and all(row["changed states"] == 0 for row in rows)
+    assert rows[-1]["residual of the full solve"] < 1e-9
+
+
+@pytest.mark.parametrize("error", PLANTED)
+def test_algebra_catches(lap, error):
+    model, assembly = lap
+    found = largest(compare(PLANTED[error](model), assembly, "coulomb", 0, ()))
+    assert found > 1e4 * AUGMENTED, found
+
+
+def test_relative_difference():
+    assert relative([1.0, 2.0], [1.0, 2.5]) == pytest.approx(0.2) and relative([0.0], [0.0]) == 0 and relative([1.0], [0.0]) == np.inf
+    assert relative([-1.0], [1.0]) == 2  # a wrong sign is not a small error
+
+
+def test_zone_slip_by_hand():
+    contacts = SimpleNamespace(zone=np.array([0, 0, 1]))
+    assert zone_slip([[9, 3, 4], [9, 0, 0], [9, 0, 2]], contacts, 2) == pytest.approx([np.sqrt(12.5), 2])
+
+
+def test_law_tells_the_programme_from_coulomb(lap):
+    model, _ = law.with_friction(lap, 0.4)
+    deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, 3)
+    associated, itself = law.compare(model, deviations, "associated"), law.compare(model, deviations, "coulomb")
+    assert associated["gap at loaded contacts, mm"] > 1e-3 and associated["force"] > 0.1 and associated["identity"] < 1e-6
+    assert itself["gap at loaded contacts, mm"] < 1e-9 and itself["force"] == 0  # were (13) Coulomb's law, `opening` would fail
+    assert law.compare(model, deviations, "frictionless")["force"] == pytest.approx(0.4, rel=0.01)  # at least the friction force itself is missing
+
+
+def test_law_is_judged_by_finite_elements_with_the_same_friction(lap):
+    assert law.against_full(lap, 0.1) < 1e-8
+    model, assembly = lap
+    assert law.against_full((replace(model, H=1.01 * model.H), assembly), 0.1) > 1e-4
+
+
+@pytest.mark.parametrize("order, sizes", [(1.0, (4, 2, 1)), (2.0, (4, 2, 1)), (2.0, (5, 3, 2)), (1.5, (9.5, 6.0, 4.1))])
+def test_order_and_limit_of_a_manufactured_sequence(order, sizes):
+    h = np.array(sizes, dtype=float)
+    found = converge(h, 7.0 + 0.3 * h**order)
+    assert found.order == pytest.approx(order, rel=1e-6) and found.extrapolated == pytest.approx(7.0, rel=1e-9)
+    assert found.index >= 0.3 * h[2] ** order and found.kind == "monotone"  # the band holds the limit
+
+
+def test_mesh_sequences_without_an_order():
+    oscillating = converge((4, 2, 1), (1.0, 1.3, 1.2))
+    assert oscillating.kind == "oscillating" and oscillating.index == pytest.approx(0.3) and oscillating.extrapolated == 1.2
+    assert converge((4, 2, 1), (1.1, 1.0, 1.0)).index == pytest.approx(0, abs=1e-12)
+    assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
+
+
+def test_stretching_of_a_cylinder_by_hand():
+    """A strip bent to w = c x²: the added membrane energy is ∫ E t/(1 − ν²)/2 (½ w'²)² dA; turned as a whole, nothing is added."""
+    from meshes.structured import extrude
+    from mic.surface import Surface
+
+    length, width, c = 100.0, 20.0, 1e-3
+    points, triangles = extrude([(0.0, 0.0), (width, 0.0)], 0.0, length, 1.0)
+    part = SimpleNamespace(name="strip", surface=Surface(points, triangles), young=2e5, poisson=0.3, thickness=1.0)
+    x = points[:, 0]
+    def bound(w):
+        fields = {"strip": np.column_stack([np.zeros((len(x), 2)), w, np.zeros((len(x), 3))])}
+        full = SimpleNamespace(resolutions={"clamp": None}, field=lambda stage: fields, strain_energy=lambda stage: 1.0)
+        return nominal.stretching(SimpleNamespace(parts=[part]), full)
+
+    # without its rigid motion the slope is 2 c (x − length/2)
+    exact = part.young * part.thickness / (1 - part.poisson**2) / 2 * width * 0.25 * (2 * c) ** 4 * 2 * (length / 2) ** 5 / 5
+    assert bound(c * x**2) == pytest.approx(exact, rel=0.01)
+    assert bound(0.1 * x) < 1e-12 * exact
+
+
+def test_settings_reach_the_trade():
+    for setting, given in SETTINGS.items():
+        samples, knobs = trade.as_set(setting, trade.FULL)
+        assert (samples, knobs["pairs"], knobs["increments"]) == (given["samples"], given["pairs"], given["increments"])
+        assert knobs["size"] == trade.FULL["sizes"][given["size"]]
+
+
+def test_sampling_error_is_that_of_normal_samples():
+    assert trade.sampling_error(500) == pytest.approx(1.96 / np.sqrt(2 * 499), rel=0.01)
+
+
+def versions(*lines):
+    return pd.DataFrame([{"knob": "k", "value": str(i), "error of 6σ": e, "preparation, s": p, "per sample, ms": ms} for i, (e, p, ms) in enumerate(lines)])
+
+
+def test_cheapest_version_keeps_the_target():
+    lines = versions((0.2, 1, 1), (0.03, 10, 1), (0.005, 100, 1))
+    seconds, line, count = trade.cheapest(lines, 0.10)
+    assert line["value"] == "1" and line["error of 6σ"] + trade.sampling_error(count) <= 0.10 and seconds == pytest.approx(10 + 1e-3 * count)
+    assert trade.cheapest(lines, 0.02)[1]["value"] == "2" and trade.cheapest(lines, 0.004) is None
+    told = trade.advice(lines, pd.DataFrame([{"per sample, s": 50.0}]))
+    assert "not reached" in trade.in_words(told) and told["times cheaper"].max() > 50
+
+
+def test_pareto_front():
+    lines = versions((0.2, 1, 0), (0.3, 2, 0), (0.1, 3, 0), (0.1, 4, 0), (0.01, 9, 0))
+    assert trade.front(lines, 100) == [0, 2, 4]
