@@ -53,6 +53,7 @@ STATES = ("open", "stick", "slip")
 _MAX_ITERATIONS = 60
 _PATIENCE = 25  # iterations with full steps
 _TOLERANCE = 1e-11  # of the largest force in the system
+_WORST_ROUNDING = 1e-7
 _LINE_SEARCH = 0.8  # a full step whose work falls below this share of the start's is taken as it is
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
 
@@ -414,7 +415,10 @@ class Equilibrium:
         return F
 
     def _measure(self, x, p, v, contact, law):
-        """Relative residual, and the one allowed: the tolerance, or what rounding makes of the sums where that is more."""
+        """Relative residual, and the one allowed: the tolerance, or what rounding makes of the sums where that is more.
+
+        Rounding that leaves no digits to trust (a part that nothing holds any more has flown off) is no excuse.
+        """
         N, b = self.N, self.b
         F = self._residual(x, p, v, contact)
         matrix, rows = self._magnitude
@@ -425,7 +429,7 @@ class Equilibrium:
         residual = max(np.abs(F[:N]).max(initial=0.0), np.abs(contact).max(initial=0.0))
         if scale == 0:
             return (0.0 if residual <= 1e-13 * rounding else np.inf), 0.0
-        return residual / scale, max(_TOLERANCE, 1e-14 * rounding / scale)
+        return residual / scale, min(max(_TOLERANCE, 1e-14 * rounding / scale), _WORST_ROUNDING)
 
     def _step_length(self, x, dx, F, law, state, iteration):
         """α with G(α) = du·(K u(α) − p − Cᵀ f(u(α))) = 0, u(α) = u + α du: the residual does no more work on the step.

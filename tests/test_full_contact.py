@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 import mic
-from fem_reference import contact
+from fem_reference import contact, equilibrium
 from fem_reference.contact import ContactFailure, FullModel
+from fem_reference.equilibrium import NoConvergence
 from mic.assembly import assemble
+from mic.influence import influence_coefficients
+from mic.reduced import ReducedModel
 from mic.variation import draw
 
 HERE = Path(__file__).resolve()
@@ -157,3 +160,87 @@ def test_equal_on_any_number_of_processes(processes, serial, tmp_path):
     for ours, theirs in zip(_on_ranks(processes, tmp_path), serial):
         assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
         assert np.abs(theirs).max() > 0
+
+
+def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch):
+    sample = draw(scene, 5, 0, 1)[0]
+    whole = FullModel(lap).evaluate(sample)
+    newton = contact.Equilibrium.newton
+    refused = []
+
+    def refuse_long_steps(self, start, p, v, law):
+        if len(refused) < 3:
+            refused.append(law)
+            raise NoConvergence("refused by the test")
+        return newton(self, start, p, v, law)
+
+    monkeypatch.setattr(contact.Equilibrium, "newton", refuse_long_steps)
+    cut = FullModel(lap).evaluate(sample)
+    fractions = [solve.fraction for solve in cut.history if solve.stage == "clamp" and solve.augmentation == 0]
+    assert fractions == list(np.arange(1, 9) / 8)
+    for stage, resolution in whole.resolutions.items():
+        np.testing.assert_allclose(cut.resolutions[stage].force, resolution.force, atol=1e-8 * np.abs(resolution.force).max())
+
+
+def test_a_failure_names_stage_increment_contact_and_remedy(lap, scene, monkeypatch):
+    monkeypatch.setattr(equilibrium, "_MAX_ITERATIONS", 1)
+    with pytest.raises(ContactFailure, match=r"stage 'clamp', increment 1 of 1, at 0 of its load, worst at contact 'lap \d+': "
+                                             r"no convergence.*raise the stage's increments or lower the penalty"):
+        FullModel(lap).evaluate(draw(scene, 5, 0, 1)[0])
+
+
+def test_a_part_that_nothing_holds_is_refused(scene, cache):
+    kept = [stage.model_copy(update={"keep": []}) if stage.kind == "release" else stage for stage in scene.stages]
+    assembly = assemble(scene.model_copy(update={"stages": kept}), cache)
+    with pytest.raises(ContactFailure, match="stage 'release': .* rigid-body motions are free"):
+        FullModel(assembly).evaluate(draw(scene, 5, 0, 1)[0])
+
+
+def test_redundant_locators(scene, cache, lap):
+    """A second locator at the same place changes nothing while it agrees with the first, and is refused when it does not."""
+    sample = draw(scene, 5, 0, 1)[0]
+    twin = scene.locators[0].model_copy(update={"name": "twin"})
+    doubled = assemble(scene.model_copy(update={"locators": [*scene.locators, twin]}), cache)
+    np.testing.assert_allclose(FullModel(doubled).evaluate(sample).measurements, FullModel(lap).evaluate(sample).measurements, rtol=1e-8)
+    moved = scene.deviations[-1].model_copy(update={"kind": "locator", "target": "twin"})
+    contradicting = scene.model_copy(update={"locators": [*scene.locators, twin], "deviations": [*scene.deviations[:-1], moved]})
+    with pytest.raises(ContactFailure, match="stage 'locate': .* redundant and contradicts"):
+        FullModel(assemble(contradicting, cache)).evaluate(sample)
+
+
+def test_deviated_meshes_tend_to_the_nominal_one(lap, scene):
+    """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the deviation."""
+    sample = draw(scene, 5, 0, 1)[0]
+    off = []
+    for scale in (0.01, 0.1, 1.0):
+        nominal, deviated = (FullModel(lap, deviated=d).evaluate(scale * sample).measurements for d in (False, True))
+        off.append(np.abs(deviated - nominal).max() / np.abs(nominal).max())
+    assert 0 < off[0] < 1e-3 < off[2] < 0.05
+    assert off[0] < 0.5 * off[2]
+
+
+def test_deviated_frames_turn_with_the_surface(lap, scene):
+    """A part tilted as a whole: normals turn by the tilt, gaps open by the distance, and the stiffness is that of the tilted part."""
+    angle = 0.02
+    fields = {part.name: np.zeros((len(part.surface.points), 6)) for part in lap.parts}
+    for part in lap.parts:  # about the y axis, exactly
+        x, _, z = part.surface.points.T
+        fields[part.name][:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
+        fields[part.name][:, 2] = np.cos(angle) * z - np.sin(angle) * x - z
+    parts = contact._deviated_parts(lap, fields)
+    normals = [i for i, label in enumerate(lap.parts[0].functionals.label) if label.startswith("contact") and label.endswith(" n")]
+    turned = np.array([np.sin(angle), 0, np.cos(angle)])
+    np.testing.assert_allclose(parts[0].functionals.direction[normals], np.tile(turned, (len(normals), 1)), atol=1e-12)
+    assert np.abs(contact._opening(lap, "contact", parts)[::3]).max() < 1e-9
+    fields["upper"][:, :3] += 0.1 * turned
+    np.testing.assert_allclose(contact._opening(lap, "contact", contact._deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9)
+
+
+def test_every_node_of_the_zone(scene, cache):
+    """One pair per vertex of the first part; all pairs stand for the zone's area, and both routes agree as with few pairs."""
+    assembly = assemble(scene, cache, every_node=True)
+    overlap = assembly.parts[0].surface.points[assembly.parts[0].surface.points[:, 0] >= 60]
+    np.testing.assert_allclose(np.sort(assembly.contacts.point, axis=0), np.sort(overlap, axis=0), atol=1e-9)
+    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
+    sample = draw(scene, 5, 0, 1)[0]
+    assert difference(FullModel(assembly).evaluate(sample), model.evaluate(sample)) < 1e-6
