@@ -185,7 +185,7 @@ def _check(H, K, L, factorisation, columns: int = 3) -> None:
         return
     chosen = loaded[np.unique(np.linspace(0, len(loaded) - 1, columns).astype(int))]
     B = L[chosen].T.toarray()
-    X = factorisation.solve(B)
+    X = factorisation.solve_sparse(L[chosen])
     norm_K = abs(K).sum(axis=1).max()
     backward = abs(K @ X - B).max(axis=0) / (norm_K * abs(X).max(axis=0) + abs(B).max(axis=0))
     difference = abs(L @ X - H[:, chosen]).max() / abs(H).max()
