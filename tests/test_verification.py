@@ -15,13 +15,14 @@ from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Stu
 
 ROOT = FOLDER.parent
 
-# Two studies that cost nothing; the same file is the program of the MPI tests.
+# Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI tests.
 CHEAP = '''
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from verification.analytic.sheet import Sheet, stop_force
 from verification.run import run, team, write_summary
 from verification.study import Acceptance, Finding, Study
 
@@ -35,6 +36,11 @@ def means(context):
     return [Finding("mean", max(map(abs, values))), Finding("sum", abs(sum(values)), "a note")]
 
 
+def strips(context):
+    found = context.team.map(lambda gap: stop_force(Sheet(size=10.0), context, 10.0, gap)[0], (0.5, 1.0, 2.0))
+    return [Finding("force", max(found))]
+
+
 def broken(context):
     def item(i):
         if i == 3 and Path(sys.argv[1], "break").exists():
@@ -46,7 +52,8 @@ def broken(context):
 def studies():
     common = dict(claim="c", reference="r", seconds=(1, 1))
     return [Study(1, "Means", acceptance=(Acceptance("mean", "Small.", 0.1), Acceptance("sum", "Small.", 0.01)), run=means, name="means", **common),
-            Study(2, "Broken", acceptance=(Acceptance("total", "Ten.", 10.0),), run=broken, name="broken", **common)]
+            Study(2, "Strips", acceptance=(Acceptance("force", "Small.", 10.0),), run=strips, name="strips", **common),
+            Study(3, "Broken", acceptance=(Acceptance("total", "Ten.", 10.0),), run=broken, name="broken", **common)]
 
 
 if __name__ == "__main__":
@@ -97,7 +104,7 @@ def test_each_acceptance_number_must_be_measured(tmp_path):
 
 
 def test_a_finished_study_is_kept_and_another_version_is_not(tmp_path):
-    first, second = cheap_studies(tmp_path)
+    first, _, second = cheap_studies(tmp_path)
     lines = []
     runs.run([first], tmp_path / "out", False, Team(), lines.append)
     runs.run([first, second], tmp_path / "out", False, Team(), lines.append)
@@ -114,9 +121,9 @@ def test_a_run_that_broke_leaves_what_was_finished(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["cheap", str(out)])
     with pytest.raises(ArithmeticError, match="planted"):
         runs.run(cheap_studies(tmp_path), out, False, Team(), lambda line: None)
-    assert [result["study"] for result in runs.read_results(out)] == ["means"]
+    assert [result["study"] for result in runs.read_results(out)] == ["means", "strips"]
     write_report(out)  # readable as it is
-    assert {entry["study"] for entry in entries(out)} == {"means"}
+    assert {entry["study"] for entry in entries(out)} == {"means", "strips"}
 
 
 def test_report_shows_every_number_offline(tmp_path):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
+import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Literal
@@ -115,12 +117,17 @@ class Team:
         """``[function(item) for item in items]``, shared out over the ranks; the whole list on every rank.
 
         Every rank must call it with the same items. Each item is worked on by itself, so the number of ranks leaves no
-        trace in the results; an exception on one rank is raised there, and ``python -m verification`` then ends all.
+        trace in the results. An exception on one rank ends all, with its traceback: the others would wait for that rank for ever.
         """
         items = list(items)
-        own = [function(item) for item in items[self.rank::self.size]]
         if self.size == 1:
-            return own
+            return [function(item) for item in items]
+        try:
+            own = [function(item) for item in items[self.rank::self.size]]
+        except Exception:
+            traceback.print_exc()
+            sys.stderr.flush()
+            self.comm.Abort(1)
         shares = self.comm.allgather(own)
         return [shares[i % self.size][i // self.size] for i in range(len(items))]
 
