@@ -247,12 +247,13 @@ def _force_scale(scale, q, y, w):
 
 
 @_jit
-def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
+def newton(associated, W, q, mu, y, w, damping, scale, tol, steps, hasty):
     """Semismooth Newton on ``Φ(y, W y + q) = 0``, restricted in each step to the contacts that are not open.
 
     ``damping`` is added to the diagonal of ``W`` in the derivative only: with a singular ``W`` the step is then that of a
     proximal point about the current ``y`` and stays bounded, and the solution is not moved.  Steps are halved until the
-    norm of ``Φ`` falls; ``y`` and ``w`` end at the best point found.
+    norm of ``Φ`` falls; ``y`` and ``w`` end at the best point found.  ``hasty`` gives up unless two
+    steps halve the norm.
 
     Returns
     -------
@@ -266,8 +267,10 @@ def newton(associated, W, q, mu, y, w, damping, scale, tol, steps):
     active = np.empty(m, np.int64)
     step = np.empty(n)
     trial_phi = np.empty(n)
-    error = _merit(associated, mu, y, w, phi)
+    error = first = _merit(associated, mu, y, w, phi)
     for iteration in range(steps):
+        if hasty and iteration == 2 and error > 0.5 * first:
+            return np.inf, iteration
         size = _force_scale(scale, q, y, w)
         if error <= tol * size:
             return error / size if size > 0.0 else 0.0, iteration
@@ -379,12 +382,13 @@ def relative_errors(associated, Q, mu, Z, WZ):
 
 
 @_jit
-def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweeps, calm, errors, iterations):
+def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweeps, calm, hasty, errors, iterations):
     """Samples ``first:last`` of the batch: Gauss-Seidel, then Newton, in rounds with twice the sweeps each.
 
     ``Y`` holds the initial guess and receives the forces.  Without ``sweeps``, or for the associated law, which the
-    Gauss-Seidel kernel does not know, only Newton runs.  A sample whose last sweep still changed ``y`` by more than ``calm``,
-    or a tenth of that if Newton's steps are dear because more than three contacts in five are loaded, is left for other methods.
+    Gauss-Seidel kernel does not know, only Newton runs.  A sample whose last sweep still changed ``y`` by more than ``calm``
+    is too far off for Newton and left for other methods; where more than three contacts in five are loaded, Newton's steps are dear
+    and the limit is 3 % of that.  With ``hasty``, Newton is given up where it starts slowly.
     """
     m = len(mu)
     slip = np.zeros(m)
@@ -407,11 +411,11 @@ def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweep
                 loaded = 0
                 for k in range(m):
                     loaded += y[3 * k] > 0.0
-                if change > (calm if 5 * loaded <= 3 * m else 0.1 * calm):
+                if change > (calm if 5 * loaded <= 3 * m else 0.03 * calm):
                     Y[s] = y
                     break
             guess = y.copy()
-            error, steps = newton(associated, W, q, mu, y, w, 1e-12, scale, tol, 12)
+            error, steps = newton(associated, W, q, mu, y, w, 1e-12, scale, tol, 12, hasty)
             total += steps
             if error < best:
                 best = error

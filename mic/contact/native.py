@@ -26,7 +26,7 @@ KERNEL_MARGIN = 1e-2
 #: Samples to a chunk: one product ``R @ inverse`` of the splitting, one task of a thread.
 CHUNK = 32
 #: Gauss-Seidel's relative change in its tenth sweep above which Newton is not tried.
-CALM = 0.1
+CALM = 0.3
 #: The splitting hands over to Newton at this relative error, or after so many steps.
 SPLITTING_ACCURACY, SPLITTING_STEPS = 1e-6, 400
 #: Rounds of Gauss-Seidel and Newton before the patient methods take over.
@@ -163,7 +163,7 @@ class NativeSolver:
         for damping in (1e-9, 1e-6, 1e-14):
             z, w = y.copy(), W @ y + q
             _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, q, self.friction, z, w, damping, scale,
-                                      1e-14, 20)
+                                      1e-14, 20, False)
             yield z, steps
 
     def _proximal_points(self, q, y):
@@ -190,13 +190,13 @@ class NativeSolver:
             y, more = next(self._polished(W, q - alpha * y, z))
             yield y, steps + more
 
-    def _run_kernel(self, W, Q, Y, tol, first, last, errors, iterations, rounds=ROUNDS, sweeps=10, calm=np.inf):
+    def _run_kernel(self, W, Q, Y, tol, first, last, errors, iterations, rounds=ROUNDS, sweeps=10, calm=np.inf, hasty=False):
         if self.law is Law.FRICTIONLESS:
             kernels.solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations)
         else:
             factors = self.factors if W is self.W else kernels.local_factors(W)
             kernels.solve_frictional(self.law is Law.ASSOCIATED, W, factors, Q, self.friction, Y, tol, first, last, rounds,
-                                     sweeps, calm, errors, iterations)
+                                     sweeps, calm, hasty, errors, iterations)
 
     def infeasible(self, b) -> bool:
         """Whether no force at all can keep the contacts from penetrating.
@@ -243,7 +243,7 @@ class NativeSolver:
                     list(pool.map(chunk, starts))
 
         def cheap(Q, Y, errors, iterations):
-            self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, rounds=1, calm=CALM)
+            self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, rounds=1, calm=CALM, hasty=True)
 
         def splitting(Q, Y, errors, iterations):
             self._split(Q, Y, iterations)
