@@ -27,7 +27,7 @@ from mic.contact import ContactSolver, certify
 from mic.contact.problems import ContactProblem, compliant, manufactured, slip_dominated
 
 #: A solver that is slower than this on one case stops after the samples done so far.
-SECONDS_PER_CASE = 20.0
+SECONDS_PER_CASE = 10.0
 COLUMNS = ["case", "contacts", "solver", "law", "samples", "ms_median", "ms_max", "ratio", "residual_median", "residual_max",
            "failed"]
 
