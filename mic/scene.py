@@ -20,8 +20,8 @@ __all__ = ["SETTINGS", "Scene", "SceneError", "load_scene"]
 #: contact solver is not among them: the tightest costs no more than the loosest.
 SETTINGS = {
     "draft": {"size": "coarse", "pairs": 17, "increments": 1, "samples": 100},
-    "standard": {"size": "medium", "pairs": 34, "increments": 1, "samples": 500},
-    "reference": {"size": "fine", "pairs": 68, "increments": 4, "samples": 2000},
+    "standard": {"size": "medium", "pairs": 34, "increments": 16, "samples": 500},
+    "reference": {"size": "fine", "pairs": 68, "increments": 32, "samples": 2000},
 }
 
 LAWS = ("frictionless", "associated", "coulomb")
