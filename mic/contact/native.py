@@ -24,7 +24,7 @@ __all__ = ["NativeSolver"]
 #: The kernels work to this fraction of the tolerance, because their residual and the certificate weigh contacts differently.
 KERNEL_MARGIN = 1e-2
 #: Samples to a chunk: one product ``R @ inverse`` of the splitting, one task of a thread.
-CHUNK = 32
+CHUNK = 8
 #: Gauss-Seidel's relative change in its tenth sweep above which Newton is not tried.
 CALM = 0.3
 #: The splitting hands over to Newton at this relative error, or after so many steps.
