@@ -60,9 +60,7 @@ def table_cells(frame: pd.DataFrame) -> dict:
     return {"columns": list(frame.columns), "rows": [[_cell(value) for value in row] for row in frame.itertuples(index=False)]}
 
 
-def _cell(value) -> str:
-    if isinstance(value, int):
-        return str(value)
+def _cell(value) -> dict:
     if isinstance(value, float):
-        return "–" if value != value else f"{value:.4g}"
-    return str(value)
+        return {"text": "–" if value != value else f"{value:.4g}", "number": True}
+    return {"text": str(value), "number": isinstance(value, int)}

@@ -143,7 +143,7 @@ STUDY = Study(
     acceptance=(
         Acceptance("calibration", "The frictionless column is met: largest relative difference of the means and 6σ, on fresh samples.", 0.15),
         Acceptance("trend", "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to frictionless, both laws.", 1.0),
-        Acceptance("laws", "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.", 0.15),
+        Acceptance("laws", "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.", 0.08),
         Acceptance("slip-force", "Friction forces are of the published size: the 95 % quantile over the active contacts, over the largest published.", 1.0),
     ),
     seconds=(120, 30),

@@ -117,8 +117,7 @@ def run(context):
         Finding("sigma-500", abs(half / expected - 1), f"With 500 samples σ is known to ±{half:.2%} (95 % of the repetitions); the theory of normal "
                 f"samples says ±{expected:.2%}. A solver error below that changes no decision about σ."),
         Finding("scene-coverage", lowest, f"{samples} samples of the coarse wheelhouse under Coulomb's law are the population; {draws} "
-                "times, 500 of them are drawn. The intervals of σ, 6σ and Cpk assume normal samples: tails heavier than normal (excess kurtosis above 0) cost "
-                "coverage, lighter ones add to it.", table=table),
+                "times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess kurtosis above 0); the intervals take that from the samples.", table=table),
     ]
 
 
@@ -134,7 +133,7 @@ STUDY = Study(
                    0.012, quick=0.02),
         Acceptance("sigma-500", "What 500 samples leave unknown of σ is what normal theory says: relative difference.", 0.03, quick=0.06),
         Acceptance("scene-coverage", "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: lowest share.",
-                   0.90, bound="at least"),
+                   0.92, bound="at least"),
     ),
     seconds=(60, 15),
     run=run,
