@@ -131,6 +131,6 @@ STUDY = Study(
                    "largest error of the end's displacement over the largest displacement.", 0.003),
         Acceptance("stop", "A strip bent down onto a stop: largest error of the force on the stop over the load.", 0.003),
     ),
-    seconds=(25, 12),
+    seconds=(15, 10),
     run=run,
 )

@@ -207,6 +207,6 @@ STUDY = Study(
         Acceptance("wrong", "Cells whose answer is neither right nor refused with a reason: their number.", 0),
         Acceptance("refused", "Refusals are the exception: their share of all cells.", 0.15),
     ),
-    seconds=(150, 30),
+    seconds=(250, 10),
     run=run,
 )

@@ -146,6 +146,6 @@ STUDY = Study(
         Acceptance("laws", "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.", 0.08),
         Acceptance("slip-force", "Friction forces are of the published size: the 95 % quantile over the active contacts, over the largest published.", 1.0),
     ),
-    seconds=(120, 30),
+    seconds=(40, 20),
     run=run,
 )

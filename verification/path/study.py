@@ -159,6 +159,6 @@ STUDY = Study(
         Acceptance("reversal", "A step that skips a reversal loses the deflection that friction keeps: lost share.", 0.9, bound="at least"),
         Acceptance("full", "With any number of increments the reduced model follows the full finite elements: largest relative difference of the forces.", 1e-6),
     ),
-    seconds=(90, 20),
+    seconds=(60, 35),
     run=run,
 )

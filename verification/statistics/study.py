@@ -135,6 +135,6 @@ STUDY = Study(
         Acceptance("scene-coverage", "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: lowest share.",
                    0.92, bound="at least"),
     ),
-    seconds=(60, 15),
+    seconds=(90, 10),
     run=run,
 )
