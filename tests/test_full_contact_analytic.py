@@ -103,10 +103,11 @@ def test_block_on_an_incline(angle):
     assert f[:, 2].sum() == pytest.approx(-μ * W * np.cos(α), rel=1e-4)  # across: friction opposes the motion along y alone
 
 
-@pytest.fixture(scope="module")
-def leaves():
-    """Layered cantilever: two leaves of depth h, pressed together by p, friction between them; tip load P."""
-    L, b, h, p = 100.0, 5.0, 2.0, 1.0
+def bend_leaves(L, b, h, p, pressed_from=0.0):
+    """Layered cantilever: two leaves of depth h, pressed together by p from a distance to the root on.
+
+    Returns ``deflection(P, friction, state, anchor)`` under the tip load P, upwards, half on each leaf.
+    """
     shells = [strip(L, b, h, 2.5, z) for z in (0.0, h)]
     x = shells[0].surface.points[:, 0]
     root, tip, free = np.flatnonzero(x == 0), np.flatnonzero(x == L), np.flatnonzero(x > 0)
@@ -116,7 +117,10 @@ def leaves():
     axes = ((0, 0, 1), (1, 0, 0), (0, 1, 0))
     C = interleave(*(hstack([-vertex_rows(shells[0], free, axis, side=1), vertex_rows(shells[1], free, axis, side=-1)]) for axis in axes))
     system = Equilibrium(parts, B, C, 3)
-    press = np.concatenate([shell.gravity(p / h * np.array([0, 0, sign]), 1.0) for shell, sign in zip(shells, (1, -1))])
+    area = np.zeros(len(x))
+    pressed = shells[0].surface.corners[:, :, 0].mean(axis=1) > pressed_from
+    np.add.at(area, shells[0].surface.triangles[pressed], shells[0].surface.areas[pressed, None] / 3)
+    press = np.concatenate([vertex_rows(shell, np.arange(len(x)), (0, 0, sign)).T @ (p * area) for shell, sign in zip(shells, (1, -1))])
     pull = np.concatenate([vertex_rows(shell, tip, (0, 0, 1)).mean(axis=0).A1 / 2 for shell in shells])
 
     def deflection(P, friction, state=None, anchor=None):
@@ -127,7 +131,13 @@ def leaves():
         δ = (C @ state.u).reshape(-1, 3)
         return float(pull @ state.u), state, δ, law.state(δ)
 
-    return deflection, L, b, h, p
+    return deflection
+
+
+@pytest.fixture(scope="module")
+def leaves():
+    L, b, h, p = 100.0, 5.0, 2.0, 1.0
+    return bend_leaves(L, b, h, p), L, b, h, p
 
 
 def test_leaves_that_stick_bend_as_one(leaves):

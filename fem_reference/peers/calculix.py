@@ -45,20 +45,29 @@ def shell_displacements(
     ------
     CalculixError
     """
+    displacements = read(run(_deck(surface, thickness, young, poisson, clamped, forces)), len(surface.points))
+    if displacements.shape[2] != forces.shape[2]:
+        raise CalculixError(f"ccx solved {displacements.shape[2]} of {forces.shape[2]} load cases")
+    return displacements
+
+
+def run(deck: str) -> str:
+    """Let ccx solve an input deck; returns what its prints wrote to the .dat file.
+
+    Raises
+    ------
+    CalculixError
+    """
     if not available():
         raise CalculixError("ccx is not installed: apt-get install calculix-ccx")
     with tempfile.TemporaryDirectory() as folder:
-        deck = Path(folder) / "shell.inp"
-        deck.write_text(_deck(surface, thickness, young, poisson, clamped, forces))
-        run = subprocess.run(["ccx", "-i", "shell"], cwd=folder, capture_output=True, text=True)
-        results = deck.with_suffix(".dat")
-        last_lines = "\n".join(run.stdout.splitlines()[-10:]) + run.stderr
-        if run.returncode or not results.is_file():
-            raise CalculixError(f"ccx failed:\n{last_lines}")
-        displacements = _read(results.read_text(), len(surface.points))
-    if displacements.shape[2] != forces.shape[2]:
-        raise CalculixError(f"ccx solved {displacements.shape[2]} of {forces.shape[2]} load cases:\n{last_lines}")
-    return displacements
+        path = Path(folder) / "deck.inp"
+        path.write_text(deck)
+        outcome = subprocess.run(["ccx", "-i", "deck"], cwd=folder, capture_output=True, text=True)
+        results = path.with_suffix(".dat")
+        if outcome.returncode or not results.is_file() or "*ERROR" in outcome.stdout:
+            raise CalculixError("ccx failed:\n" + "\n".join(outcome.stdout.splitlines()[-10:]) + outcome.stderr)
+        return results.read_text()
 
 
 def _deck(surface, thickness, young, poisson, clamped, forces) -> str:
@@ -84,8 +93,9 @@ def _deck(surface, thickness, young, poisson, clamped, forces) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _read(text: str, n: int) -> np.ndarray:
-    """The tables "displacements (vx,vy,vz) for set …" of a .dat file, one per step."""
+def read(text: str, n: int, printed=None) -> np.ndarray:
+    """The tables "displacements (vx,vy,vz) for set …" of a .dat file: (p, 3, steps) of the printed nodes, by default all n."""
+    printed = np.arange(1, n + 1) if printed is None else np.asarray(printed)
     cases = []
     for line in text.splitlines():
         if line.strip().startswith("displacements"):
@@ -93,6 +103,6 @@ def _read(text: str, n: int) -> np.ndarray:
         elif line.strip() and cases:
             node, *values = line.split()
             cases[-1][int(node) - 1] = [float(value) for value in values]
-    if not cases or np.isnan(cases).any():
-        raise CalculixError("ccx printed no displacements for some vertices")
-    return np.stack(cases, axis=2)
+    if not cases or np.isnan([case[printed - 1] for case in cases]).any():
+        raise CalculixError("ccx printed no displacements for some nodes")
+    return np.stack([case[printed - 1] for case in cases], axis=2)

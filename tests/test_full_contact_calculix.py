@@ -1,0 +1,27 @@
+"""Frictional contact against CalculiX: leaves pressed over half their length, friction that gives way little by little."""
+
+import numpy as np
+import pytest
+from test_full_contact_analytic import E, bend_leaves
+
+from fem_reference.peers import calculix
+from fem_reference.peers.calculix_contact import leaves
+
+pytestmark = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
+
+LENGTH, WIDTH, DEPTH, PRESSURE, FRICTION = 100.0, 5.0, 2.0, 1.0, 0.3
+SLIP_LOAD = 4 / 3 * FRICTION * PRESSURE * WIDTH * DEPTH
+
+
+def test_partial_slip_of_half_pressed_leaves():
+    loads = np.array([0.3, 0.8, 2.0]) * SLIP_LOAD
+    peer = leaves(LENGTH, WIDTH, DEPTH, E, FRICTION, PRESSURE, LENGTH / 2, loads, (10, 2))
+    deflection = bend_leaves(LENGTH, WIDTH, DEPTH, PRESSURE, LENGTH / 2)
+    ours, frictionless = [], []
+    for friction, found in ((FRICTION, ours), (0.0, frictionless)):
+        state = anchor = None
+        for load in (0.0, *loads):
+            δ, state, anchor, _ = deflection(load, friction, state, anchor)
+            found.append(δ)
+    np.testing.assert_allclose(ours[1:], peer, rtol=0.015)
+    assert (np.abs(np.array(frictionless[1:]) / peer - 1) > 0.05).all()  # what the comparison would see if μ were ignored
