@@ -48,7 +48,6 @@ from scipy.sparse import block_diag, csr_matrix, hstack, vstack
 __all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "State"]
 
 OPEN, STICK, SLIP = 0, 1, 2
-STATES = ("open", "stick", "slip")
 
 _MAX_ITERATIONS = 60
 _PATIENCE = 25  # iterations with full steps

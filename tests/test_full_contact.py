@@ -88,12 +88,15 @@ def test_agreement_holds_over_increments(scene, cache):
 
 
 def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
-    """What `difference` must not overlook: friction ignored, slip opposed with the wrong sign, gaps forgotten."""
+    """What `difference` must not overlook: friction ignored, shape deviations of the wrong sign, gaps forgotten."""
     sample = draw(lap_model.scene, 5, 0, 1)[0]
     reduced = lap_model.evaluate(sample, "coulomb")
     assert difference(FullModel(lap).evaluate(sample, "frictionless"), reduced) > 1e-3
     without_friction = lap_model.evaluate(sample, "frictionless")
     assert difference(FullModel(lap).evaluate(sample, "coulomb"), without_friction) > 1e-3
+    turned = FullModel(lap)
+    turned.__dict__["_shape"] = -turned._shape
+    assert difference(turned.evaluate(sample, "coulomb"), reduced) > 1e-3
     displacement = contact.ContactLaw.displacement
 
     def without_gap(self, δ):
