@@ -9,9 +9,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["gauss_seidel", "local_factors", "newton", "relative_errors", "solve_frictional", "solve_frictionless", "split", "starting_scale"]
+__all__ = ["gauss_seidel", "local_factors", "newton", "solve_by_splitting", "solve_frictional", "solve_frictionless",
+           "starting_scale"]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+#: States of a contact in a Newton step.
+OPEN, STUCK, SLIDING = 0, 1, 2
 
 
 @_jit
@@ -165,8 +169,8 @@ def _contact_equation(associated, mu, y0, y1, y2, w0, w1, w2, phi, A, B, derivat
 
     Returns
     -------
-    bool
-        False if the contact is open: ``Φ = y``, ``A = I``, ``B = 0``, and ``A``, ``B`` are not written.
+    OPEN, STUCK or SLIDING
+        Open: ``Φ = y``, ``A = I``, ``B = 0``; stuck: ``Φ = w``, ``A = 0``, ``B = I``.
     """
     a = y0 - w0
     v1, v2 = y1 - w1, y2 - w2
@@ -174,14 +178,18 @@ def _contact_equation(associated, mu, y0, y1, y2, w0, w1, w2, phi, A, B, derivat
     open_ = mu * t <= -a if associated else a <= 0.0
     if open_:
         phi[0], phi[1], phi[2] = y0, y1, y2
-        return False
+        if derivative:
+            A[:] = 0.0
+            B[:] = 0.0
+            A[0, 0] = A[1, 1] = A[2, 2] = 1.0
+        return OPEN
     if t <= mu * a:
         phi[0], phi[1], phi[2] = w0, w1, w2
         if derivative:
             A[:] = 0.0
             B[:] = 0.0
             B[0, 0] = B[1, 1] = B[2, 2] = 1.0
-        return True
+        return STUCK
     e1, e2 = v1 / t, v2 / t
     if associated:
         p = (a + mu * t) / (1.0 + mu * mu)
@@ -209,7 +217,7 @@ def _contact_equation(associated, mu, y0, y1, y2, w0, w1, w2, phi, A, B, derivat
             for j in range(3):
                 A[i, j] = -B[i, j]
             A[i, i] += 1.0
-    return True
+    return SLIDING
 
 
 @_jit
@@ -247,13 +255,75 @@ def _force_scale(scale, q, y, w):
 
 
 @_jit
-def newton(associated, W, q, mu, y, w, damping, scale, tol, steps, hasty):
-    """Semismooth Newton on ``Φ(y, W y + q) = 0``, restricted in each step to the contacts that are not open.
+def _times(W, x, out):
+    """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes."""
+    out[:] = 0.0
+    for i in range(0, len(x), 3):
+        x0, x1, x2 = x[i], x[i + 1], x[i + 2]
+        if x0 != 0.0 or x1 != 0.0 or x2 != 0.0:
+            row0, row1, row2 = W[i], W[i + 1], W[i + 2]
+            for j in range(len(x)):
+                out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
+
+
+@_jit
+def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
+    """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
+
+    Fills ``x`` and ``product = W x``.
+    """
+    m = len(state)
+    unknown = np.flatnonzero(state != known)
+    for k in range(m):
+        for i in range(3 * k, 3 * k + 3):
+            x[i] = -z[i] if state[k] == known else 0.0
+    _times(W, x, product)
+    count = len(unknown)
+    if count == 0:
+        return
+    J = np.empty((3 * count, 3 * count))
+    r = np.empty(3 * count)
+    for a in range(count):
+        k = unknown[a]
+        i = 3 * k
+        for row in range(3):
+            b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
+            target = J[3 * a + row]
+            r[3 * a + row] = -phi[i + row] - b0 * product[i] - b1 * product[i + 1] - b2 * product[i + 2]
+            for b in range(count):
+                j = 3 * unknown[b]
+                target[3 * b] = b0 * W[i, j] + b1 * W[i + 1, j] + b2 * W[i + 2, j]
+                target[3 * b + 1] = b0 * W[i, j + 1] + b1 * W[i + 1, j + 1] + b2 * W[i + 2, j + 1]
+                target[3 * b + 2] = b0 * W[i, j + 2] + b1 * W[i + 1, j + 2] + b2 * W[i + 2, j + 2]
+            for column in range(3):
+                target[3 * a + column] += A[k, row, column] + damping * B[k, row, column]
+    d = _solve_dense(J, r)
+    for a in range(count):
+        i = 3 * unknown[a]
+        x[i], x[i + 1], x[i + 2] = d[3 * a], d[3 * a + 1], d[3 * a + 2]
+    _times(W, x, product)
+
+
+@_jit
+def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halvings, crowd):
+    """Semismooth Newton on ``Φ(y, W y + q) = 0``; ``y`` and ``w`` end at the best point found.
+
+    Each step solves ``A dy + B dw = -Φ``, ``dw = W dy``, for few of the unknowns, because ``dy = -y`` where a contact is open
+    and ``dw = -w`` where it sticks: for the forces of the contacts that are not open, or, where more contacts stick than are
+    open and ``inverse = W⁻¹`` is at hand, for the displacements of those that do not stick, with ``dy = W⁻¹ dw``.
 
     ``damping`` is added to the diagonal of ``W`` in the derivative only: with a singular ``W`` the step is then that of a
-    proximal point about the current ``y`` and stays bounded, and the solution is not moved.  Steps are halved until the
-    norm of ``Φ`` falls; ``y`` and ``w`` end at the best point found.  ``hasty`` gives up unless two
-    steps halve the norm.
+    proximal point about the current ``y`` and stays bounded, and the solution is not moved.  Steps are halved up to
+    ``halvings`` times until the norm of ``Φ`` falls.  Without halving they are taken whole: from afar the norm may rise for
+    a step or two while states change, and then falls to zero where a search along the line would get stuck; after six steps
+    without a gain the search ends.
+
+    Parameters
+    ----------
+    inverse : (3m, 3m) array
+        ``W⁻¹``, or an empty array.
+    crowd : float
+        Newton gives up before a step for the forces of more contacts than this.
 
     Returns
     -------
@@ -261,69 +331,52 @@ def newton(associated, W, q, mu, y, w, damping, scale, tol, steps, hasty):
         ``‖Φ‖ / max(scale, (yᵀ W y)^{1/2})`` and the steps taken.
     """
     m, n = len(mu), len(q)
-    phi = np.empty(n)
-    A = np.empty((m, 3, 3))
-    B = np.empty((m, 3, 3))
-    active = np.empty(m, np.int64)
-    step = np.empty(n)
-    trial_phi = np.empty(n)
-    error = first = _merit(associated, mu, y, w, phi)
+    phi, trial_phi = np.empty(n), np.empty(n)
+    A, B = np.empty((m, 3, 3)), np.empty((m, 3, 3))
+    state = np.empty(m, np.int64)
+    step, change = np.empty(n), np.empty(n)
+    trial_y, trial_w = y.copy(), w.copy()
+    trial = error = _merit(associated, mu, y, w, phi)
+    size = _force_scale(scale, q, y, w)
+    gained = 0
     for iteration in range(steps):
-        if hasty and iteration == 2 and error > 0.5 * first:
-            return np.inf, iteration
-        size = _force_scale(scale, q, y, w)
-        if error <= tol * size:
+        if error <= tol * size or iteration - gained > 6:
             return error / size if size > 0.0 else 0.0, iteration
-        count = 0
+        stuck = free = 0
         for k in range(m):
             i = 3 * k
-            if _contact_equation(associated, mu[k], y[i], y[i + 1], y[i + 2], w[i], w[i + 1], w[i + 2],
-                                 phi[i:i + 3], A[k], B[k], True):
-                active[count] = k
-                count += 1
-                step[i] = step[i + 1] = step[i + 2] = 0.0
+            state[k] = _contact_equation(associated, mu[k], trial_y[i], trial_y[i + 1], trial_y[i + 2],
+                                         trial_w[i], trial_w[i + 1], trial_w[i + 2], phi[i:i + 3], A[k], B[k], True)
+            stuck += state[k] == STUCK
+            free += state[k] == OPEN
+        if stuck > free and len(inverse) > 0:
+            _linear_step(inverse, B, A, phi, state, STUCK, trial_w, 0.0, change, step)
+        elif m - free > crowd:
+            return error / size if size > 0.0 else 0.0, iteration
+        else:
+            _linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step, change)
+        if halvings == 0:
+            trial_y += step
+        else:
+            length = 1.0
+            for _ in range(halvings):
+                trial_y = y + length * step
+                trial_w = w + length * change
+                trial = _merit(associated, mu, trial_y, trial_w, trial_phi)
+                if trial <= (1.0 - 1e-4 * length) * error:
+                    break
+                length *= 0.5
             else:
-                step[i], step[i + 1], step[i + 2] = -y[i], -y[i + 1], -y[i + 2]
-        # Contacts that open drop their force; the others feel that as a displacement.
-        leaving = np.dot(W, step)
-        if count > 0:
-            J = np.empty((3 * count, 3 * count))
-            r = np.empty(3 * count)
-            for a in range(count):
-                k = active[a]
-                i = 3 * k
-                for row in range(3):
-                    b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
-                    target = J[3 * a + row]
-                    r[3 * a + row] = -phi[i + row] - b0 * leaving[i] - b1 * leaving[i + 1] - b2 * leaving[i + 2]
-                    for b in range(count):
-                        j = 3 * active[b]
-                        target[3 * b] = b0 * W[i, j] + b1 * W[i + 1, j] + b2 * W[i + 2, j]
-                        target[3 * b + 1] = b0 * W[i, j + 1] + b1 * W[i + 1, j + 1] + b2 * W[i + 2, j + 1]
-                        target[3 * b + 2] = b0 * W[i, j + 2] + b1 * W[i + 1, j + 2] + b2 * W[i + 2, j + 2]
-                    for column in range(3):
-                        target[3 * a + column] += A[k, row, column] + damping * B[k, row, column]
-            d = _solve_dense(J, r)
-            for a in range(count):
-                i = 3 * active[a]
-                step[i], step[i + 1], step[i + 2] = d[3 * a], d[3 * a + 1], d[3 * a + 2]
-        change = np.dot(W, step)
-        length = 1.0
-        accepted = False
-        for _ in range(7):
-            trial_y = y + length * step
-            trial_w = w + length * change
-            trial = _merit(associated, mu, trial_y, trial_w, trial_phi)
-            if trial <= (1.0 - 1e-4 * length) * error:
-                accepted = True
-                break
-            length *= 0.5
-        if not accepted:
+                return error / size, iteration + 1
+        _times(W, trial_y, trial_w)
+        trial_w += q
+        trial = _merit(associated, mu, trial_y, trial_w, trial_phi)
+        if not np.isfinite(trial):
             return error / size, iteration + 1
-        y[:] = trial_y
-        w[:] = np.dot(W, y) + q
-        error = _merit(associated, mu, y, w, phi)
-    size = _force_scale(scale, q, y, w)
+        if trial < error or halvings > 0:
+            error, gained = trial, iteration + 1
+            y[:], w[:] = trial_y, trial_w
+            size = _force_scale(scale, q, y, w)
     return error / size if size > 0.0 else 0.0, steps
 
 
@@ -338,18 +391,19 @@ def starting_scale(mu, q):
 
 
 @_jit
-def split(associated, X, Q, mu, rho, Z, L, R):
-    """Second half of an over-relaxed ADMM step for each row of the batch, and the right-hand side ``R`` of the next step.
+def _split(associated, resolvent, q, mu, rho, z, l, r, x, steps):
+    """Over-relaxed ADMM, in place, with ``resolvent = (W + ρ I)⁻¹``.
 
-    ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that De Saxcé's shift is
-    ``μ‖l_t‖``; ``R = ρ z - l - q - shift``.
+    ``x = resolvent r``; ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that
+    De Saxcé's shift is ``μ‖l_t‖``; ``r = ρ z - l - q - shift``.
     """
-    for s in range(len(X)):
+    for _ in range(steps):
+        _times(resolvent, r, x)
         for k in range(len(mu)):
             i = 3 * k
-            v0 = 1.6 * X[s, i] - 0.6 * Z[s, i] + L[s, i] / rho
-            v1 = 1.6 * X[s, i + 1] - 0.6 * Z[s, i + 1] + L[s, i + 1] / rho
-            v2 = 1.6 * X[s, i + 2] - 0.6 * Z[s, i + 2] + L[s, i + 2] / rho
+            v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
+            v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
+            v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
             t = np.sqrt(v1 * v1 + v2 * v2)
             if mu[k] * t <= -v0:
                 z0, shrink = 0.0, 0.0
@@ -358,86 +412,95 @@ def split(associated, X, Q, mu, rho, Z, L, R):
             else:
                 z0 = (v0 + mu[k] * t) / (1.0 + mu[k] * mu[k])
                 shrink = mu[k] * z0 / t
-            Z[s, i], Z[s, i + 1], Z[s, i + 2] = z0, shrink * v1, shrink * v2
-            l0 = rho * (v0 - z0)
-            l1, l2 = rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
-            L[s, i], L[s, i + 1], L[s, i + 2] = l0, l1, l2
-            shift = 0.0 if associated else mu[k] * np.sqrt(l1 * l1 + l2 * l2)
-            R[s, i] = rho * z0 - l0 - Q[s, i] - shift
-            R[s, i + 1] = rho * Z[s, i + 1] - l1 - Q[s, i + 1]
-            R[s, i + 2] = rho * Z[s, i + 2] - l2 - Q[s, i + 2]
+            z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
+            l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
+            shift = 0.0 if associated else mu[k] * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
+            r[i] = rho * z0 - l[i] - q[i] - shift
+            r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
+            r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
 @_jit
-def relative_errors(associated, Q, mu, Z, WZ):
-    """``‖Φ‖`` relative to the force scale for each row, with ``WZ = Z W``."""
-    errors = np.empty(len(Z))
-    phi = np.empty(Z.shape[1])
-    for s in range(len(Z)):
-        w = WZ[s] + Q[s]
-        size = _force_scale(starting_scale(mu, Q[s]), Q[s], Z[s], w)
-        error = _merit(associated, mu, Z[s], w, phi)
-        errors[s] = error / size if size > 0.0 else error
-    return errors
+def solve_by_splitting(associated, W, inverse, resolvent, rho, Q, mu, Y, tol, steps, rounds, errors, iterations):
+    """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
+
+    ``Y`` holds the initial guess and receives the forces.
+    """
+    m = len(mu)
+    for s in range(len(Q)):
+        q = Q[s]
+        scale = starting_scale(mu, q)
+        z, l, x = Y[s].copy(), np.zeros_like(q), np.empty_like(q)
+        r = rho * z - q
+        w = np.empty_like(q)
+        run, best = steps, np.inf
+        for _ in range(rounds):
+            _split(associated, resolvent, q, mu, rho, z, l, r, x, run)
+            y = z.copy()
+            _times(W, y, w)
+            w += q
+            error, more = newton(associated, W, inverse, q, mu, y, w, 1e-12, scale, tol, 15, 0, m)
+            iterations[s] += run + more
+            if error < best:
+                best = error
+                Y[s] = y
+            if error <= tol:
+                break
+            run *= 2
+        errors[s] = best
 
 
 @_jit
-def solve_frictional(associated, W, P, Q, mu, Y, tol, first, last, rounds, sweeps, calm, hasty, errors, iterations):
-    """Samples ``first:last`` of the batch: Gauss-Seidel, then Newton, in rounds with twice the sweeps each.
+def solve_frictional(associated, W, P, Q, mu, Y, tol, rounds, sweeps, crowd, errors, iterations):
+    """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
-    ``Y`` holds the initial guess and receives the forces.  Without ``sweeps``, or for the associated law, which the
-    Gauss-Seidel kernel does not know, only Newton runs.  A sample whose last sweep still changed ``y`` by more than ``calm``
-    is too far off for Newton and left for other methods; where more than three contacts in five are loaded, Newton's steps are dear
-    and the limit is 3 % of that.  With ``hasty``, Newton is given up where it starts slowly.
+    ``Y`` holds the initial guess and receives the forces.  For the associated law, which the Gauss-Seidel kernel does not
+    know, only Newton runs.  Where Newton would need the forces of more than ``crowd`` contacts at once, its steps are dear and the
+    sample is left for :func:`solve_by_splitting`.
     """
     m = len(mu)
     slip = np.zeros(m)
-    if associated:
-        sweeps = 0
-    for s in range(first, last):
+    none = np.empty((0, 0))
+    for s in range(len(Q)):
         q = Q[s]
         y = Y[s].copy()
         scale = starting_scale(mu, q)
-        w = np.dot(W, y) + q
+        w = np.empty_like(q)
+        _times(W, y, w)
+        w += q
         slip[:] = 0.0
-        total = 0
         run = sweeps
         best = np.inf
-        for _ in range(rounds if sweeps > 0 else 1):
-            if run > 0:
-                done, change = gauss_seidel(W, P, mu, y, w, slip, run, 1e-15)
-                total += done
-                w = np.dot(W, y) + q
-                loaded = 0
-                for k in range(m):
-                    loaded += y[3 * k] > 0.0
-                if change > (calm if 5 * loaded <= 3 * m else 0.03 * calm):
-                    Y[s] = y
-                    break
+        for _ in range(1 if associated else rounds):
+            if not associated:
+                done, _ = gauss_seidel(W, P, mu, y, w, slip, run, 1e-15)
+                iterations[s] += done
+                _times(W, y, w)
+                w += q
             guess = y.copy()
-            error, steps = newton(associated, W, q, mu, y, w, 1e-12, scale, tol, 12, hasty)
-            total += steps
+            error, more = newton(associated, W, none, q, mu, y, w, 1e-12, scale, tol, 15, 0, crowd)
+            iterations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
             if error <= tol:
                 break
             y[:] = guess
-            w = np.dot(W, y) + q
+            _times(W, y, w)
+            w += q
             run *= 2
         errors[s] = best
-        iterations[s] += total
 
 
 @_jit
-def solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations):
-    """Samples ``first:last`` of ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
+def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
+    """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 
     ``W`` (m, m) holds the normal rows only.  ``Y`` holds the initial guess and receives the forces.
     """
     m = len(W)
     active = np.empty(m, np.int64)
-    for s in range(first, last):
+    for s in range(len(Q)):
         q = Q[s]
         y = Y[s].copy()
         scale = np.linalg.norm(np.minimum(q, 0.0))

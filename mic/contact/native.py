@@ -23,12 +23,16 @@ __all__ = ["NativeSolver"]
 
 #: The kernels work to this fraction of the tolerance, because their residual and the certificate weigh contacts differently.
 KERNEL_MARGIN = 1e-2
-#: Samples to a chunk: one product ``R @ inverse`` of the splitting, one task of a thread.
+#: Samples to one task of a thread.
 CHUNK = 8
-#: Gauss-Seidel's relative change in its tenth sweep above which Newton is not tried.
-CALM = 0.3
-#: The splitting hands over to Newton at this relative error, or after so many steps.
-SPLITTING_ACCURACY, SPLITTING_STEPS = 1e-6, 400
+#: Sweeps of Gauss-Seidel before the first Newton.
+SWEEPS = 10
+#: Share of contacts that are not open above which the splitting takes over from Gauss-Seidel and Newton.
+CROWD = 0.5
+#: Steps of the splitting before its first Newton, and rounds of twice as many steps each.
+SPLITTING_STEPS, SPLITTING_ROUNDS = 20, 5
+#: Newton uses ``W⁻¹`` up to this condition number of ``W``: the inverse is then good to 1e-8, and each step gains that much.
+INVERTIBLE = 1e8
 #: Rounds of Gauss-Seidel and Newton before the patient methods take over.
 ROUNDS = 3
 FIXED_POINT_STEPS, PROXIMAL_STEPS, PATIENCE = 8, 25, 10
@@ -162,8 +166,8 @@ class NativeSolver:
         scale = kernels.starting_scale(self.friction, q)
         for damping in (1e-9, 1e-6, 1e-14):
             z, w = y.copy(), W @ y + q
-            _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, q, self.friction, z, w, damping, scale,
-                                      1e-14, 20, False)
+            _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, np.empty((0, 0)), q, self.friction, z, w, damping,
+                                      scale, 1e-14, 20, 7, len(self.friction))
             yield z, steps
 
     def _proximal_points(self, q, y):
@@ -173,7 +177,7 @@ class NativeSolver:
         for _ in range(PROXIMAL_STEPS):
             W, Q, Y = self.W + alpha * identity, (q - alpha * y)[None], y[None].copy()
             counts[0] = 0
-            self._run_kernel(W, Q, Y, 1e-13, 0, 1, errors, counts)
+            self._run_kernel(W, Q, Y, 1e-13, errors, counts)
             step = np.linalg.norm(Y[0] - y)
             solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
             y = Y[0]
@@ -190,13 +194,13 @@ class NativeSolver:
             y, more = next(self._polished(W, q - alpha * y, z))
             yield y, steps + more
 
-    def _run_kernel(self, W, Q, Y, tol, first, last, errors, iterations, rounds=ROUNDS, sweeps=10, calm=np.inf, hasty=False):
+    def _run_kernel(self, W, Q, Y, tol, errors, iterations, rounds=ROUNDS, crowd=1.0):
         if self.law is Law.FRICTIONLESS:
-            kernels.solve_frictionless(W, Q, Y, tol, first, last, rounds, errors, iterations)
+            kernels.solve_frictionless(W, Q, Y, tol, rounds, errors, iterations)
         else:
             factors = self.factors if W is self.W else kernels.local_factors(W)
-            kernels.solve_frictional(self.law is Law.ASSOCIATED, W, factors, Q, self.friction, Y, tol, first, last, rounds,
-                                     sweeps, calm, hasty, errors, iterations)
+            kernels.solve_frictional(self.law is Law.ASSOCIATED, W, factors, Q, self.friction, Y, tol, rounds, SWEEPS,
+                                     crowd * len(self.friction), errors, iterations)
 
     def infeasible(self, b) -> bool:
         """Whether no force at all can keep the contacts from penetrating.
@@ -242,18 +246,18 @@ class NativeSolver:
                 with ThreadPoolExecutor(self.threads) as pool:
                     list(pool.map(chunk, starts))
 
-        def cheap(Q, Y, errors, iterations):
-            self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, rounds=1, calm=CALM, hasty=True)
+        def cheap(*parts):
+            self._run_kernel(self.W, *parts[:2], tol, *parts[2:], rounds=1, crowd=CROWD)
 
         def splitting(Q, Y, errors, iterations):
-            self._split(Q, Y, iterations)
-            self._run_kernel(self.W, Q, Y, tol, 0, len(Q), errors, iterations, sweeps=0)
+            kernels.solve_by_splitting(self.law is Law.ASSOCIATED, self.W, *self._splitting, Q, self.friction, Y, tol,
+                                       SPLITTING_STEPS, SPLITTING_ROUNDS, errors, iterations)
 
         with _THREADPOOLS.limit(limits=1):
             if not Q.size:
                 pass
             elif self.law is Law.FRICTIONLESS:
-                stage(np.arange(n), lambda *parts: self._run_kernel(self.W, *parts[:2], tol, 0, len(parts[0]), *parts[2:]))
+                stage(np.arange(n), lambda *parts: self._run_kernel(self.W, *parts[:2], tol, *parts[2:]))
             else:
                 # Newton from afar is a waste for the associated law, which has no Gauss-Seidel to come near; a guess is near.
                 if self.law is Law.COULOMB or Y.any():
@@ -265,37 +269,17 @@ class NativeSolver:
         return iterations
 
     def _prepare_splitting(self):
-        """``(W + ρ I)⁻¹`` with ``ρ`` the geometric mean of the extreme eigenvalues, the smallest bounded from below."""
+        """``W⁻¹``, empty where it is not accurate; ``(W + ρ I)⁻¹``; and ``ρ``.
+
+        ``ρ`` is the geometric mean of the extreme eigenvalues, the smallest bounded from below.
+        """
         if self._splitting is None:
             eigenvalues = eigvalsh(self.W, check_finite=False)
             smallest, largest = eigenvalues[0], eigenvalues[-1]
             rho = np.sqrt(max(smallest, 1e-6 * largest) * largest)
-            self._splitting = rho, inv(self.W + rho * np.eye(len(self.W)))
-
-    def _split(self, Q, Y, iterations):
-        """ADMM from ``Y`` to a start good enough for Newton; each row stops by itself at its own accuracy.
-
-        The chunk is padded to a constant number of rows, so that the arithmetic of a row does not depend on the others.
-        """
-        rho, inverse = self._splitting
-        associated = self.law is Law.ASSOCIATED
-        n = len(Q)
-        load, Z = np.zeros((CHUNK, Q.shape[1])), np.zeros((CHUNK, Q.shape[1]))
-        load[:n], Z[:n] = Q, Y
-        L = np.zeros_like(Z)
-        R = rho * Z - load
-        waiting = np.arange(n)
-        for step in range(SPLITTING_STEPS):
-            kernels.split(associated, R @ inverse, load, self.friction, rho, Z, L, R)
-            if (step + 1) % 20 == 0:
-                errors = kernels.relative_errors(associated, load, self.friction, Z, Z @ self.W)
-                done = waiting[errors[waiting] <= SPLITTING_ACCURACY]
-                Y[done] = Z[done]
-                iterations[waiting] += 20
-                waiting = np.setdiff1d(waiting, done)
-                if not waiting.size:
-                    return
-        Y[waiting] = Z[waiting]
+            invertible = INVERTIBLE * smallest > largest
+            self._splitting = (np.ascontiguousarray(inv(self.W)) if invertible else np.empty((0, 0)),
+                               np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))), rho)
 
 
 def _inverse_root(diagonal: np.ndarray) -> np.ndarray:
