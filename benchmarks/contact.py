@@ -2,7 +2,7 @@
 
     python benchmarks/contact.py                     # all cases, about ten minutes
     python benchmarks/contact.py --quick             # few samples, no growth beyond 300 contacts
-    python benchmarks/contact.py --reduced wheel.npz # a scene's own S (3m, 3m), B (n, 3m), mu
+    python benchmarks/contact.py --scene meshes/wheelhouse   # what a scene's Monte Carlo gives the solver, stage by stage
 
 Everything runs in this one process, single-threaded first, then the native solver on all cores.  Residuals are the scale-free
 certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the associated law;
@@ -23,8 +23,10 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+import mic
 from mic.contact import ContactSolver, certify
 from mic.contact.problems import ContactProblem, compliant, manufactured, slip_dominated
+from mic.variation import draw
 
 #: A solver that is slower than this on one case stops after the samples done so far.
 SECONDS_PER_CASE = 10.0
@@ -164,6 +166,31 @@ def cases(quick):
     yield "stick-rich", manufactured(compliant(102, rng), np.full(102, 0.27), n, rng)
 
 
+def scene_cases(path):
+    """The problems that the Monte Carlo of a scene poses under Coulomb's law, one case for each stage that resolves contact.
+
+    The process runs with solvers that record what they are given; the answer of one stage enters the loads of the next.
+    """
+    model = mic.reduce(mic.load_scene(path))
+    settings = model.scene.monte_carlo
+    process = model.process("coulomb")
+    recorded = []
+
+    def recording(stage, solver):
+        solve = solver.solve
+
+        def record(b, guess=None):
+            recorded.append((f"{model.scene.name}, {stage}", ContactProblem(solver.S, b, solver.mu)))
+            return solve(b, guess)
+        return record
+
+    for stage in process.stages:
+        if stage.solver is not None:
+            stage.solver.solve = recording(stage.plan.name, stage.solver)
+    process.evaluate(draw(model.scene, settings.seed, 0, settings.samples))
+    return recorded
+
+
 def measure(name, problem, competitor, reference, console):
     """Time one competitor on one case; one row of the result."""
     try:
@@ -230,17 +257,12 @@ def show(rows, console):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--reduced", type=Path, help="npz file with S, B, mu to run instead of the built-in cases")
+    parser.add_argument("--scene", type=Path, help="folder of a scene whose own problems replace the built-in cases")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--csv", type=Path, default=Path("results/contact_benchmark.csv"))
     options = parser.parse_args()
     console = Console(width=180)
-    if options.reduced:
-        data = np.load(options.reduced)
-        problems = [(options.reduced.stem, ContactProblem(
-            data["S"], data["B"], np.broadcast_to(data["mu"], (len(data["S"]) // 3,)).astype(float)))]
-    else:
-        problems = list(cases(options.quick))
+    problems = scene_cases(options.scene) if options.scene else cases(options.quick)
     rows = []
     with threadpool_limits(1):
         for name, problem in problems:
@@ -255,7 +277,7 @@ def main():
                                   f"{row['ratio']:.3g} ×, residual {row['residual_max']:.1e}")
             if os.cpu_count() > 1:
                 rows.append(measure_batch(name, problem, os.cpu_count(), reference))
-        if not options.reduced:
+        if not options.scene:
             rows += growth(options.quick, console)
     show(rows, console)
     options.csv.parent.mkdir(parents=True, exist_ok=True)

@@ -30,12 +30,15 @@ SWEEPS = 10
 #: Share of contacts that are not open above which the splitting takes over from Gauss-Seidel and Newton.
 CROWD = 0.5
 #: Steps of the splitting before its first Newton, and rounds of twice as many steps each.
-SPLITTING_STEPS, SPLITTING_ROUNDS = 20, 5
+SPLITTING_STEPS, SPLITTING_ROUNDS = 20, 4
 #: Newton uses ``W⁻¹`` up to this condition number of ``W``: the inverse is then good to 1e-8, and each step gains that much.
 INVERTIBLE = 1e8
 #: Rounds of Gauss-Seidel and Newton before the patient methods take over.
 ROUNDS = 3
 FIXED_POINT_STEPS, PROXIMAL_STEPS, PATIENCE = 8, 25, 10
+#: The patient methods may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts and
+#: 100 s for 600; a sweep of Gauss-Seidel counts as ``SWEEP / 3m`` of one, its share of time.
+BUDGET, SWEEP = 200.0, 10.0
 #: A pressure ``d`` with ``‖W d‖`` below this share of its work on the overlaps proves infeasibility: balancing the load would
 #: take forces this many times over the natural ones.
 INFEASIBLE_COMPLIANCE = 1e-11
@@ -96,7 +99,8 @@ class NativeSolver:
     def attempts(self, b, force):
         """Further forces for one sample, by more and more patient methods, each starting from the last.
 
-        A generator: the caller certifies each force and stops at the first that is good enough.
+        A generator: the caller certifies each force and stops at the first that is good enough.  It ends by itself when
+        :data:`BUDGET` is spent, so that a hopeless sample cannot hold up a Monte Carlo.
 
         Parameters
         ----------
@@ -114,10 +118,14 @@ class NativeSolver:
         q, y = b[::stride] * self.scaling, force[::stride] / self.scaling
         method = self._attempts_frictionless if self.law is Law.FRICTIONLESS else self._attempts_frictional
         with _THREADPOOLS.limit(limits=self.threads):
-            for y, iterations in method(q, y):
+            budget = BUDGET * (1.0 + 1000.0 / len(self.friction))
+            for y, iterations, work in method(q, y):
                 force = np.zeros_like(b)
                 force[::stride] = y * self.scaling
                 yield force, iterations
+                budget -= work
+                if budget < 0.0:
+                    return
 
     def _attempts_frictionless(self, q, y):
         yield from self._proximal_points(q, y)
@@ -129,8 +137,8 @@ class NativeSolver:
         # The shift μ‖w_t‖ moves with the iterates, ...
         shift = None if coulomb else np.zeros_like(mu)
         z, steps = interior_point(W, q, mu, shift)
-        for polished, more in self._polished(W, q, z):
-            yield polished, steps + more
+        for polished, more, _ in self._polished(W, q, z):
+            yield polished, steps + more, steps + more
             steps = 0
         if coulomb:
             sweeping = self._patient_sweeps(q, y)
@@ -140,8 +148,8 @@ class NativeSolver:
             shift = np.zeros_like(mu)
             for _ in range(FIXED_POINT_STEPS):
                 z, steps = interior_point(W, q, mu, shift)
-                for polished, more in self._polished(W, q, z):
-                    yield polished, steps + more
+                for polished, more, _ in self._polished(W, q, z):
+                    yield polished, steps + more, steps + more
                     steps = 0
                 w = W @ z + q
                 shift = np.hypot(w[1::3], w[2::3])
@@ -157,18 +165,18 @@ class NativeSolver:
         for doubling in range(PATIENCE):
             sweeps, _ = kernels.gauss_seidel(self.W, self.factors, self.friction, y, w, slip, 100 * 2**doubling, 1e-15)
             w = self.W @ y + q
-            for polished, more in self._polished(self.W, q, y):
-                yield polished, sweeps + more
+            for polished, more, _ in self._polished(self.W, q, y):
+                yield polished, sweeps + more, SWEEP * sweeps / len(q) + more
                 sweeps = 0
 
     def _polished(self, W, q, y):
-        """Newton from ``y``, plain and damped."""
+        """Newton from ``y``: searching along the line, plain and damped, and with whole steps."""
         scale = kernels.starting_scale(self.friction, q)
-        for damping in (1e-9, 1e-6, 1e-14):
+        for damping, halvings in ((1e-9, 7), (1e-12, 0), (1e-6, 7), (1e-14, 7)):
             z, w = y.copy(), W @ y + q
             _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, np.empty((0, 0)), q, self.friction, z, w, damping,
-                                      scale, 1e-14, 20, 7, len(self.friction))
-            yield z, steps
+                                      scale, 1e-14, 20, halvings, len(self.friction))
+            yield z, steps, steps
 
     def _proximal_points(self, q, y):
         """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, move there, and lower ``α`` while that succeeds."""
@@ -181,7 +189,7 @@ class NativeSolver:
             step = np.linalg.norm(Y[0] - y)
             solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
             y = Y[0]
-            yield y, int(counts[0])
+            yield y, int(counts[0]), int(counts[0])
             alpha = max(0.2 * alpha, 1e-9) if solved else min(5.0 * alpha, 10.0)
 
     def _interior_proximal_points(self, q, alpha):
@@ -191,8 +199,8 @@ class NativeSolver:
         W = self.W + alpha * np.eye(len(q))
         for _ in range(PROXIMAL_STEPS):
             z, steps = interior_point(W, q - alpha * y, self.friction, shift)
-            y, more = next(self._polished(W, q - alpha * y, z))
-            yield y, steps + more
+            y, more, _ = next(self._polished(W, q - alpha * y, z))
+            yield y, steps + more, steps + more
 
     def _run_kernel(self, W, Q, Y, tol, errors, iterations, rounds=ROUNDS, crowd=1.0):
         if self.law is Law.FRICTIONLESS:
