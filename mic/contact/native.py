@@ -28,7 +28,7 @@ CHUNK = 8
 #: Sweeps of Gauss-Seidel before the first Newton.
 SWEEPS = 10
 #: Share of contacts that are not open above which the splitting takes over from Gauss-Seidel and Newton.
-CROWD = 0.5
+CROWD = 0.65
 #: Steps of the splitting before its first Newton, and rounds of twice as many steps each.
 SPLITTING_STEPS, SPLITTING_ROUNDS = 20, 4
 #: Newton uses ``W⁻¹`` up to this condition number of ``W``: the inverse is then good to 1e-8, and each step gains that much.
