@@ -162,7 +162,10 @@ def _pivoted_cholesky(matrix, reference):
     if n == 0:
         return 0, np.zeros(0, dtype=int), None, 1.0
     d = 1 / np.sqrt(np.maximum(reference, np.diag(matrix)).clip(1e-300))
-    factor, pivot, rank, _ = lapack.dpstrf(matrix * np.outer(d, d), tol=REDUNDANT, lower=1)
+    scaled = matrix * np.outer(d, d)
+    factor, pivot, rank, _ = lapack.dpstrf(scaled, tol=REDUNDANT, lower=1)
+    if scaled.diagonal().max() <= REDUNDANT:  # LAPACK takes the first pivot without looking at the tolerance
+        rank = 0
     order = pivot - 1
     kept = np.sort(order[:rank])
     block = matrix[np.ix_(kept, kept)]

@@ -66,6 +66,18 @@ def test_redundant_rows_are_named_and_change_nothing(two_parts):
     np.testing.assert_allclose(twice.S, once.S, rtol=0, atol=1e-8 * np.abs(once.S).max())
 
 
+@pytest.mark.parametrize("noise", [-1e-13, 0.0, 1e-13])
+def test_a_single_redundant_row_is_found_whatever_the_rounding(two_parts, noise):
+    """Twelve rows hold two parts; a thirteenth that repeats one leaves nothing but rounding to eliminate."""
+    rng, K, R, L, H, G = two_parts
+    bilateral, contact, none = rng.normal(size=(12, 40)), csr_matrix(rng.normal(size=(6, 40))), csr_matrix((0, 40))
+    twin = bilateral[4] * (1 + noise)
+    once = eliminate(H, G, csr_matrix(bilateral), contact, none, none)
+    twice = eliminate(H, G, csr_matrix(np.vstack([bilateral, twin])), contact, none, none)
+    assert len(twice.redundant) == 1
+    np.testing.assert_allclose(twice.S, once.S, rtol=0, atol=1e-8 * np.abs(once.S).max())
+
+
 def test_a_part_that_can_move_is_refused(two_parts):
     rng, K, R, L, H, G = two_parts
     rows = csr_matrix(np.hstack([rng.normal(size=(11, 20)), np.zeros((11, 20))]))  # nothing holds the second part

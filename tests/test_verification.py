@@ -43,7 +43,7 @@ def strips(context):
 
 def broken(context):
     def item(i):
-        if i == 3 and Path(sys.argv[1], "break").exists():
+        if i == 3 and Path(sys.argv[-1], "break").exists():
             raise ArithmeticError("planted failure of item 3")
         return i
     return [Finding("total", sum(context.team.map(item, range(5))))]
