@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from mic.contact import ContactSolver, Law, Status, certify, solve
+from mic.contact import ContactSolver, Law, Status, certify, kernels, native, solve
 from mic.contact.problems import (arch, box_stack, brick_wall, capsule_pile, compliant, hanging_chain, manufactured,
                                   slip_dominated, sphere_pile)
 
@@ -235,3 +235,31 @@ def test_a_good_guess_saves_work():
     cold = solver.solve(problem.b)
     warm = solver.solve(problem.b, guess=cold.force)
     assert warm.converged.all() and warm.iterations.sum() < cold.iterations.sum()
+
+
+def test_newton_for_forces_and_for_displacements_agree():
+    rng = np.random.default_rng(21)
+    S = compliant(20, rng)
+    problem = manufactured(S, np.full(20, 0.27), 5, rng, stick=0.8, slide=0.1)
+    backend = ContactSolver(S, 0.27)._backend
+    inverse = np.linalg.inv(backend.W)
+    for b, force in zip(problem.b, problem.force):
+        q = b * backend.scaling
+        for matrix in (inverse, np.empty((0, 0))):
+            y = force / backend.scaling * (1.0 + 0.01 * rng.standard_normal(60))
+            w = backend.W @ y + q
+            error, steps = kernels.newton(False, backend.W, matrix, q, backend.friction, y, w, 1e-12,
+                                          kernels.starting_scale(backend.friction, q), 1e-12, 20, 0, 20)
+            assert error <= 1e-12 and steps < 10
+            np.testing.assert_allclose(y * backend.scaling, force, atol=1e-9)
+
+
+def test_a_sample_ends_within_its_budget(monkeypatch):
+    S = compliant(10, np.random.default_rng(22))
+    backend = ContactSolver(S, 0.27)._backend
+    b, nothing = -np.ones(30), np.zeros(30)
+    counts = []  # Newton and interior-point steps; the runs of a hundred sweeps and more are cheap here
+    for factorisations in (5.0, 50.0, 500.0):
+        monkeypatch.setattr(native, "BUDGET", factorisations / 101.0)
+        counts.append(sum(steps for _, steps in backend.attempts(b, nothing) if steps < 100))
+    assert counts[0] < 30 and counts[0] < counts[1] < counts[2]
