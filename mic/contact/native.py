@@ -23,8 +23,8 @@ __all__ = ["NativeSolver"]
 
 #: The kernels work to this fraction of the tolerance, because their residual and the certificate weigh contacts differently.
 KERNEL_MARGIN = 1e-2
-#: Samples to one task of a thread.
-CHUNK = 8
+#: Tasks for each thread: few, because handing them out costs as much as an easy sample, and enough to level the load.
+TASKS = 8
 #: Sweeps of Gauss-Seidel before the first Newton.
 SWEEPS = 10
 #: Share of contacts that are not open above which the splitting takes over from Gauss-Seidel and Newton.
@@ -241,12 +241,13 @@ class NativeSolver:
         def stage(samples, method):
             """Run ``method(Q, Y, errors, iterations)`` on chunks of the samples, in parallel."""
             def chunk(first):
-                pick = samples[first:first + CHUNK]
+                pick = samples[first:first + size]
                 parts = Q[pick], Y[pick], errors[pick], iterations[pick]
                 method(*parts)
                 Y[pick], errors[pick], iterations[pick] = parts[1:]
 
-            starts = range(0, len(samples), CHUNK)
+            size = -(-len(samples) // (TASKS * self.threads if self.threads > 1 else 1))
+            starts = range(0, len(samples), size)
             if self.threads == 1:
                 for first in starts:
                     chunk(first)
