@@ -119,6 +119,7 @@ def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
         if row["law"] == "coulomb":
             assert row["corrected 6σ"] == pytest.approx(row["6σ"], rel=1e-6) and row["corrected mean"] == pytest.approx(row["mean"], abs=1e-8)
     page = (tmp_path / "report.html").read_text()
+    assert "{'" not in page, "a table shows its data structure instead of its text"
     assert "<img" in page and "http" not in page.replace("http://www.w3.org", "")
     written = json.loads((tmp_path / "summary.json").read_text())
     monkeypatch.setattr(FullModel, "evaluate", None)
