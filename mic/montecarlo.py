@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from mic.process import STATES, Evaluation
 from mic.variation import draw
 
-__all__ = ["BLOCK", "communicator", "run", "tables"]
+__all__ = ["BLOCK", "communicator", "run", "tables", "versions"]
 
 BLOCK = 50
 
@@ -180,7 +180,7 @@ def _prepare(model, folder, laws, samples, seed):
                 path.unlink()
     model.save(folder / "model.npz")
     content = {"scene": model.scene.name, "samples": samples, "seed": seed, "laws": list(laws), "fingerprint": fingerprint,
-               "versions": _versions()}
+               "versions": versions()}
     record.write_text(json.dumps(content, indent=2) + "\n")
 
 
@@ -193,7 +193,8 @@ def _fingerprint(model, seed) -> str:
     return digest.hexdigest()[:32]
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of what a number may depend on."""
     found = {"python": platform.python_version()}
     for name in ("mic-contact", "numpy", "scipy", "numba", "fenics-dolfinx", "petsc4py"):
         try:

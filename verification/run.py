@@ -10,15 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import platform
 import shutil
 import time
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mic.montecarlo import communicator
+from mic.montecarlo import communicator, versions
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
@@ -94,17 +92,6 @@ def write_summary(folder: Path) -> list[dict]:
                for result in read_results(folder) for finding in result["findings"]]
     _write(Path(folder) / "summary.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
     return entries
-
-
-def versions() -> dict[str, str]:
-    """Versions of what a number may depend on."""
-    found = {"python": platform.python_version()}
-    for name in ("mic-contact", "numpy", "scipy", "numba", "fenics-dolfinx", "petsc4py"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
 
 
 def _digest(folders) -> str:

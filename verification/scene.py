@@ -25,11 +25,11 @@ from fem_reference.contact import ContactFailure, FullModel
 from mic import statistics
 from mic.montecarlo import run as monte_carlo
 from mic.outcome import read_outcome
+from mic.montecarlo import versions
 from mic.scene import Scene
 from mic.variation import draw
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
-from verification.run import versions
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
