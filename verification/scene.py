@@ -23,9 +23,8 @@ from threadpoolctl import threadpool_limits
 
 from fem_reference.contact import ContactFailure, FullModel
 from mic import statistics
-from mic.montecarlo import run as monte_carlo
+from mic.montecarlo import run as monte_carlo, versions
 from mic.outcome import read_outcome
-from mic.montecarlo import versions
 from mic.scene import Scene
 from mic.variation import draw
 from verification.comparison import reduced_and_assembly, relative, zone_slip
