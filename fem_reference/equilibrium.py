@@ -284,7 +284,18 @@ class Equilibrium:
         pc.setType("lu")
         pc.setFactorSolverType("mumps")
         pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
+        self._factor = pc.getFactorMatrix()
+        self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
+
+    def __del__(self):
+        """Free the factors, hundreds of MB that petsc4py would keep to the end of the process.
+
+        Freeing distributed ones is collective, and the processes do not forget them at the same moment: those stay.
+        """
+        if self.parts.comm.size == 1:
+            for held in ("_factor", "_ksp", "_matrix"):
+                if hasattr(self, held):
+                    getattr(self, held).destroy()
 
     # ------------------------------------------------------------------------------------------ sparse contact operator
 
@@ -346,10 +357,10 @@ class Equilibrium:
     def _solve(self, right):
         self._scatter(right, self._left)
         self._ksp.solve(self._left, self._right)
-        status = self._ksp.getPC().getFactorMatrix().getMumpsInfog(_INFOG_STATUS)
+        status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
             raise NoConvergence(f"MUMPS reports INFOG(1) = {status}, INFOG(2) = "
-                                f"{self._ksp.getPC().getFactorMatrix().getMumpsInfog(2)} when it factorises the tangent")
+                                f"{self._factor.getMumpsInfog(2)} when it factorises the tangent")
         solution = self._gathered(self._right)
         if not np.isfinite(solution).all():
             raise NoConvergence("the tangent is singular")

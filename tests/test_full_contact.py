@@ -1,5 +1,6 @@
 """The full contact solve against the reduced one, its convergence, its failures and its ranks."""
 
+import gc
 import os
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import mic
 from fem_reference import contact, equilibrium
@@ -247,3 +249,14 @@ def test_every_node_of_the_zone(scene, cache):
     model = ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
     sample = draw(scene, 5, 0, 1)[0]
     assert difference(FullModel(assembly).evaluate(sample), model.evaluate(sample)) < 1e-6
+
+
+def test_factors_are_freed_with_their_model(lap):
+    """Hundreds of MB each: a study that makes a model per sample would run out of memory."""
+    model = FullModel(lap, comm=MPI.COMM_SELF)
+    model.evaluate(draw(lap.scene, 5, 0, 1)[0])
+    factors = [system.equilibrium._factor for system in model._nominal._systems.values()]
+    assert factors and all(factors)
+    del model
+    gc.collect()
+    assert not any(factors)
