@@ -24,8 +24,6 @@ SETTINGS = {
     "reference": {"size": "fine", "pairs": 68, "increments": 32, "samples": 2000},
 }
 
-LAWS = ("frictionless", "associated", "coulomb")
-
 
 class SceneError(ValueError):
     """A scene that cannot be run; the message names the file, the key and the remedy."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve, lapack, qr
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, vstack
 
 __all__ = ["EliminatedStage", "eliminate", "statically_determinate"]
 
@@ -43,8 +43,6 @@ class EliminatedStage:
         Force that each bilateral row exerts on the parts (positive along the row), per contact force, value and load.
     redundant : tuple of int
         Bilateral rows that the others already hold; they carry no force and their value has no effect.
-    condition : float
-        Condition number of the eliminated bilateral block, scaled to unit diagonal.
     """
 
     S: np.ndarray
@@ -57,7 +55,6 @@ class EliminatedStage:
     reaction_T: np.ndarray
     reaction_L: np.ndarray
     redundant: tuple[int, ...]
-    condition: float
 
 
 def statically_determinate(rows: csr_matrix, G: np.ndarray) -> np.ndarray:
@@ -116,15 +113,13 @@ def eliminate(H, G, bilateral: csr_matrix, contact: csr_matrix, load: csr_matrix
     A = bilateral[support]
     AG = A @ G
     # All rows that are looked at, projected once: J Π = J - (J Q) A, so H_s restricted to them is (J Π) H (J Π)ᵀ.
-    J = _stack(bilateral[rest], contact, load, output)
+    J = vstack([bilateral[rest], contact, load, output], format="csr")
     JQ = np.linalg.solve(AG.T, (J @ G).T).T
     projected = np.asarray(J.todense()) - JQ @ A.toarray() if J.shape[0] else np.zeros((0, H.shape[0]))
     compliance = projected @ H @ projected.T
     compliance = 0.5 * (compliance + compliance.T)
     R = slice(0, len(rest))
-    rank, order, factor, condition = _pivoted_cholesky(compliance[R, R], np.asarray((bilateral[rest] @ H @ bilateral[rest].T).diagonal())
-                                                       if len(rest) else np.zeros(0))
-    kept = np.sort(order[:rank])
+    kept = _independent(compliance[R, R], np.asarray((bilateral[rest] @ H @ bilateral[rest].T).diagonal()))
     free = np.arange(len(rest), J.shape[0])
     # X = H_RR⁻¹ [H_RF, -R Q, I]: forces of the eliminated rows per unit of everything else.
     H_RF = compliance[np.ix_(kept, free)]
@@ -146,32 +141,19 @@ def eliminate(H, G, bilateral: csr_matrix, contact: csr_matrix, load: csr_matrix
     S = response_F[C, C]
     return EliminatedStage(S=0.5 * (S + S.T), T=response_v[C], L=response_F[C, L], S_out=response_F[O, C], T_out=response_v[O],
                            L_out=response_F[O, L], reaction_S=reaction_F[:, C], reaction_T=reaction_v,
-                           reaction_L=reaction_F[:, L], redundant=tuple(int(i) for i in np.sort(rest[order[rank:]])),
-                           condition=condition)
+                           reaction_L=reaction_F[:, L], redundant=tuple(int(i) for i in np.delete(rest, kept)))
 
 
-def _stack(*blocks):
-    from scipy.sparse import vstack
-
-    return vstack(blocks, format="csr")
-
-
-def _pivoted_cholesky(matrix, reference):
-    """Rank, pivot order and condition of a compliance block, each row measured against its own `reference`."""
-    n = len(matrix)
-    if n == 0:
-        return 0, np.zeros(0, dtype=int), None, 1.0
+def _independent(matrix, reference):
+    """Rows of a compliance block that do not follow from each other, ascending; each is measured against its own `reference`."""
+    if len(matrix) == 0:
+        return np.zeros(0, dtype=int)
     d = 1 / np.sqrt(np.maximum(reference, np.diag(matrix)).clip(1e-300))
     scaled = matrix * np.outer(d, d)
-    factor, pivot, rank, _ = lapack.dpstrf(scaled, tol=REDUNDANT, lower=1)
+    _, pivot, rank, _ = lapack.dpstrf(scaled, tol=REDUNDANT, lower=1)
     if scaled.diagonal().max() <= REDUNDANT:  # LAPACK takes the first pivot without looking at the tolerance
         rank = 0
-    order = pivot - 1
-    kept = np.sort(order[:rank])
-    block = matrix[np.ix_(kept, kept)]
-    e = 1 / np.sqrt(np.diag(block))
-    condition = float(np.linalg.cond(block * np.outer(e, e))) if rank else 1.0
-    return int(rank), order, factor, condition
+    return np.sort(pivot[:rank] - 1)
 
 
 def _cholesky_solver(matrix):
