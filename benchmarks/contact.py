@@ -184,9 +184,9 @@ def scene_cases(path):
             return solve(b, guess)
         return record
 
-    for stage in process.stages:
-        if stage.solver is not None:
-            stage.solver.solve = recording(stage.plan.name, stage.solver)
+    for stage, solver in zip(process.stages, process.solvers):
+        if solver is not None:
+            solver.solve = recording(stage.plan.name, solver)
     process.evaluate(draw(model.scene, settings.seed, 0, settings.samples))
     return recorded
 

@@ -178,12 +178,58 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
-class _Prepared:
+class Elimination:
+    """One stage with its bilateral rows eliminated, whatever the contact law.
+
+    Attributes
+    ----------
+    plan : StagePlan
+    bilateral, load : (b, F), (l, F) csr_matrix
+        Rows held, and rows that push: clamp forces, then rows let go, which fade out over the increments.
+    response : EliminatedStage
+        Its output rows are all locators, clamps, welds and measurements, in this order.
+    """
+
     plan: StagePlan
-    response: EliminatedStage
-    solver: ContactSolver | None
     bilateral: csr_matrix
     load: csr_matrix
+    response: EliminatedStage
+
+
+_OUTPUTS = ("locator", "clamp", "weld", "measurement")
+
+
+def eliminate_stages(model) -> list[Elimination]:
+    """Eliminate every stage of a reduced model; all contact laws share the outcome.
+
+    Raises
+    ------
+    SceneError
+        If a stage leaves a part free to move.
+    """
+    def rows_of(rows):
+        return vstack([csr_matrix((0, len(model.H))), *(model.rows[kind][i] for kind, i in rows)], format="csr")
+
+    output = vstack([model.rows[kind] for kind in _OUTPUTS], format="csr")
+    stages = []
+    for plan in plan_stages(model.scene, model.weld_size):
+        bilateral = rows_of(plan.bilateral)
+        load = rows_of([("clamp", i) for i in plan.loads + plan.dropped_loads] + list(plan.released))
+        try:
+            response = eliminate(model.H, model.G, bilateral, model.rows["contact"], load, output)
+        except ValueError as error:
+            raise SceneError(f"stages ({plan.name}): {_free_motions(error, model.scene)}") from error
+        stages.append(Elimination(plan, bilateral, load, response))
+    return stages
+
+
+def _free_motions(error, scene):
+    motions = getattr(error, "free", None)
+    if motions is None:
+        return str(error)
+    share = [np.linalg.norm(motions[6 * p:6 * p + 6]) for p in range(len(scene.parts))]
+    return (f"{motions.shape[1]} rigid-body motions are free, mostly of part {scene.parts[int(np.argmax(share))].name!r}; keep more "
+            "locators in this stage, or join the part by welds with moment")
 
 
 class Process:
@@ -200,6 +246,13 @@ class Process:
     threads : int
         Threads of the native solver over the samples of a batch.
 
+    Attributes
+    ----------
+    stages : list of Elimination
+        All stages, in order.
+    solvers : list of ContactSolver or None
+        One per stage, None where it resolves no contact.
+
     Raises
     ------
     SceneError
@@ -211,47 +264,20 @@ class Process:
         solver_name = PAPER_BACKENDS[law] if backend == "paper" else "native"
         if solver_name != "native":
             tol = max(tol, PAPER_TOLERANCE)
-        self.stages = []
-        contact = model.rows["contact"]
-        output = vstack([model.rows["locator"], model.rows["clamp"], model.rows["weld"], model.rows["measurement"]], format="csr")
-        sizes = [model.rows[kind].shape[0] for kind in ("locator", "clamp", "weld", "measurement")]
-        edges = np.concatenate([[0], np.cumsum(sizes)])
-        self._output = {kind: slice(edges[i], edges[i + 1]) for i, kind in enumerate(("locator", "clamp", "weld", "measurement"))}
-        for plan in plan_stages(model.scene, model.weld_size):
-            bilateral = self._rows(plan.bilateral)
-            # Rows let go, and forces taken away, fade out over the increments.
-            load = vstack([self._rows([("clamp", i) for i in plan.loads + plan.dropped_loads]), self._rows(plan.released)], format="csr")
-            try:
-                response = eliminate(model.H, model.G, bilateral, contact, load, output)
-            except ValueError as error:
-                raise SceneError(f"stages ({plan.name}): {self._free(error, plan)}") from error
-            solver = None
-            if plan.resolves and len(model.contacts):
-                # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
-                smooth = model.contacts.dimension == 1 and not model.contacts.friction.any()
-                solver = ContactSolver(response.S, model.contacts.friction, law="frictionless" if smooth else law, backend=solver_name, tol=tol, threads=threads,
-                                       dimension=model.contacts.dimension)
-            self.stages.append(_Prepared(plan, response, solver, bilateral, load))
+        edges = np.concatenate([[0], np.cumsum([model.rows[kind].shape[0] for kind in _OUTPUTS])])
+        self._output = {kind: slice(edges[i], edges[i + 1]) for i, kind in enumerate(_OUTPUTS)}
+        self.stages = model.eliminations
+        # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
+        smooth = model.contacts.dimension == 1 and not model.contacts.friction.any()
+        self.solvers = [ContactSolver(stage.response.S, model.contacts.friction, law="frictionless" if smooth else law,
+                                       backend=solver_name, tol=tol, threads=threads, dimension=model.contacts.dimension)
+                         if stage.plan.resolves and len(model.contacts) else None for stage in self.stages]
 
     @property
     def redundant(self) -> list[str]:
         """One sentence for each row that a stage holds in vain, since its others hold it already."""
         return [f"stage {p.plan.name}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; its value has no effect"
                 for p in self.stages for kind, i in (p.plan.bilateral[j] for j in p.response.redundant)]
-
-    def _rows(self, rows):
-        if not rows:
-            return csr_matrix((0, self.model.H.shape[0]))
-        return vstack([self.model.rows[kind][i] for kind, i in rows], format="csr")
-
-    def _free(self, error, plan):
-        motions = getattr(error, "free", None)
-        if motions is None:
-            return str(error)
-        share = [np.linalg.norm(motions[6 * p:6 * p + 6]) for p in range(len(self.model.scene.parts))]
-        part = self.model.scene.parts[int(np.argmax(share))].name
-        return (f"{motions.shape[1]} rigid-body motions are free, mostly of part {part!r}; keep more locators in this stage, "
-                "or join the part by welds with moment")
 
     def evaluate(self, deviations: np.ndarray) -> Evaluation:
         """Take a batch through all stages.
@@ -275,8 +301,8 @@ class Process:
         failed = np.zeros(n, dtype=bool)
         resolutions = {}
         load_before = {}
-        for prepared in self.stages:
-            plan, response = prepared.plan, prepared.response
+        for stage, solver in zip(self.stages, self.solvers):
+            plan, response = stage.plan, stage.response
             if plan.kind == "weld":
                 for row in range(self._output["weld"].stop - self._output["weld"].start):
                     if ("weld", row) in plan.bilateral and row not in frozen:
@@ -288,7 +314,7 @@ class Process:
             load_end = np.column_stack([pushed[:, i] for i in plan.loads] + [np.zeros((n, len(plan.dropped_loads) + len(plan.released)))])
             load_start = np.column_stack([load_before.get(i, np.zeros(n)) for i in plan.loads + plan.dropped_loads]
                                          + [reaction[:, list(held).index(row)] for row in plan.released]) if load_end.shape[1] else load_end
-            resolved = prepared.solver is not None
+            resolved = solver is not None
             converged, residual, iterations = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n, dtype=int)
             steps = plan.increments if resolved else 1
             before = left
@@ -300,7 +326,7 @@ class Process:
                     b = free - left
                     b[:, :, 0] = gap + free[:, :, 0]
                     # Where Coulomb's law has several solutions, take the one that continues the state before.
-                    solution = prepared.solver.solve(b.reshape(n, m * d), guess=force)
+                    solution = solver.solve(b.reshape(n, m * d), guess=force)
                     force = solution.force
                     converged &= solution.converged
                     residual, iterations = np.maximum(residual, solution.residual), iterations + solution.iterations
@@ -334,7 +360,7 @@ class Process:
         nan = np.full((n, m, d), np.nan)
         resolutions = {p.plan.name: Resolution(p.plan.name, nan, nan, np.zeros((n, m), np.int8), np.full(n, np.nan), np.zeros(n, bool),
                                                np.zeros(n, int), np.full(n, reason, dtype=object), np.full((n, p.bilateral.shape[0]), np.nan))
-                       for p in self.stages if p.solver is not None}
+                       for p, solver in zip(self.stages, self.solvers) if solver is not None}
         measured = len(model.scene.measurements) if model.scene.stages[-1].kind == "measure" else 0
         return Evaluation(self.law, deviations, resolutions, np.full((n, measured), np.nan), np.ones(n, bool),
                           np.full((n, model.H.shape[0]), np.nan), np.full((n, model.G.shape[1]), np.nan))

@@ -82,6 +82,13 @@ class ReducedModel:
         return [deviation.name for deviation in self.scene.deviations]
 
     @cached_property
+    def eliminations(self) -> list:
+        """Every stage with its bilateral rows eliminated (:func:`mic.process.eliminate_stages`), once for all contact laws."""
+        from mic.process import eliminate_stages
+
+        return eliminate_stages(self)
+
+    @cached_property
     def _processes(self) -> dict:
         return {}
 
