@@ -26,12 +26,23 @@ from threadpoolctl import threadpool_limits
 import mic
 from mic.contact import ContactSolver, certify
 from mic.contact.problems import ContactProblem, compliant, manufactured, slip_dominated
-from mic.variation import draw
+from mic.sampling.draw import draw
 
 #: A solver that is slower than this on one case stops after the samples done so far.
 SECONDS_PER_CASE = 10.0
-COLUMNS = ["case", "contacts", "solver", "law", "samples", "ms_median", "ms_max", "ratio", "residual_median", "residual_max",
-           "failed"]
+COLUMNS = [
+    "case",
+    "contacts",
+    "solver",
+    "law",
+    "samples",
+    "ms_median",
+    "ms_max",
+    "ratio",
+    "residual_median",
+    "residual_max",
+    "failed",
+]
 
 
 @dataclass
@@ -48,25 +59,31 @@ def cvxpy_backend(backend):
         solver = ContactSolver(problem.S, problem.mu, "associated", backend)
         solver.solve(problem.b[0])  # CVXPY canonicalises at the first call
         return lambda b: solver.solve(b).force
+
     return prepare
 
 
 def paper_programme(problem):
     """(13) as printed, redundant non-penetration rows and all, in CVXPY with ECOS; only b is a parameter."""
     import cvxpy
+
     m = len(problem.mu)
     f, load = cvxpy.Variable(3 * m), cvxpy.Parameter(3 * m)
     root = np.linalg.cholesky(problem.S + 1e-14 * np.trace(problem.S) * np.eye(3 * m)).T
     contacts = cvxpy.reshape(f, (m, 3), order="C")
     programme = cvxpy.Problem(
         cvxpy.Minimize(0.5 * cvxpy.sum_squares(root @ f) + load @ f),
-        [cvxpy.norm(contacts[:, 1:], axis=1) <= cvxpy.multiply(problem.mu, contacts[:, 0]),
-         load[::3] + problem.S[::3] @ f >= 0])
+        [
+            cvxpy.norm(contacts[:, 1:], axis=1) <= cvxpy.multiply(problem.mu, contacts[:, 0]),
+            load[::3] + problem.S[::3] @ f >= 0,
+        ],
+    )
 
     def solve(b):
         load.value = b
         programme.solve(solver="ECOS")
         return f.value if f.value is not None else np.zeros(3 * m)
+
     solve(problem.b[0])
     return solve
 
@@ -74,6 +91,7 @@ def paper_programme(problem):
 def _cone_rows(problem):
     """Rows of ``-G f ∈ K`` contact by contact: (μ f_n, f_t)."""
     from scipy.sparse import diags
+
     m = len(problem.mu)
     return diags(-np.column_stack([problem.mu, np.ones(m), np.ones(m)]).ravel()).tocsc()
 
@@ -81,6 +99,7 @@ def _cone_rows(problem):
 def clarabel_direct(problem):
     import clarabel
     from scipy.sparse import csc_matrix, triu
+
     P, G, m = csc_matrix(triu(problem.S)), _cone_rows(problem), len(problem.mu)
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
@@ -92,6 +111,7 @@ def ecos_direct(problem):
     """``min t + bᵀ f`` with ``‖(√2 Rᵀ f, 1 - t)‖ <= 1 + t``, ``R Rᵀ = S``."""
     import ecos
     from scipy.sparse import bmat, csc_matrix, vstack
+
     m = len(problem.mu)
     root = np.linalg.cholesky(problem.S + 1e-14 * np.trace(problem.S) * np.eye(3 * m)).T
     cone = bmat([[_cone_rows(problem), csc_matrix((3 * m, 1))]])
@@ -105,6 +125,7 @@ def ecos_direct(problem):
 def scs_direct(problem):
     import scs
     from scipy.sparse import csc_matrix, triu
+
     m = len(problem.mu)
     data = dict(P=csc_matrix(triu(problem.S)), A=_cone_rows(problem), b=np.zeros(3 * m), c=problem.b[0])
     solver = scs.SCS(data, dict(q=[3] * m), verbose=False, eps_abs=1e-9, eps_rel=1e-9, max_iters=50_000)
@@ -112,12 +133,14 @@ def scs_direct(problem):
     def solve(b):
         solver.update(c=b)
         return solver.solve(warm_start=True)["x"]
+
     return solve
 
 
 def siconos(name):
     def prepare(problem):
         import siconos.numerics as numerics
+
         numerics.numerics_set_verbose(0)
         identifier = getattr(numerics, f"SICONOS_FRICTION_3D_{name}")
         limit = {"NSGS": 100_000, "ADMM": 20_000}.get(name, 1000)
@@ -133,8 +156,10 @@ def siconos(name):
             force, displacement = np.zeros(3 * m), np.zeros(3 * m)
             numerics.fc3d_driver(contact, force, displacement, options)
             return force / size
+
         solve(problem.b[0])
         return solve
+
     return prepare
 
 
@@ -143,6 +168,7 @@ def native(law):
         solver = ContactSolver(problem.S, problem.mu, law)
         solver.solve(problem.b[:1])  # compile
         return lambda b: solver.solve(b).force
+
     return prepare
 
 
@@ -182,6 +208,7 @@ def scene_cases(path):
         def record(b, guess=None):
             recorded.append((f"{model.scene.name}, {stage}", ContactProblem(solver.S, b, solver.mu)))
             return solve(b, guess)
+
         return record
 
     for stage, solver in zip(process.stages, process.solvers):
@@ -206,7 +233,7 @@ def measure(name, problem, competitor, reference, console):
         if sum(times) > SECONDS_PER_CASE:
             break
     forces = np.array(forces, dtype=float)
-    residual = certify(problem.S, problem.b[:len(forces)], problem.mu, forces, competitor.law).residual
+    residual = certify(problem.S, problem.b[: len(forces)], problem.mu, forces, competitor.law).residual
     return _row(name, problem, competitor.name, competitor.law, times, residual, reference)
 
 
@@ -223,9 +250,19 @@ def measure_batch(name, problem, threads, reference):
 
 def _row(name, problem, solver, law, times, residual, reference):
     median = 1e3 * np.median(times)
-    return dict(case=name, contacts=len(problem.mu), solver=solver, law=law, samples=len(residual), ms_median=median,
-                ms_max=1e3 * np.max(times), ratio=median / (reference or median), residual_median=np.median(residual),
-                residual_max=np.max(residual), failed=int(np.sum(residual > 1e-8)))
+    return dict(
+        case=name,
+        contacts=len(problem.mu),
+        solver=solver,
+        law=law,
+        samples=len(residual),
+        ms_median=median,
+        ms_max=1e3 * np.max(times),
+        ratio=median / (reference or median),
+        residual_median=np.median(residual),
+        residual_max=np.max(residual),
+        failed=int(np.sum(residual > 1e-8)),
+    )
 
 
 def growth(quick, console):
@@ -273,8 +310,10 @@ def main():
                 row = measure(name, problem, competitor, reference, console)
                 if row:
                     rows.append(row)
-                    console.print(f"{name}: {row['solver']} ({row['law']}) {row['ms_median']:.3g} ms, "
-                                  f"{row['ratio']:.3g} ×, residual {row['residual_max']:.1e}")
+                    console.print(
+                        f"{name}: {row['solver']} ({row['law']}) {row['ms_median']:.3g} ms, "
+                        f"{row['ratio']:.3g} ×, residual {row['residual_max']:.1e}"
+                    )
             if os.cpu_count() > 1:
                 rows.append(measure_batch(name, problem, os.cpu_count(), reference))
         if not options.scene:

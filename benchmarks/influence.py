@@ -27,10 +27,10 @@ import numpy as np
 from petsc4py import PETSc
 from threadpoolctl import threadpool_limits
 
-from fem_reference.influence import BLOCK, Factorisation, influence_matrix
-from fem_reference.part import ShellPart
-from mic.functional import Functionals
-from mic.surface import Surface
+from fem_reference.shell.factorisation import BLOCK, Factorisation, influence_matrix
+from fem_reference.shell.part import ShellPart
+from mic.compliance.functional import Functionals
+from mic.geometry.surface import Surface
 
 GOAL_RATIO, GOAL_SPEEDUP = 1.2, 20
 
@@ -43,7 +43,9 @@ def flanged_panel(dofs: int) -> Surface:
     points = np.column_stack([np.minimum(along, 300), 400 * Y, 20 * np.sin(3 * Y) + np.maximum(along - 300, 0)])
     i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
     a = i * n + j
-    return Surface(points, np.concatenate([np.column_stack([a, a + n, a + n + 1]), np.column_stack([a, a + n + 1, a + 1])]))
+    return Surface(
+        points, np.concatenate([np.column_stack([a, a + n, a + n + 1]), np.column_stack([a, a + n + 1, a + 1])])
+    )
 
 
 def functionals_on(surface: Surface, n: int) -> Functionals:
@@ -79,7 +81,9 @@ def dense_blocks(K, L):
 
 
 def columns(K, L):
-    matrix = PETSc.Mat().createAIJ(K.shape, csr=(K.indptr.astype("i4"), K.indices.astype("i4"), K.data), comm=PETSc.COMM_SELF)
+    matrix = PETSc.Mat().createAIJ(
+        K.shape, csr=(K.indptr.astype("i4"), K.indices.astype("i4"), K.data), comm=PETSc.COMM_SELF
+    )
     matrix.setOption(PETSc.Mat.Option.SPD, True)
     ksp = PETSc.KSP().create(PETSc.COMM_SELF)
     ksp.setOperators(matrix)
@@ -129,7 +133,9 @@ def main():
     parser.add_argument("--dofs", type=int, default=200_000)
     parser.add_argument("--functionals", type=int, default=699)
     parser.add_argument("--skip-columns", action="store_true", help="leave out the slowest method")
-    parser.add_argument("--threads", type=int, default=1, help="of the BLAS; processor times of more than one count their waiting")
+    parser.add_argument(
+        "--threads", type=int, default=1, help="of the BLAS; processor times of more than one count their waiting"
+    )
     arguments = parser.parse_args()
     threadpool_limits(arguments.threads)
 
@@ -144,7 +150,9 @@ def main():
 
     methods = [schur, sparse_blocks, dense_blocks, cholmod, pardiso] + ([] if arguments.skip_columns else [columns])
     times, ratios, reference = {}, {}, None
-    print(f"{'method':16s}{'total, s':>10s}{'wall, s':>9s}{'/ bare':>8s}{'/ schur':>9s}{'difference':>12s}{'asymmetry':>11s}{'MUMPS, MB':>11s}")
+    print(
+        f"{'method':16s}{'total, s':>10s}{'wall, s':>9s}{'/ bare':>8s}{'/ schur':>9s}{'difference':>12s}{'asymmetry':>11s}{'MUMPS, MB':>11s}"
+    )
     for method in methods:
         name, bare, total, elapsed = method.__name__.replace("_", " "), [], [], []
         try:
@@ -169,7 +177,9 @@ def main():
     print(f"goal: schur at most {GOAL_RATIO} times the bare factorisation: {verdict(ratios['schur'] <= GOAL_RATIO)}")
     if "columns" in times:
         speedup = times["columns"] / times["schur"]
-        print(f"goal: at least {GOAL_SPEEDUP} times faster than column by column: {speedup:.0f}: {verdict(speedup >= GOAL_SPEEDUP)}")
+        print(
+            f"goal: at least {GOAL_SPEEDUP} times faster than column by column: {speedup:.0f}: {verdict(speedup >= GOAL_SPEEDUP)}"
+        )
     print(f"goal: ahead of all others: {verdict(min(times, key=times.get) == 'schur')}")
 
 

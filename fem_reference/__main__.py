@@ -10,15 +10,19 @@ import numpy as np
 from mpi4py import MPI
 
 import mic
-from fem_reference.contact import LAWS, ContactFailure, FullModel
-from mic.assembly import assemble
-from mic.variation import draw
+from fem_reference.full.model import LAWS, ContactFailure, FullModel
+from mic.model.assembly import assemble
+from mic.sampling.draw import draw
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m fem_reference", description="Full frictional contact solve of one assembly.")
+    parser = argparse.ArgumentParser(
+        prog="python -m fem_reference", description="Full frictional contact solve of one assembly."
+    )
     parser.add_argument("scene", help="scene file, or a folder that holds scene.toml")
-    parser.add_argument("--sample", type=int, help="number of the Monte Carlo sample (default: all deviations at their means)")
+    parser.add_argument(
+        "--sample", type=int, help="number of the Monte Carlo sample (default: all deviations at their means)"
+    )
     parser.add_argument("--law", choices=LAWS, default="coulomb")
     parser.add_argument("--every-node", action="store_true", help="contact at every mesh node of the zones")
     parser.add_argument("--deviated", action="store_true", help="solve on the meshes that carry the deviation")
@@ -40,19 +44,25 @@ def main() -> int:
         return 1
     if comm.rank == 0:
         _print(scene, assembly, full)
-        print(f"\n{len(full.history)} Newton solves, {sum(len(solve.iterations) for solve in full.history)} iterations, "
-              f"{time.perf_counter() - started:.1f} s on {comm.size} process{'es' if comm.size > 1 else ''}")
+        print(
+            f"\n{len(full.history)} Newton solves, {sum(len(solve.iterations) for solve in full.history)} iterations, "
+            f"{time.perf_counter() - started:.1f} s on {comm.size} process{'es' if comm.size > 1 else ''}"
+        )
     return 0
 
 
 def _print(scene, assembly, full):
-    print(f"{'stage':12}{'zone':16}{'open':>6}{'stick':>6}{'slip':>6}{'normal force, N':>18}{'largest, N':>12}{'RMS slip, mm':>14}")
+    print(
+        f"{'stage':12}{'zone':16}{'open':>6}{'stick':>6}{'slip':>6}{'normal force, N':>18}{'largest, N':>12}{'RMS slip, mm':>14}"
+    )
     for stage, resolution in full.resolutions.items():
         for number, zone in enumerate(scene.zones):
             own = assembly.contacts.zone == number
             force, slip = resolution.force[own], np.linalg.norm(resolution.displacement[own, 1:], axis=1)
             states = "".join(f"{count:6d}" for count in np.bincount(resolution.state[own], minlength=3))
-            print(f"{stage:12.12}{zone.name:16.16}{states}{force[:, 0].sum():18.4f}{force[:, 0].max():12.4f}{np.sqrt((slip**2).mean()):14.5f}")
+            print(
+                f"{stage:12.12}{zone.name:16.16}{states}{force[:, 0].sum():18.4f}{force[:, 0].max():12.4f}{np.sqrt((slip**2).mean()):14.5f}"
+            )
     for measurement, value in zip(scene.measurements, full.measurements):
         print(f"{measurement.name:28}{value:12.5f} mm")
 

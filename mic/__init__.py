@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mic.reduced import ReducedModel
+from mic.model.reduced import ReducedModel
 from mic.scene import Scene, SceneError, load_scene
 
 __all__ = ["ReducedModel", "Scene", "SceneError", "cache_folder", "load_scene", "reduce"]
@@ -35,8 +35,8 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     cache : Path, optional
         Folder of generated meshes and influence coefficients; default :func:`cache_folder`.
     """
-    from mic.assembly import assemble
-    from mic.influence import influence_coefficients
+    from mic.compliance.influence import influence_coefficients
+    from mic.model.assembly import assemble
 
     cache = cache or cache_folder()
     assembly = assemble(scene, cache)

@@ -18,20 +18,27 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mic import cache_folder
-from mic.influence import MissingFiniteElements, influence_coefficients, is_cached
-from mic.montecarlo import communicator
-from mic.scene import SceneError, load_scene
+from mic.compliance.influence import influence_coefficients, is_cached
+from mic.errors import MicError, SceneError
+from mic.sampling.montecarlo import communicator
+from mic.scene import load_scene
 
 __all__ = ["main"]
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode="markdown", pretty_exceptions_enable=False, help="""
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="""
 Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
 
 A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and measurements.
 `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a report.
 
 Start with:  mic check meshes/wheelhouse  and then  mic run meshes/wheelhouse --samples 50
-""")
+""",
+)
 
 
 class Law(str, Enum):
@@ -42,10 +49,18 @@ class Law(str, Enum):
     frictionless = "frictionless"
 
 
-SceneArgument = Annotated[Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)]
-LawOption = Annotated[Optional[list[Law]], typer.Option(
-    "--law", help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of the paper, "
-    "which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.", show_default=False)]
+SceneArgument = Annotated[
+    Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
+]
+LawOption = Annotated[
+    Optional[list[Law]],
+    typer.Option(
+        "--law",
+        help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of the paper, "
+        "which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.",
+        show_default=False,
+    ),
+]
 
 
 class _Clock:
@@ -73,20 +88,36 @@ def _requested(scene, laws, samples=None, seed=None, backend=None):
     changes = {}
     if laws:
         changes["report"] = scene.report.model_copy(update={"laws": list(dict.fromkeys(law.value for law in laws))})
-    updates = {key: value for key, value in (("samples", samples), ("seed", seed), ("backend", backend)) if value is not None}
+    updates = {
+        key: value for key, value in (("samples", samples), ("seed", seed), ("backend", backend)) if value is not None
+    }
     if updates:
         changes["monte_carlo"] = scene.monte_carlo.model_copy(update=updates)
     return scene.model_copy(update=changes)
 
 
 @app.command()
-def run(scene: SceneArgument,
-        samples: Annotated[Optional[int], typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)] = None,
-        seed: Annotated[Optional[int], typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)] = None,
-        law: LawOption = None,
-        backend: Annotated[Optional[Backend], typer.Option(help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
-                                                           "hundred times slower. Default: the scene's.", show_default=False)] = None,
-        out: Annotated[Optional[Path], typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)] = None):
+def run(
+    scene: SceneArgument,
+    samples: Annotated[
+        Optional[int], typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
+    ] = None,
+    seed: Annotated[
+        Optional[int], typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)
+    ] = None,
+    law: LawOption = None,
+    backend: Annotated[
+        Optional[Backend],
+        typer.Option(
+            help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
+            "hundred times slower. Default: the scene's.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Optional[Path], typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
+    ] = None,
+):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
     Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of samples
@@ -99,10 +130,10 @@ def run(scene: SceneArgument,
     with clock("scene"):
         scene = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
         folder = out or Path("results") / scene.name
-        from mic.assembly import assemble
-        from mic.montecarlo import run as monte_carlo
-        from mic.outcome import keep_inputs
-        from mic.reduced import ReducedModel
+        from mic.model.assembly import assemble
+        from mic.model.reduced import ReducedModel
+        from mic.results.outcome import keep_inputs
+        from mic.sampling.montecarlo import run as monte_carlo
     cache = cache_folder()
     with clock("meshes and pairs"):
         console.print(f"[bold]{scene.name}[/]: meshing and pairing …")
@@ -121,7 +152,9 @@ def run(scene: SceneArgument,
     laws, count = scene.report.laws, scene.monte_carlo.samples
     with clock("Monte Carlo"), _progress(console) as progress:
         bars = {name: progress.add_task(f"{name} samples", total=count) for name in laws}
-        reused = monte_carlo(model, folder, laws, count, scene.monte_carlo.seed, lambda name, n: progress.advance(bars[name], n))
+        reused = monte_carlo(
+            model, folder, laws, count, scene.monte_carlo.seed, lambda name, n: progress.advance(bars[name], n)
+        )
     if not first:
         return
     for name, n in reused.items():
@@ -131,23 +164,29 @@ def run(scene: SceneArgument,
 
 
 @app.command()
-def report(folder: Annotated[Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)]):
+def report(
+    folder: Annotated[
+        Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
+    ],
+):
     """Write the statistics, fields and report of a results folder again."""
     if not (folder / "run.json").is_file():
-        raise SceneError(f"{folder}: holds no run (run.json is missing); give the folder that `mic run` wrote, such as results/wheelhouse")
+        raise SceneError(
+            f"{folder}: holds no run (run.json is missing); give the folder that `mic run` wrote, such as results/wheelhouse"
+        )
     _finish(Console(), folder, _Clock())
 
 
 def _finish(console, folder, clock):
     """Statistics, fields and report of a run folder; the end of every run."""
     with clock("statistics"):
-        from mic.outcome import read_outcome
-        from mic.report import write_report
+        from mic.report.page import write_report
+        from mic.results.outcome import read_outcome
 
         outcome = read_outcome(folder)
     with clock("fields"):
         if outcome.model.scene.report.fields:
-            from mic.fields import write_fields
+            from mic.results.fields import write_fields
 
             write_fields(folder)
     with clock("report"):
@@ -162,15 +201,20 @@ def _finish(console, folder, clock):
 
 def _print_zones(console, outcome):
     """The paper's Table 1, and how many samples failed."""
-    from mic.pictures import number
+    from mic.report.pictures import number
 
     summary = outcome.summary()
     zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))
     if zones:
         table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
         for zone in zones:
-            table.add_row(zone, *(f"{number(law['zones'][zone]['mean_rms_slip'], 4)} / {number(law['zones'][zone]['six_sigma_rms_slip'], 4)}"
-                                  for law in summary["laws"].values()))
+            table.add_row(
+                zone,
+                *(
+                    f"{number(law['zones'][zone]['mean_rms_slip'], 4)} / {number(law['zones'][zone]['six_sigma_rms_slip'], 4)}"
+                    for law in summary["laws"].values()
+                ),
+            )
         console.print(table)
     for name, law in summary["laws"].items():
         console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
@@ -179,8 +223,8 @@ def _print_zones(console, outcome):
 @app.command()
 def check(scene: SceneArgument, law: LawOption = None):
     """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
-    from mic.assembly import assemble
-    from mic.process import plan_stages
+    from mic.model.assembly import assemble
+    from mic.process.process import plan_stages
 
     console = Console()
     scene = _requested(load_scene(scene), law)
@@ -192,18 +236,34 @@ def check(scene: SceneArgument, law: LawOption = None):
     table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
     for plan in plans:
         resolves = plan.resolves and len(assembly.contacts) > 0
-        table.add_row(plan.name, plan.kind, str(len(plan.bilateral)), str(len(plan.loads)), str(len(plan.closing)),
-                      (f"yes, {plan.increments} increments" if plan.increments > 1 else "yes") if resolves else "no")
+        table.add_row(
+            plan.name,
+            plan.kind,
+            str(len(plan.bilateral)),
+            str(len(plan.loads)),
+            str(len(plan.closing)),
+            (f"yes, {plan.increments} increments" if plan.increments > 1 else "yes") if resolves else "no",
+        )
     console.print(table)
     _print_cost(console, assembly, plans)
     console.print("[green]The scene is valid.[/]")
 
 
 def _print_parts(console, assembly):
-    table = Table("part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients", title="Parts")
+    table = Table(
+        "part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients", title="Parts"
+    )
     for part in assembly.parts:
-        table.add_row(part.name, str(len(part.surface.points)), str(len(part.surface.triangles)), f"{part.thickness:g}", f"{part.young:g}",
-                      f"{part.poisson:g}", str(len(part.functionals)), "cached" if is_cached(part, cache_folder()) else "to be computed")
+        table.add_row(
+            part.name,
+            str(len(part.surface.points)),
+            str(len(part.surface.triangles)),
+            f"{part.thickness:g}",
+            f"{part.young:g}",
+            f"{part.poisson:g}",
+            str(len(part.functionals)),
+            "cached" if is_cached(part, cache_folder()) else "to be computed",
+        )
     console.print(table)
 
 
@@ -215,23 +275,36 @@ def _print_contacts(console, assembly):
     table = Table("zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", title="Contact zones")
     for i, zone in enumerate(scene.zones):
         own = contacts.zone == i
-        table.add_row(zone.name, " – ".join(zone.parts), str(own.sum()), f"{zone.friction:g}", f"{contacts.area[own].sum():.0f}",
-                      f"{contacts.gap[own].min():.3f} … {contacts.gap[own].max():.3f}")
+        table.add_row(
+            zone.name,
+            " – ".join(zone.parts),
+            str(own.sum()),
+            f"{zone.friction:g}",
+            f"{contacts.area[own].sum():.0f}",
+            f"{contacts.gap[own].min():.3f} … {contacts.gap[own].max():.3f}",
+        )
     console.print(table)
     if contacts.dimension == 1:
-        console.print(f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of {3 * len(contacts)}.")
+        console.print(
+            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of {3 * len(contacts)}."
+        )
 
 
 def _print_cost(console, assembly, plans):
     scene = assembly.scene
     solved = sum(plan.increments for plan in plans if plan.resolves) if len(assembly.contacts) else 0
     rows = sum(len(part.functionals) for part in assembly.parts)
-    lines = [f"one factorisation per part not cached: {', '.join(f'{6 * len(p.surface.points)} freedoms' for p in assembly.parts)}"
-             if scene.element == "dkt-opt" else "one factorisation per part not cached",
-             f"reduced model: {rows} functionals, {8 * sum(len(p.functionals) ** 2 for p in assembly.parts) / 1e6:.0f} MB of influence coefficients",
-             f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws ({', '.join(scene.report.laws)}) × {solved} contact resolutions "
-             f"= {scene.monte_carlo.samples * len(scene.report.laws) * solved} contact solves of {assembly.contacts.dimension * len(assembly.contacts)} unknowns",
-             "mean and 6σ fields: a few further solves per part and law" if scene.report.fields else "no fields asked for: no field solves"]
+    lines = [
+        f"one factorisation per part not cached: {', '.join(f'{6 * len(p.surface.points)} freedoms' for p in assembly.parts)}"
+        if scene.element == "dkt-opt"
+        else "one factorisation per part not cached",
+        f"reduced model: {rows} functionals, {8 * sum(len(p.functionals) ** 2 for p in assembly.parts) / 1e6:.0f} MB of influence coefficients",
+        f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws ({', '.join(scene.report.laws)}) × {solved} contact resolutions "
+        f"= {scene.monte_carlo.samples * len(scene.report.laws) * solved} contact solves of {assembly.contacts.dimension * len(assembly.contacts)} unknowns",
+        "mean and 6σ fields: a few further solves per part and law"
+        if scene.report.fields
+        else "no fields asked for: no field solves",
+    ]
     if solved == 0:
         lines[2] = f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws, no contact to resolve"
     for line in lines:
@@ -239,8 +312,15 @@ def _print_cost(console, assembly, plans):
 
 
 def _progress(console):
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
-                    console=console, disable=console.quiet)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=console.quiet,
+    )
 
 
 def main():
@@ -248,7 +328,7 @@ def main():
     world = communicator()
     try:
         app()
-    except (SceneError, MissingFiniteElements) as error:
+    except MicError as error:
         if world is None or world.rank == 0:
             Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)

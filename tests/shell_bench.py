@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from fem_reference.influence import Factorisation
-from fem_reference.part import ShellPart
-from mic.surface import Surface
+from fem_reference.shell.factorisation import Factorisation
+from fem_reference.shell.part import ShellPart
+from mic.geometry.surface import Surface
 
 
 def grid(nx, ny, shape, jitter=0.0, pattern="right"):

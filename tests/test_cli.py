@@ -17,8 +17,14 @@ LAP = ROOT / "meshes" / "lap_joint"
 @pytest.fixture
 def command(cache, tmp_path):
     def call(*arguments, check=True):
-        done = subprocess.run([sys.executable, "-m", "mic.cli", *map(str, arguments)], cwd=tmp_path, capture_output=True, text=True,
-                              env=os.environ | {"MIC_CACHE": str(cache), "COLUMNS": "200"}, timeout=300)
+        done = subprocess.run(
+            [sys.executable, "-m", "mic.cli", *map(str, arguments)],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            env=os.environ | {"MIC_CACHE": str(cache), "COLUMNS": "200"},
+            timeout=300,
+        )
         assert not check or done.returncode == 0, done.stdout + done.stderr
         return done
 
@@ -27,7 +33,12 @@ def command(cache, tmp_path):
 
 def test_run_check_report(command, tmp_path):
     checked = command("check", LAP).stdout
-    assert "24" in checked and "6000" not in checked and "200 samples × 3 laws" in checked and "The scene is valid" in checked
+    assert (
+        "24" in checked
+        and "6000" not in checked
+        and "200 samples × 3 laws" in checked
+        and "The scene is valid" in checked
+    )
     first = command("run", LAP, "--samples", 20).stdout
     assert "report:" in first
     folder = tmp_path / "results" / "lap-joint"
@@ -35,7 +46,9 @@ def test_run_check_report(command, tmp_path):
     assert summary["samples"] == 20 and set(summary["laws"]) == {"coulomb", "associated", "frictionless"}
     zone = summary["laws"]["coulomb"]["zones"]["lap"]
     slip = pd.read_parquet(folder / "samples" / "law=coulomb")["slip:clamp:lap"]
-    assert zone["mean_rms_slip"] == pytest.approx(slip.mean()) and zone["six_sigma_rms_slip"] == pytest.approx(6 * slip.std())
+    assert zone["mean_rms_slip"] == pytest.approx(slip.mean()) and zone["six_sigma_rms_slip"] == pytest.approx(
+        6 * slip.std()
+    )
     assert summary["laws"]["coulomb"]["worst_residual"] < 1e-8
     assert (folder / "report.html").stat().st_size > 10_000
     assert "reused" in command("run", LAP, "--samples", 20).stdout
@@ -55,10 +68,13 @@ def test_check_shows_what_is_not_modelled(command, tmp_path):
     assert "no field solves" in lean
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (("check", "nowhere"), ["nowhere", "no such scene"]),
-    (("report", "."), ["holds no run"]),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("check", "nowhere"), ["nowhere", "no such scene"]),
+        (("report", "."), ["holds no run"]),
+    ],
+)
 def test_errors_are_one_line_and_exit_with_two(command, arguments, words):
     done = command(*arguments, check=False)
     assert done.returncode == 2 and "Traceback" not in done.stderr
@@ -68,9 +84,11 @@ def test_errors_are_one_line_and_exit_with_two(command, arguments, words):
 
 
 def test_production_path_imports_no_finite_elements():
-    script = ("import sys, mic, mic.cli, mic.assembly, mic.montecarlo, mic.process, mic.outcome, mic.report\n"
-              "bad = [name for name in sys.modules if name.split('.')[0] in ('dolfinx', 'petsc4py', 'ufl', 'fem_reference', 'mpi4py', 'gmsh')]\n"
-              "assert not bad, bad")
+    script = (
+        "import sys, mic, mic.cli, mic.model.assembly, mic.sampling.montecarlo, mic.process.process, mic.results.outcome, mic.report.page\n"
+        "bad = [name for name in sys.modules if name.split('.')[0] in ('dolfinx', 'petsc4py', 'ufl', 'fem_reference', 'mpi4py', 'gmsh')]\n"
+        "assert not bad, bad"
+    )
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
@@ -78,5 +96,11 @@ def test_readme_snippet_runs(cache, tmp_path):
     readme = (ROOT / "README.md").read_text()
     snippet = re.search(r"```python\n(.*?)```", readme, re.S).group(1)
     (tmp_path / "meshes").symlink_to(ROOT / "meshes")  # the snippet writes where it stands
-    subprocess.run([sys.executable, "-c", snippet], check=True, cwd=tmp_path, env=os.environ | {"MIC_CACHE": str(cache)}, timeout=200)
+    subprocess.run(
+        [sys.executable, "-c", snippet],
+        check=True,
+        cwd=tmp_path,
+        env=os.environ | {"MIC_CACHE": str(cache)},
+        timeout=200,
+    )
     assert (tmp_path / "model.npz").is_file()

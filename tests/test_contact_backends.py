@@ -13,8 +13,17 @@ def problem():
     return slip_dominated(12, 3, np.random.default_rng(21), condition=1e3)
 
 
-@pytest.mark.parametrize("law, backend", [("associated", "ecos"), ("associated", "clarabel"), ("associated", "scs"),
-                                          ("frictionless", "osqp"), ("frictionless", "ecos"), ("frictionless", "clarabel")])
+@pytest.mark.parametrize(
+    "law, backend",
+    [
+        ("associated", "ecos"),
+        ("associated", "clarabel"),
+        ("associated", "scs"),
+        ("frictionless", "osqp"),
+        ("frictionless", "ecos"),
+        ("frictionless", "clarabel"),
+    ],
+)
 @pytest.mark.parametrize("mu", [0.0, 0.27, 2.0])
 def test_native_equals_an_optimiser(problem, law, backend, mu):
     pytest.importorskip("cvxpy")
@@ -25,7 +34,9 @@ def test_native_equals_an_optimiser(problem, law, backend, mu):
     size = np.abs(native.force).max()
     np.testing.assert_allclose(peer.force, native.force, atol=1e-4 * size)
     # The energy is second-order accurate: a sharper comparison than the forces.
-    energy = [0.5 * np.sum(f @ problem.S * f, axis=1) + np.sum(problem.b * f, axis=1) for f in (native.force, peer.force)]
+    energy = [
+        0.5 * np.sum(f @ problem.S * f, axis=1) + np.sum(problem.b * f, axis=1) for f in (native.force, peer.force)
+    ]
     np.testing.assert_allclose(energy[1], energy[0], rtol=1e-7)
 
 

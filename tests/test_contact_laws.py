@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mic.contact import ContactSolver, Law, Status, certify, solve
 from mic.contact.laws import project_on_cone
@@ -37,12 +38,15 @@ def test_one_sliding_contact_by_hand():
     assert coulomb.complementarity <= 1e-14
 
 
-@pytest.mark.parametrize("b, force", [
-    ([-1.0, 0.1, -0.1], [1.0, -0.1, 0.1]),       # sticks
-    ([1.0, 5.0, 0.0], [0.0, 0.0, 0.0]),          # open
-    ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),          # touches
-    ([-2.0, 3.0, 4.0], [2.0, -0.6 * 0.6, -0.6 * 0.8]),  # slides against (3, 4)
-])
+@pytest.mark.parametrize(
+    "b, force",
+    [
+        ([-1.0, 0.1, -0.1], [1.0, -0.1, 0.1]),  # sticks
+        ([1.0, 5.0, 0.0], [0.0, 0.0, 0.0]),  # open
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),  # touches
+        ([-2.0, 3.0, 4.0], [2.0, -0.6 * 0.6, -0.6 * 0.8]),  # slides against (3, 4)
+    ],
+)
 def test_one_contact_in_each_state(b, force):
     solution = solve(np.eye(3), b, 0.3)
     np.testing.assert_allclose(solution.force, force, atol=1e-13)
@@ -70,16 +74,19 @@ def test_frictionless_uses_the_normal_block_and_returns_all_displacements():
     np.testing.assert_allclose(solution.displacement, [0.0, 0.3, 0.5], atol=1e-14)
 
 
-@pytest.mark.parametrize("wrong", [
-    pytest.param([0.0, 0.0, 0.0], id="zero"),
-    pytest.param([-1.0, 0.27, 0.0], id="wrong sign"),
-    pytest.param([1.0, 0.27, 0.0], id="friction pushes the slip"),
-    pytest.param([1.0, -1.0, 0.0], id="mu ignored: stuck"),
-    pytest.param([1.0, 0.0, 0.0], id="mu ignored: frictionless"),
-    pytest.param([1.27 / 1.0729, -0.27 * 1.27 / 1.0729, 0.0], id="the associated answer"),
-    pytest.param([1e12, 0.0, 0.0], id="huge"),
-    pytest.param([np.nan, 0.0, 0.0], id="not a number"),
-])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        pytest.param([0.0, 0.0, 0.0], id="zero"),
+        pytest.param([-1.0, 0.27, 0.0], id="wrong sign"),
+        pytest.param([1.0, 0.27, 0.0], id="friction pushes the slip"),
+        pytest.param([1.0, -1.0, 0.0], id="mu ignored: stuck"),
+        pytest.param([1.0, 0.0, 0.0], id="mu ignored: frictionless"),
+        pytest.param([1.27 / 1.0729, -0.27 * 1.27 / 1.0729, 0.0], id="the associated answer"),
+        pytest.param([1e12, 0.0, 0.0], id="huge"),
+        pytest.param([np.nan, 0.0, 0.0], id="not a number"),
+    ],
+)
 def test_certificate_refuses_wrong_answers(wrong):
     assert not certify(np.eye(3), [-1.0, 1.0, 0.0], 0.27, wrong).residual < 0.1
 
@@ -103,16 +110,35 @@ def test_certificate_measures_the_physics():
     assert certificate.slip_error == pytest.approx(mu * 2.0 * 2.0 + 1.5 * 2.0)
 
 
-@pytest.mark.parametrize("name, arguments", [
-    ("S", dict(S=np.ones((3, 4)))), ("S", dict(S=np.eye(4))), ("S", dict(S=np.diag([1.0, np.nan, 1.0]))),
-    ("S", dict(S=np.diag([1.0, np.inf, 1.0]))), ("S", dict(S=np.diag([1.0, -1.0, 1.0]))),
-    ("S", dict(S=np.eye(3) + np.triu(np.ones((3, 3)), 1))), ("S", dict(S="compliance")),
-    ("b", dict(b=np.zeros(4))), ("b", dict(b=np.zeros((2, 2, 3)))), ("b", dict(b=[0.0, np.nan, 0.0])), ("b", dict(b=0.0)),
-    ("mu", dict(mu=-0.1)), ("mu", dict(mu=[0.1, 0.2])), ("mu", dict(mu=np.inf)), ("mu", dict(mu=np.nan)),
-    ("law", dict(law="Tresca")), ("backend", dict(backend="simplex")), ("tol", dict(tol=0.0)), ("tol", dict(tol=np.nan)),
-    ("guess", dict(guess=np.zeros((1, 3)))), ("threads", dict(threads=0)), ("dimension", dict(dimension=2)),
-    ("law", dict(dimension=1, S=np.eye(1), b=[0.0])), ("law", dict(backend="osqp")),
-])
+@pytest.mark.parametrize(
+    "name, arguments",
+    [
+        ("S", dict(S=np.ones((3, 4)))),
+        ("S", dict(S=np.eye(4))),
+        ("S", dict(S=np.diag([1.0, np.nan, 1.0]))),
+        ("S", dict(S=np.diag([1.0, np.inf, 1.0]))),
+        ("S", dict(S=np.diag([1.0, -1.0, 1.0]))),
+        ("S", dict(S=np.eye(3) + np.triu(np.ones((3, 3)), 1))),
+        ("S", dict(S="compliance")),
+        ("b", dict(b=np.zeros(4))),
+        ("b", dict(b=np.zeros((2, 2, 3)))),
+        ("b", dict(b=[0.0, np.nan, 0.0])),
+        ("b", dict(b=0.0)),
+        ("mu", dict(mu=-0.1)),
+        ("mu", dict(mu=[0.1, 0.2])),
+        ("mu", dict(mu=np.inf)),
+        ("mu", dict(mu=np.nan)),
+        ("law", dict(law="Tresca")),
+        ("backend", dict(backend="simplex")),
+        ("tol", dict(tol=0.0)),
+        ("tol", dict(tol=np.nan)),
+        ("guess", dict(guess=np.zeros((1, 3)))),
+        ("threads", dict(threads=0)),
+        ("dimension", dict(dimension=2)),
+        ("law", dict(dimension=1, S=np.eye(1), b=[0.0])),
+        ("law", dict(backend="osqp")),
+    ],
+)
 def test_bad_input_is_named(name, arguments):
     valid = dict(S=np.eye(3), b=np.zeros(3), mu=0.3)
     with pytest.raises(ValueError, match=rf"\b{name}\b"):

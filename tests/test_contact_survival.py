@@ -2,11 +2,21 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from mic.contact import ContactSolver, Law, Status, certify, kernels, native, solve
-from mic.contact.problems import (arch, box_stack, brick_wall, capsule_pile, compliant, hanging_chain, manufactured,
-                                  slip_dominated, sphere_pile)
+from mic.contact.problems import (
+    arch,
+    box_stack,
+    brick_wall,
+    capsule_pile,
+    compliant,
+    hanging_chain,
+    manufactured,
+    slip_dominated,
+    sphere_pile,
+)
 
 FRICTION = [0.0, 1e-12, 0.27, 1.0, 5.0, 1e3]
 LAWS = list(Law)
@@ -20,8 +30,14 @@ def assert_solved(solution, S, b, mu, law="coulomb", tol=1e-10):
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(m=st.integers(1, 8), rank=st.floats(0.34, 1.0), mu=st.lists(st.sampled_from(FRICTION), min_size=8, max_size=8),
-       law=st.sampled_from(LAWS), seed=st.integers(0, 10_000), log_size=st.floats(-9, 9))
+@given(
+    m=st.integers(1, 8),
+    rank=st.floats(0.34, 1.0),
+    mu=st.lists(st.sampled_from(FRICTION), min_size=8, max_size=8),
+    law=st.sampled_from(LAWS),
+    seed=st.integers(0, 10_000),
+    log_size=st.floats(-9, 9),
+)
 def test_random_feasible_problems(m, rank, mu, law, seed, log_size):
     """Any rank, any friction, any size: feasible because ``b - S f₀`` opens every contact for some ``f₀``."""
     rng = np.random.default_rng(seed)
@@ -125,17 +141,25 @@ def test_tangential_rows_without_compliance(law):
 def test_infeasible_loads_are_never_solved(law):
     """A wedge between two rigid jaws: any force that opens one contact closes the other."""
     S = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    b = np.array([[-1.0, 0.1, 0.0, -1.0, 0.0, 0.0],   # too thick
-                  [-1.0, 0.1, 0.0, 2.0, 0.0, 0.0]])   # fits
+    b = np.array(
+        [
+            [-1.0, 0.1, 0.0, -1.0, 0.0, 0.0],  # too thick
+            [-1.0, 0.1, 0.0, 2.0, 0.0, 0.0],
+        ]
+    )  # fits
     solution = solve(S, b, 0.3, law)
     assert solution.status[0] is Status.INFEASIBLE and not solution.converged[0] and solution.residual[0] > 1e-3
     assert solution.status[1] is Status.CONVERGED
 
 
 RIGID = {
-    "stack": lambda: box_stack(10), "tower": lambda: box_stack(15, (0.3, 0.3, 1.0)), "wall": lambda: brick_wall(4, 3),
-    "arch": lambda: arch(15), "spheres": lambda: sphere_pile(3, 3, np.random.default_rng(1)),
-    "logs": lambda: capsule_pile(5, 4), "chain": lambda: hanging_chain(15),
+    "stack": lambda: box_stack(10),
+    "tower": lambda: box_stack(15, (0.3, 0.3, 1.0)),
+    "wall": lambda: brick_wall(4, 3),
+    "arch": lambda: arch(15),
+    "spheres": lambda: sphere_pile(3, 3, np.random.default_rng(1)),
+    "logs": lambda: capsule_pile(5, 4),
+    "chain": lambda: hanging_chain(15),
 }
 
 
@@ -169,8 +193,11 @@ def test_units_do_not_matter(length, force, law):
     np.testing.assert_allclose(other.force / force, reference.force, atol=1e-8 * size)
     assert np.abs(other.iterations - reference.iterations).max() <= 2
     wrong = reference.force + 0.01 * size
-    np.testing.assert_allclose(certify(problem.S * length / force, problem.b * length, 0.27, wrong * force, law).residual,
-                               certify(problem.S, problem.b, 0.27, wrong, law).residual, rtol=1e-9)
+    np.testing.assert_allclose(
+        certify(problem.S * length / force, problem.b * length, 0.27, wrong * force, law).residual,
+        certify(problem.S, problem.b, 0.27, wrong, law).residual,
+        rtol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -248,8 +275,21 @@ def test_newton_for_forces_and_for_displacements_agree():
         for matrix in (inverse, np.empty((0, 0))):
             y = force / backend.scaling * (1.0 + 0.01 * rng.standard_normal(60))
             w = backend.W @ y + q
-            error, steps = kernels.newton(False, backend.W, matrix, q, backend.friction, y, w, 1e-12,
-                                          kernels.starting_scale(backend.friction, q), 1e-12, 20, 0, 20)
+            error, steps = kernels.newton(
+                False,
+                backend.W,
+                matrix,
+                q,
+                backend.friction,
+                y,
+                w,
+                1e-12,
+                kernels.starting_scale(backend.friction, q),
+                1e-12,
+                20,
+                0,
+                20,
+            )
             assert error <= 1e-12 and steps < 10
             np.testing.assert_allclose(y * backend.scaling, force, atol=1e-9)
 

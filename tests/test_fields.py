@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import mic
-from mic.assembly import assemble
-from mic.fields import compute_fields, low_rank, read_fields, write_fields
-from mic.montecarlo import run
-from mic.outcome import keep_inputs, read_outcome
+from mic.model.assembly import assemble
+from mic.results.fields import compute_fields, low_rank, read_fields, write_fields
+from mic.results.outcome import keep_inputs, read_outcome
+from mic.sampling.draw import draw
+from mic.sampling.montecarlo import run
 from mic.scene import Scene
-from mic.variation import draw
 
 SAMPLES, SEED = 25, 3
 LAWS = ["coulomb", "frictionless"]
@@ -50,8 +50,15 @@ def test_forces_and_motions_heed_that_redundant_rows_have_no_effect(lap_scene, c
     twin = content["locators"][0] | {"name": "twin"}
     off = {"name": "off", "kind": "locator", "target": "twin", "mean": 0.3, "sigma": 0.1}
     stages = [stage for stage in content["stages"] if stage["kind"] != "release"]
-    scene = Scene(**content | {"locators": [*content["locators"], twin], "deviations": [*content["deviations"], off], "stages": stages,
-                               "folder": lap_scene.folder})
+    scene = Scene(
+        **content
+        | {
+            "locators": [*content["locators"], twin],
+            "deviations": [*content["deviations"], off],
+            "stages": stages,
+            "folder": lap_scene.folder,
+        }
+    )
     model = mic.reduce(scene, cache)
     assert model.process().stages[-1].response.redundant
     error, scale = _misread(model, model.evaluate({}))
@@ -64,21 +71,23 @@ def test_forces_balance_on_every_part(lap_model, evaluation):
 
 
 def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, cache, evaluation):
-    from fem_reference.part import ShellPart
+    from fem_reference.shell.part import ShellPart
 
     found = {field.part: field for field in compute_fields(read_outcome(folder)) if field.law == "coulomb"}
     for p, part in enumerate(assemble(lap_scene, cache).parts):
         shell = ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element)
         rows = slice(lap_model.offsets[p], lap_model.offsets[p + 1])
         direct = shell.field(part.functionals, evaluation.functional_force[:, rows].T)[:, :3]
-        direct = direct + shell.rigid_field()[:, :3] @ evaluation.motion[:, 6 * p:6 * p + 6].T  # (v, 3, samples)
+        direct = direct + shell.rigid_field()[:, :3] @ evaluation.motion[:, 6 * p : 6 * p + 6].T  # (v, 3, samples)
         field, size = found[part.name], np.abs(direct).max()
         spread = 6 * direct.std(axis=2, ddof=1)
         np.testing.assert_allclose(field.mean, direct.mean(axis=2), atol=1e-8 * size)
         np.testing.assert_allclose(field.six_sigma, spread, atol=1e-4 * spread.max())
         along = np.einsum("vi,vis->vs", part.surface.vertex_normals, direct)
         np.testing.assert_allclose(field.six_sigma_normal, 6 * along.std(axis=1, ddof=1), atol=1e-4 * spread.max())
-        np.testing.assert_allclose(field.six_sigma_magnitude, np.sqrt((spread**2).sum(axis=1)), atol=1e-4 * spread.max())
+        np.testing.assert_allclose(
+            field.six_sigma_magnitude, np.sqrt((spread**2).sum(axis=1)), atol=1e-4 * spread.max()
+        )
         assert field.rank < SAMPLES // 2, "the factor saves nothing"
 
 
@@ -94,7 +103,7 @@ def test_the_factor_keeps_the_energy_it_promises():
         assert factor.discarded <= max(share, 1e-20)
         assert ranks == [] or factor.rank > ranks[-1]
         ranks.append(factor.rank)
-        covariance = factor.force @ factor.gram[:factor.rank, :factor.rank] @ factor.force.T
+        covariance = factor.force @ factor.gram[: factor.rank, : factor.rank] @ factor.force.T
         exact = centred.T @ centred / 39
         assert abs(np.trace(H @ (exact - covariance)) / np.trace(H @ exact) - factor.discarded) < 1e-10
     assert ranks[-1] == 12
@@ -135,7 +144,7 @@ def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
 
 def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkeypatch):
     (folder / "fields" / "fields.json").unlink(missing_ok=True)
-    monkeypatch.setitem(sys.modules, "fem_reference.part", None)
+    monkeypatch.setitem(sys.modules, "fem_reference.shell.part", None)
     assert write_fields(folder) == []
     fields, skipped = read_fields(folder)
     assert fields == [] and "not installed" in skipped

@@ -12,13 +12,14 @@ import pytest
 from mpi4py import MPI
 
 import mic
-from fem_reference import contact, equilibrium
-from fem_reference.contact import ContactFailure, FullModel
-from fem_reference.equilibrium import NoConvergence
-from mic.assembly import assemble
-from mic.influence import influence_coefficients
-from mic.reduced import ReducedModel
-from mic.variation import draw
+from fem_reference.full import equilibrium
+from fem_reference.full import model as contact
+from fem_reference.full.equilibrium import NoConvergence
+from fem_reference.full.model import ContactFailure, FullModel
+from mic.compliance.influence import influence_coefficients
+from mic.model.assembly import assemble
+from mic.model.reduced import ReducedModel
+from mic.sampling.draw import draw
 
 HERE = Path(__file__).resolve()
 
@@ -53,7 +54,10 @@ def difference(full, reduced):
     pairs = [(full.measurements, reduced.measurements[0])]
     for stage, resolution in reduced.resolutions.items():
         assert resolution.converged.all()
-        pairs += [(full.resolutions[stage].force, resolution.force[0]), (full.resolutions[stage].displacement, resolution.displacement[0])]
+        pairs += [
+            (full.resolutions[stage].force, resolution.force[0]),
+            (full.resolutions[stage].displacement, resolution.displacement[0]),
+        ]
     assert all(np.abs(b).max() > 0 for _, b in pairs)
     return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs)
 
@@ -128,9 +132,9 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 import mic
-from fem_reference.contact import FullModel
-from mic.assembly import assemble
-from mic.variation import draw
+from fem_reference.full.model import FullModel
+from mic.model.assembly import assemble
+from mic.sampling.draw import draw
 
 scene = mic.load_scene(sys.argv[1])
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
@@ -151,9 +155,25 @@ def serial(tmp_path_factory):
 def _on_ranks(processes, folder):
     if shutil.which("mpirun") is None:
         pytest.skip("mpirun is not installed")
-    command = ["mpirun", "--oversubscribe", "-n", str(processes), sys.executable, "-m", "mpi4py", "-c", RANKS,
-               str(HERE.parents[1] / "meshes" / "lap_joint"), str(folder), str(folder / "result.npz")]
-    environment = os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
+    command = [
+        "mpirun",
+        "--oversubscribe",
+        "-n",
+        str(processes),
+        sys.executable,
+        "-m",
+        "mpi4py",
+        "-c",
+        RANKS,
+        str(HERE.parents[1] / "meshes" / "lap_joint"),
+        str(folder),
+        str(folder / "result.npz"),
+    ]
+    environment = os.environ | {
+        "OMPI_ALLOW_RUN_AS_ROOT": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        "OMP_NUM_THREADS": "1",
+    }
     done = subprocess.run(command, env=environment, cwd=HERE.parents[1], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     with np.load(folder / "result.npz") as data:
@@ -184,13 +204,18 @@ def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch
     fractions = [solve.fraction for solve in cut.history if solve.stage == "clamp" and solve.augmentation == 0]
     assert fractions == list(np.arange(1, 9) / 8)
     for stage, resolution in whole.resolutions.items():
-        np.testing.assert_allclose(cut.resolutions[stage].force, resolution.force, atol=1e-8 * np.abs(resolution.force).max())
+        np.testing.assert_allclose(
+            cut.resolutions[stage].force, resolution.force, atol=1e-8 * np.abs(resolution.force).max()
+        )
 
 
 def test_a_failure_names_stage_increment_contact_and_remedy(lap, scene, monkeypatch):
     monkeypatch.setattr(equilibrium, "_MAX_ITERATIONS", 1)
-    with pytest.raises(ContactFailure, match=r"stage 'clamp', increment 1 of 1, at 0 of its load, worst at contact 'lap \d+': "
-                                             r"no convergence.*raise the stage's increments or lower the penalty"):
+    with pytest.raises(
+        ContactFailure,
+        match=r"stage 'clamp', increment 1 of 1, at 0 of its load, worst at contact 'lap \d+': "
+        r"no convergence.*raise the stage's increments or lower the penalty",
+    ):
         FullModel(lap).evaluate(draw(scene, 5, 0, 1)[0])
 
 
@@ -206,9 +231,13 @@ def test_redundant_locators(scene, cache, lap):
     sample = draw(scene, 5, 0, 1)[0]
     twin = scene.locators[0].model_copy(update={"name": "twin"})
     doubled = assemble(scene.model_copy(update={"locators": [*scene.locators, twin]}), cache)
-    np.testing.assert_allclose(FullModel(doubled).evaluate(sample).measurements, FullModel(lap).evaluate(sample).measurements, rtol=1e-8)
+    np.testing.assert_allclose(
+        FullModel(doubled).evaluate(sample).measurements, FullModel(lap).evaluate(sample).measurements, rtol=1e-8
+    )
     moved = scene.deviations[-1].model_copy(update={"kind": "locator", "target": "twin"})
-    contradicting = scene.model_copy(update={"locators": [*scene.locators, twin], "deviations": [*scene.deviations[:-1], moved]})
+    contradicting = scene.model_copy(
+        update={"locators": [*scene.locators, twin], "deviations": [*scene.deviations[:-1], moved]}
+    )
     with pytest.raises(ContactFailure, match="stage 'locate': .* redundant and contradicts"):
         FullModel(assemble(contradicting, cache)).evaluate(sample)
 
@@ -233,12 +262,18 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
         fields[part.name][:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
         fields[part.name][:, 2] = np.cos(angle) * z - np.sin(angle) * x - z
     parts = contact._deviated_parts(lap, fields)
-    normals = [i for i, label in enumerate(lap.parts[0].functionals.label) if label.startswith("contact") and label.endswith(" n")]
+    normals = [
+        i
+        for i, label in enumerate(lap.parts[0].functionals.label)
+        if label.startswith("contact") and label.endswith(" n")
+    ]
     turned = np.array([np.sin(angle), 0, np.cos(angle)])
     np.testing.assert_allclose(parts[0].functionals.direction[normals], np.tile(turned, (len(normals), 1)), atol=1e-12)
     assert np.abs(contact._opening(lap, "contact", parts)[::3]).max() < 1e-9
     fields["upper"][:, :3] += 0.1 * turned
-    np.testing.assert_allclose(contact._opening(lap, "contact", contact._deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9)
+    np.testing.assert_allclose(
+        contact._opening(lap, "contact", contact._deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9
+    )
 
 
 def test_every_node_of_the_zone(scene, cache):

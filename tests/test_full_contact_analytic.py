@@ -11,11 +11,11 @@ import pytest
 from mpi4py import MPI
 from scipy.sparse import csr_matrix, hstack, vstack
 
-from fem_reference.equilibrium import SLIP, STICK, ContactLaw, Equilibrium, Parts, State
-from fem_reference.part import ShellPart
-from meshes.structured import extrude
-from mic.functional import Functionals
-from mic.surface import Patch, Surface
+from fem_reference.full.equilibrium import SLIP, STICK, ContactLaw, Equilibrium, Parts, State
+from fem_reference.shell.part import ShellPart
+from mic.compliance.functional import Functionals
+from mic.geometry.structured import extrude
+from mic.geometry.surface import Patch, Surface
 
 E = 210e3  # MPa
 
@@ -30,12 +30,22 @@ def vertex_rows(shell, vertices, direction, side=0, rotation=False):
     corner = np.argmax(shell.surface.triangles[first] == np.asarray(vertices)[:, None], axis=1)
     patches = tuple(Patch(np.array([t]), np.eye(3)[[c]], np.ones(1)) for t, c in zip(first, corner))
     n = len(patches)
-    return shell.functional_matrix(Functionals(patches, np.arange(n), np.tile(np.asarray(direction, float), (n, 1)), np.full(n, rotation),
-                                               np.full(n, float(side)), ("",) * n))
+    return shell.functional_matrix(
+        Functionals(
+            patches,
+            np.arange(n),
+            np.tile(np.asarray(direction, float), (n, 1)),
+            np.full(n, rotation),
+            np.full(n, float(side)),
+            ("",) * n,
+        )
+    )
 
 
 def clamped(shell, vertices):
-    return vstack([vertex_rows(shell, vertices, axis, rotation=rotation) for rotation in (False, True) for axis in np.eye(3)])
+    return vstack(
+        [vertex_rows(shell, vertices, axis, rotation=rotation) for rotation in (False, True) for axis in np.eye(3)]
+    )
 
 
 def interleave(*rows):
@@ -48,7 +58,9 @@ def interleave(*rows):
 def contact_law(friction, gap, stiffness, dimension, penalty=1e8):
     m = len(gap)
     zero = np.zeros((m, dimension))
-    return ContactLaw(np.full(m, friction), np.asarray(gap, float), zero, zero, np.full(m, penalty * stiffness), np.full(m, stiffness))
+    return ContactLaw(
+        np.full(m, friction), np.asarray(gap, float), zero, zero, np.full(m, penalty * stiffness), np.full(m, stiffness)
+    )
 
 
 def rest(system):
@@ -67,7 +79,9 @@ def test_strip_pressed_on_a_stop(share):
     system = Equilibrium(Parts([shell], MPI.COMM_SELF), clamped(shell, np.flatnonzero(x == 0)), -down, 1)
     stiffness = 3 * E * b * t**3 / 12 / L**3
     P = share * stiffness * gap
-    state, _ = system.newton(rest(system), P * down.toarray().ravel(), np.zeros(system.b), contact_law(0.0, [gap], E * t, 1))
+    state, _ = system.newton(
+        rest(system), P * down.toarray().ravel(), np.zeros(system.b), contact_law(0.0, [gap], E * t, 1)
+    )
     deflection = (down @ state.u)[0]
     assert deflection == pytest.approx(min(share, 1.0) * gap, rel=2e-3)
     assert state.force[0, 0] == pytest.approx(max(0.0, P - stiffness * gap), rel=2e-3)
@@ -83,7 +97,9 @@ def test_block_on_an_incline(angle):
     μ, α, W = 0.3, np.radians(angle), 50.0
     shell = strip(20.0, 20.0, 5.0, 5.0)
     points = shell.surface.points
-    feet = [int(np.argmin(np.linalg.norm(points - p, axis=1))) for p in ((0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0))]
+    feet = [
+        int(np.argmin(np.linalg.norm(points - p, axis=1))) for p in ((0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0))
+    ]
     # x points up the slope. The fixture lies below: the block is the second body, n = +z; it is dragged at its sole.
     held = vstack([vertex_rows(shell, feet[:1], (1, 0, 0), side=-1), vertex_rows(shell, feet[:2], (0, 1, 0), side=-1)])
     C = interleave(*(vertex_rows(shell, feet, axis, side=-1) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))))
@@ -92,15 +108,20 @@ def test_block_on_an_incline(angle):
     # Nothing but contact carries the block, so all forces follow from its balance, whatever the penalty.
     law = contact_law(μ, np.full(len(feet), -1e-9), E * 5.0, 3, penalty=0.01)
     state, _ = system.newton(rest(system), p, np.zeros(3), replace(law, friction=np.zeros(len(feet))))
-    for x, y, reaction in ((1.0, 0.0, W * (np.sin(α) + μ * np.cos(α))), (-1.0, 0.0, W * (np.sin(α) - μ * np.cos(α))),
-                           (-1.0, 1.0, W * np.sin(α))):
+    for x, y, reaction in (
+        (1.0, 0.0, W * (np.sin(α) + μ * np.cos(α))),
+        (-1.0, 0.0, W * (np.sin(α) - μ * np.cos(α))),
+        (-1.0, 1.0, W * np.sin(α)),
+    ):
         state, _ = system.newton(state, p, np.array([x, y, y]), law)
         f = state.force
         assert (law.state((C @ state.u).reshape(-1, 3))[f[:, 0] > 0] == SLIP).all()
         assert f[:, 0].sum() == pytest.approx(W * np.cos(α), rel=1e-9)
         assert state.reaction[0] == pytest.approx(reaction, rel=1e-3)  # the soft contact lets the block rock a little
         law = replace(law, anchor=(C @ state.u).reshape(-1, 3))
-    assert f[:, 2].sum() == pytest.approx(-μ * W * np.cos(α), rel=1e-4)  # across: friction opposes the motion along y alone
+    assert f[:, 2].sum() == pytest.approx(
+        -μ * W * np.cos(α), rel=1e-4
+    )  # across: friction opposes the motion along y alone
 
 
 def bend_leaves(L, b, h, p, pressed_from=0.0):
@@ -115,12 +136,19 @@ def bend_leaves(L, b, h, p, pressed_from=0.0):
     held = clamped(shells[0], root)
     B = vstack([hstack([held, csr_matrix(held.shape)]), hstack([csr_matrix(held.shape), held])], format="csr")
     axes = ((0, 0, 1), (1, 0, 0), (0, 1, 0))
-    C = interleave(*(hstack([-vertex_rows(shells[0], free, axis, side=1), vertex_rows(shells[1], free, axis, side=-1)]) for axis in axes))
+    C = interleave(
+        *(
+            hstack([-vertex_rows(shells[0], free, axis, side=1), vertex_rows(shells[1], free, axis, side=-1)])
+            for axis in axes
+        )
+    )
     system = Equilibrium(parts, B, C, 3)
     area = np.zeros(len(x))
     pressed = shells[0].surface.corners[:, :, 0].mean(axis=1) > pressed_from
     np.add.at(area, shells[0].surface.triangles[pressed], shells[0].surface.areas[pressed, None] / 3)
-    press = np.concatenate([vertex_rows(shell, np.arange(len(x)), (0, 0, sign)).T @ (p * area) for shell, sign in zip(shells, (1, -1))])
+    press = np.concatenate(
+        [vertex_rows(shell, np.arange(len(x)), (0, 0, sign)).T @ (p * area) for shell, sign in zip(shells, (1, -1))]
+    )
     pull = np.concatenate([vertex_rows(shell, tip, (0, 0, 1)).mean(axis=0).A1 / 2 for shell in shells])
 
     def deflection(P, friction, state=None, anchor=None):

@@ -24,4 +24,6 @@ def test_partial_slip_of_half_pressed_leaves():
             δ, state, anchor, _ = deflection(load, friction, state, anchor)
             found.append(δ)
     np.testing.assert_allclose(ours[1:], peer, rtol=0.015)
-    assert (np.abs(np.array(frictionless[1:]) / peer - 1) > 0.05).all()  # what the comparison would see if μ were ignored
+    assert (
+        np.abs(np.array(frictionless[1:]) / peer - 1) > 0.05
+    ).all()  # what the comparison would see if μ were ignored

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from test_shell_part import E, NU, PLACES, T, functionals, panel
+from test_shell_part import NU, PLACES, E, T, functionals, panel
 
-from fem_reference import influence
-from fem_reference.influence import Factorisation, FactorisationError, compute_influence, influence_matrix
-from fem_reference.part import ELEMENTS, ShellPart
+from fem_reference.shell import factorisation as influence
+from fem_reference.shell.factorisation import Factorisation, FactorisationError, compute_influence, influence_matrix
+from fem_reference.shell.part import ELEMENTS, ShellPart
 
 
 def spd(m=200, n=30):
@@ -100,8 +100,8 @@ def test_one_factorisation_serves_coefficients_and_fields(monkeypatch):
     part = ShellPart(panel(5), T, E, NU)
     rows = functionals(part.surface, PLACES, 6.0)
     part.influence(rows)
-    monkeypatch.setattr("fem_reference.part.Factorisation", None)  # any further one would fail
-    monkeypatch.setattr("fem_reference.influence.Factorisation", None)
+    monkeypatch.setattr("fem_reference.shell.part.Factorisation", None)  # any further one would fail
+    monkeypatch.setattr("fem_reference.shell.factorisation.Factorisation", None)
     assert part.field(rows, np.ones((len(rows), 2))).shape == (len(part.surface.points), 6, 2)
 
 
@@ -130,7 +130,10 @@ if __name__ == "__main__":  # one of the processes of the test below
 
     coefficients = compute_influence(*several_parts())
     if MPI.COMM_WORLD.rank == 0:
-        np.savez(sys.argv[1], **{f"{name} {key}": value for name, pair in coefficients.items() for key, value in zip("HG", pair)})
+        np.savez(
+            sys.argv[1],
+            **{f"{name} {key}": value for name, pair in coefficients.items() for key, value in zip("HG", pair)},
+        )
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4])
@@ -145,7 +148,17 @@ def test_equal_on_any_number_of_processes(processes, tmp_path):
         "OMP_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join([str(here.parents[1]), str(here.parent)]),
     }
-    command = ["mpirun", "--oversubscribe", "-n", str(processes), sys.executable, "-m", "mpi4py", str(here), str(tmp_path / "result.npz")]
+    command = [
+        "mpirun",
+        "--oversubscribe",
+        "-n",
+        str(processes),
+        sys.executable,
+        "-m",
+        "mpi4py",
+        str(here),
+        str(tmp_path / "result.npz"),
+    ]
     outcome = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert outcome.returncode == 0, outcome.stderr
     serial = compute_influence(*several_parts())

@@ -4,8 +4,8 @@ import meshio
 import numpy as np
 import pytest
 
-from mic.mesh import read_mesh, repair
-from mic.surface import Surface
+from mic.geometry.repair import read_mesh, repair
+from mic.geometry.surface import Surface
 
 
 def grid(nx=3, ny=2):

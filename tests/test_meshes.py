@@ -1,4 +1,5 @@
 """The geometries: exact where they claim to be, sound as meshes, the same every time."""
+
 import importlib
 import tomllib
 
@@ -10,7 +11,9 @@ from scipy.spatial import cKDTree
 
 from meshes.wheelhouse import geometry as wheelhouse
 
-GEOMETRIES = {name: importlib.import_module(f"meshes.{name}.geometry") for name in ("wheelhouse", "lap_joint", "hat_on_plate")}
+GEOMETRIES = {
+    name: importlib.import_module(f"meshes.{name}.geometry") for name in ("wheelhouse", "lap_joint", "hat_on_plate")
+}
 CASES = [(name, part) for name, geometry in GEOMETRIES.items() for part in geometry.PARTS]
 ARCH = np.linspace(wheelhouse.ARCH_START, wheelhouse.ARCH_END, 61)[:, None]
 ACROSS = np.linspace(0, wheelhouse.FLANGE_WIDTH, 9)
@@ -79,10 +82,16 @@ def test_unusable_arguments_are_refused(name):
 # --- wheelhouse --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("resolution, low, high", [("coarse", 3000, 4500), ("medium", 10000, 12500), ("fine", 30000, 40000)])
+@pytest.mark.parametrize(
+    "resolution, low, high", [("coarse", 3000, 4500), ("medium", 10000, 12500), ("fine", 30000, 40000)]
+)
 def test_wheelhouse_node_counts(medium, resolution, low, high):
     for part in wheelhouse.PARTS:
-        build = medium["wheelhouse", part] if resolution == "medium" else wheelhouse.build(part, wheelhouse.SIZES[resolution])
+        build = (
+            medium["wheelhouse", part]
+            if resolution == "medium"
+            else wheelhouse.build(part, wheelhouse.SIZES[resolution])
+        )
         assert low <= len(build[0]) <= high
         assert smallest_angles(*build).min() > 25
 
@@ -148,7 +157,9 @@ def test_triangle_normals_agree_with_the_analytic_ones(medium):
     places = [("inner", region) for region in ("flange", "tread", "face", "hem")]
     places += [("outer", region) for region in ("flange", "panel", "step", "brim", "wall")]
     for part, region in places:
-        point, normal = (a.reshape(-1, 3) for a in wheelhouse.surface_point(part, region, ARCH[1:-1], np.linspace(0.2, 0.8, 4)))
+        point, normal = (
+            a.reshape(-1, 3) for a in wheelhouse.surface_point(part, region, ARCH[1:-1], np.linspace(0.2, 0.8, 4))
+        )
         points, triangles = medium["wheelhouse", part]
         normals, _ = normals_and_areas(points, triangles)
         distance, near = cKDTree(points[triangles].mean(1)).query(point)
@@ -185,7 +196,11 @@ def test_layout_lies_on_the_parts_and_holds_them(medium):
             assert abs(normal @ row["direction"]) < 0.05 if in_plane else abs(normal @ row["direction"]) > 0.98
             assert nearest_normal(*medium["wheelhouse", row["part"]], row["point"])[0] < wheelhouse.SIZES["medium"]
     for part in wheelhouse.PARTS:
-        rows = [r for r in layout["locators"] if r["part"] == part and r["name"].split("-")[1] in ("A1", "A2", "A3", "B1", "B2", "C1")]
+        rows = [
+            r
+            for r in layout["locators"]
+            if r["part"] == part and r["name"].split("-")[1] in ("A1", "A2", "A3", "B1", "B2", "C1")
+        ]
         points, directions = (np.array([row[key] for row in rows]) for key in ("point", "direction"))
         arms = (points - points.mean(0)) / 300
         assert np.linalg.cond(np.hstack([directions, np.cross(arms, directions)])) < 5

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from mic.montecarlo import run, tables
-from mic.variation import draw
+from mic.sampling.draw import draw
+from mic.sampling.montecarlo import run, tables
 
 LAWS = ["coulomb", "frictionless"]
 
@@ -107,8 +107,14 @@ def test_a_sample_that_breaks_is_counted_and_the_rest_survives(lap_model, tmp_pa
 def test_ranks_share_the_samples(lap_model, tmp_path, cache):
     run(lap_model, tmp_path / "one", LAWS, 120, 4)
     lap_model.save(tmp_path / "model.npz")
-    script = ("import sys; from pathlib import Path; from mic.reduced import ReducedModel; from mic.montecarlo import run\n"
-              "folder = Path(sys.argv[1]); run(ReducedModel.load(folder / 'model.npz'), folder / 'two', sys.argv[2:], 120, 4)")
-    subprocess.run(["mpirun", "-n", "2", "--oversubscribe", sys.executable, "-m", "mpi4py", "-c", script, str(tmp_path), *LAWS], check=True,
-                   env=os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}, timeout=120)
+    script = (
+        "import sys; from pathlib import Path; from mic.model.reduced import ReducedModel; from mic.sampling.montecarlo import run\n"
+        "folder = Path(sys.argv[1]); run(ReducedModel.load(folder / 'model.npz'), folder / 'two', sys.argv[2:], 120, 4)"
+    )
+    subprocess.run(
+        ["mpirun", "-n", "2", "--oversubscribe", sys.executable, "-m", "mpi4py", "-c", script, str(tmp_path), *LAWS],
+        check=True,
+        env=os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"},
+        timeout=120,
+    )
     pd.testing.assert_frame_equal(read(tmp_path / "one", "samples"), read(tmp_path / "two", "samples"))

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mic.assembly import assemble
-from mic.montecarlo import BLOCK, run
-from mic.outcome import keep_inputs, kept_parts, read_outcome, write_summary
-from mic.variation import draw
+from mic.model.assembly import assemble
+from mic.results.outcome import keep_inputs, kept_parts, read_outcome, write_summary
+from mic.sampling.draw import draw
+from mic.sampling.montecarlo import BLOCK, run
 
 SAMPLES, SEED = BLOCK + 10, 5
 LAWS = ["coulomb", "frictionless"]
@@ -47,10 +47,18 @@ def test_contact_arrays_are_those_of_the_evaluation(folder, evaluation):
         for stage, resolution in evaluation[law].resolutions.items():
             scale = np.abs(resolution.force).max()
             for j, axis in enumerate(("n", "t1", "t2")):
-                np.testing.assert_allclose(outcome.contact(law, stage, f"f_{axis}"), resolution.force[:, :, j], atol=1e-7 * scale)
-            np.testing.assert_allclose(outcome.contact(law, stage, "f_t"), np.linalg.norm(resolution.force[:, :, 1:], axis=2), atol=1e-7 * scale)
+                np.testing.assert_allclose(
+                    outcome.contact(law, stage, f"f_{axis}"), resolution.force[:, :, j], atol=1e-7 * scale
+                )
+            np.testing.assert_allclose(
+                outcome.contact(law, stage, "f_t"),
+                np.linalg.norm(resolution.force[:, :, 1:], axis=2),
+                atol=1e-7 * scale,
+            )
             assert np.mean(outcome.contact(law, stage, "state") == resolution.state) > 0.999
-    assert np.abs(evaluation["coulomb"].resolutions["clamp"].force[:, :, 1:]).max() > 0.1  # friction is there to be compared
+    assert (
+        np.abs(evaluation["coulomb"].resolutions["clamp"].force[:, :, 1:]).max() > 0.1
+    )  # friction is there to be compared
 
 
 def test_statistics_of_zones_and_measurements_by_hand(folder, evaluation):
@@ -64,7 +72,9 @@ def test_statistics_of_zones_and_measurements_by_hand(folder, evaluation):
             assert entry["six_sigma_rms_slip"] == pytest.approx(6 * slip.std(ddof=1), rel=1e-5)
             assert entry["mean_rms_slip_ci"][0] < entry["mean_rms_slip"] < entry["mean_rms_slip_ci"][1]
         zone = summary["laws"][law]["zones"]["lap"]
-        assert zone["mean_rms_slip"] == zone["stages"]["clamp"]["mean_rms_slip"]  # clamping is the first stage that resolves contact
+        assert (
+            zone["mean_rms_slip"] == zone["stages"]["clamp"]["mean_rms_slip"]
+        )  # clamping is the first stage that resolves contact
         x = evaluation[law].measurements[:, 0]
         found = summary["laws"][law]["measurements"]["M1"]
         assert found["mean"] == pytest.approx(x.mean(), rel=1e-6)
@@ -128,7 +138,9 @@ def test_kept_parts_are_the_parts(folder, lap_scene, cache):
     assembly = assemble(lap_scene, cache)
     assert kept_parts(read_outcome(folder)) == ()
     keep_inputs(folder, assembly)
-    assert [part.fingerprint() for part in kept_parts(read_outcome(folder))] == [part.fingerprint() for part in assembly.parts]
+    assert [part.fingerprint() for part in kept_parts(read_outcome(folder))] == [
+        part.fingerprint() for part in assembly.parts
+    ]
 
 
 def test_a_folder_that_holds_no_run_is_refused(tmp_path):

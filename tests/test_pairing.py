@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mic.pairing import Side, find_pairs
+from mic.geometry.pairing import Side, find_pairs
+from mic.geometry.surface import Surface
 from mic.scene import Zone
-from mic.surface import Surface
 
 
 def plane(z, size=20.0, n=8, flip=False, tilt=0.0, x0=0.0):
@@ -47,7 +47,10 @@ def test_both_patches_of_a_pair_cover_the_same_points():
     first, second = plane(0), plane(1.0, n=5, x0=6.0)  # overhang on both sides
     pairs = find_pairs(zone(pairs=6), Side(first, 1.0), Side(second, 1.0))
     for pair in pairs:
-        centre = [surface.at(patch.triangle, patch.barycentric).T @ patch.weight for surface, patch in zip((first, second), pair.patches)]
+        centre = [
+            surface.at(patch.triangle, patch.barycentric).T @ patch.weight
+            for surface, patch in zip((first, second), pair.patches)
+        ]
         np.testing.assert_allclose(centre[1] - centre[0], [0, 0, 1.0], atol=1e-9)
     assert sum(pair.area for pair in pairs) == pytest.approx(14 * 20, rel=0.06)
 

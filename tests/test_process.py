@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import mic
-from mic.reduced import ReducedModel
-from mic.variation import draw
+from mic.model.reduced import ReducedModel
+from mic.sampling.draw import draw
 
 
 def with_stages(scene, kinds, **changes):
@@ -37,7 +37,9 @@ def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
     after = lap_model.process("coulomb").evaluate(deviations)
     # The same functionals stand at other places in the two models: compare the weld's rows through the welded one.
     resolution = clamped.resolutions["clamp"]
-    np.testing.assert_allclose(resolution.force, after.resolutions["clamp"].force, atol=1e-6 * np.abs(resolution.force).max())
+    np.testing.assert_allclose(
+        resolution.force, after.resolutions["clamp"].force, atol=1e-6 * np.abs(resolution.force).max()
+    )
     welded_only = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "weld"), measurements=[]), cache)
     at_weld = welded_only.process("coulomb").evaluate(deviations)
     rows = lap_model.rows["weld"]
@@ -61,8 +63,14 @@ def test_slip_is_measured_from_where_the_contact_was_left(lap_scene, cache):
     clamp = lap_scene.stages[1]
     again = clamp.model_copy(update={"name": "again"})
     extra = lap_scene.clamps[0].model_copy(update={"name": "idle", "force": 0.0, "stage": "again"})
-    scene = lap_scene.model_copy(update={"stages": [lap_scene.stages[0], clamp, again], "clamps": [*lap_scene.clamps, extra],
-                                         "welds": [], "measurements": []})
+    scene = lap_scene.model_copy(
+        update={
+            "stages": [lap_scene.stages[0], clamp, again],
+            "clamps": [*lap_scene.clamps, extra],
+            "welds": [],
+            "measurements": [],
+        }
+    )
     evaluation = mic.reduce(scene, cache).process("coulomb").evaluate(draw(scene, 3, 0, 4))
     first, second = evaluation.resolutions["clamp"], evaluation.resolutions["again"]
     loaded = first.force[:, :, 0] > 1e-3
@@ -95,7 +103,7 @@ def test_samples_do_not_depend_on_their_batch(hat_model):
     deviations = draw(hat_model.scene, 5, 0, 7)
     batch = hat_model.process("coulomb").evaluate(deviations)
     for i in (0, 3, 6):
-        alone = hat_model.process("coulomb").evaluate(deviations[i:i + 1])
+        alone = hat_model.process("coulomb").evaluate(deviations[i : i + 1])
         np.testing.assert_allclose(alone.measurements[0], batch.measurements[i], atol=1e-10)
 
 
@@ -109,14 +117,22 @@ def test_without_contact_the_answer_is_affine(lap_scene, cache):
 
 
 def test_normals_alone_suffice_without_friction(lap_scene, lap_model, cache):
-    scene = lap_scene.model_copy(update={"report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "slip": False})})
+    scene = lap_scene.model_copy(
+        update={"report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "slip": False})}
+    )
     lean = mic.reduce(scene, cache)
     assert lean.contacts.dimension == 1 and lean.rows["contact"].shape[0] * 3 == lap_model.rows["contact"].shape[0]
     deviations = draw(scene, 3, 0, 5)
-    few, all_rows = lean.process("frictionless").evaluate(deviations), lap_model.process("frictionless").evaluate(deviations)
+    few, all_rows = (
+        lean.process("frictionless").evaluate(deviations),
+        lap_model.process("frictionless").evaluate(deviations),
+    )
     np.testing.assert_allclose(few.measurements, all_rows.measurements, atol=1e-8)
-    np.testing.assert_allclose(few.resolutions["clamp"].force[:, :, 0], all_rows.resolutions["clamp"].force[:, :, 0],
-                               atol=1e-6 * np.abs(few.resolutions["clamp"].force).max())
+    np.testing.assert_allclose(
+        few.resolutions["clamp"].force[:, :, 0],
+        all_rows.resolutions["clamp"].force[:, :, 0],
+        atol=1e-6 * np.abs(few.resolutions["clamp"].force).max(),
+    )
 
 
 def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
@@ -143,7 +159,10 @@ def test_increments_converge_to_one_path(lap_scene, cache):
 
 
 def test_a_part_left_without_support_is_refused(lap_scene, cache):
-    stages = [stage.model_copy(update={"keep": ["lower-A1", "lower-A2"]}) if stage.kind == "release" else stage for stage in lap_scene.stages]
+    stages = [
+        stage.model_copy(update={"keep": ["lower-A1", "lower-A2"]}) if stage.kind == "release" else stage
+        for stage in lap_scene.stages
+    ]
     model = mic.reduce(lap_scene.model_copy(update={"stages": stages}), cache)
     with pytest.raises(mic.SceneError, match=r"stages \(release\): 4 rigid-body motions are free"):
         model.process("coulomb")
@@ -151,15 +170,29 @@ def test_a_part_left_without_support_is_refused(lap_scene, cache):
 
 def test_a_locator_that_repeats_another_is_named_and_changes_nothing(lap_scene, lap_model, cache):
     twin = lap_scene.locators[0].model_copy(update={"name": "twin", "stage": "clamp"})
-    process = mic.reduce(lap_scene.model_copy(update={"locators": [*lap_scene.locators, twin]}), cache).process("coulomb")
+    process = mic.reduce(lap_scene.model_copy(update={"locators": [*lap_scene.locators, twin]}), cache).process(
+        "coulomb"
+    )
     assert [sentence for sentence in process.redundant if "stage clamp" in sentence] == [
-        "stage clamp: locator row twin repeats other rows of the stage; its value has no effect"]
+        "stage clamp: locator row twin repeats other rows of the stage; its value has no effect"
+    ]
     deviations = draw(lap_scene, 3, 0, 2)
-    np.testing.assert_allclose(process.evaluate(deviations).measurements, lap_model.process("coulomb").evaluate(deviations).measurements, atol=1e-8)
+    np.testing.assert_allclose(
+        process.evaluate(deviations).measurements,
+        lap_model.process("coulomb").evaluate(deviations).measurements,
+        atol=1e-8,
+    )
 
 
-@pytest.mark.parametrize("values, word", [({"F9": 1.0}, "'F9' is not a deviation"), ([1.0, 2.0], "expected 3 values"),
-                                          ({"F1": np.nan}, "'F1' is nan"), ([[0, 0, 0], [0, np.inf, 0]], "sample 1, 'F2' is inf")])
+@pytest.mark.parametrize(
+    "values, word",
+    [
+        ({"F9": 1.0}, "'F9' is not a deviation"),
+        ([1.0, 2.0], "expected 3 values"),
+        ({"F1": np.nan}, "'F1' is nan"),
+        ([[0, 0, 0], [0, np.inf, 0]], "sample 1, 'F2' is inf"),
+    ],
+)
 def test_bad_deviations(lap_model, values, word):
     with pytest.raises(ValueError, match=word):
         lap_model.evaluate(values)
@@ -168,7 +201,9 @@ def test_bad_deviations(lap_model, values, word):
 def test_saved_model_gives_the_same_answer(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     loaded = ReducedModel.load(tmp_path / "model.npz")
-    np.testing.assert_array_equal(loaded.evaluate({"F1": -7.0}).measurements, lap_model.evaluate({"F1": -7.0}).measurements)
+    np.testing.assert_array_equal(
+        loaded.evaluate({"F1": -7.0}).measurements, lap_model.evaluate({"F1": -7.0}).measurements
+    )
 
 
 @pytest.mark.parametrize("law", ["frictionless", "associated"])

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from mic import pictures
-from mic.assembly import assemble
-from mic.fields import write_fields
-from mic.influence import influence_coefficients
-from mic.montecarlo import run
-from mic.outcome import PUBLISHED, keep_inputs, read_outcome
-from mic.reduced import ReducedModel
-from mic.report import write_report
+from mic.compliance.influence import influence_coefficients
+from mic.model.assembly import assemble
+from mic.model.reduced import ReducedModel
+from mic.report import pictures
+from mic.report.page import write_report
+from mic.results.fields import write_fields
+from mic.results.outcome import PUBLISHED, keep_inputs, read_outcome
+from mic.sampling.montecarlo import run
 from mic.scene import Scene
 
 WHEELHOUSE = Path(__file__).resolve().parents[1] / "meshes" / "wheelhouse"
@@ -36,7 +36,9 @@ class _Page(HTMLParser):
             self._open.append((tag, attributes))
         if "id" in attributes:
             self.ids.add(attributes["id"])
-        self.loads += [attributes[key] for key in ("src", "href", "srcset", "data", "action", "poster") if attributes.get(key)]
+        self.loads += [
+            attributes[key] for key in ("src", "href", "srcset", "data", "action", "poster") if attributes.get(key)
+        ]
         self.loads += re.findall(r"url\(([^)]*)\)", attributes.get("style", ""))
 
     def handle_endtag(self, tag):
@@ -79,7 +81,11 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(lap_scene, cache, folder):
-    scene = _changed(lap_scene, description="Two <b>strips</b> & a weld", report={"laws": ["coulomb", "associated", "frictionless"], "fields": True})
+    scene = _changed(
+        lap_scene,
+        description="Two <b>strips</b> & a weld",
+        report={"laws": ["coulomb", "associated", "frictionless"], "fields": True},
+    )
     return _results(scene, cache, folder, samples=40)
 
 
@@ -92,8 +98,22 @@ def test_the_page_loads_nothing(page):
 
 
 def test_every_figure_is_there(page):
-    assert page.ids >= {"assembly", "assembly-view", "table-1", "slip-density", "slip-force", "one-sample-f", "one-sample-u", "states",
-                        "law-cost", "friction", "measurements", "measurement-table", "fields-coulomb", "field-view"}
+    assert page.ids >= {
+        "assembly",
+        "assembly-view",
+        "table-1",
+        "slip-density",
+        "slip-force",
+        "one-sample-f",
+        "one-sample-u",
+        "states",
+        "law-cost",
+        "friction",
+        "measurements",
+        "measurement-table",
+        "fields-coulomb",
+        "field-view",
+    }
     pictures = [target for target in page.loads if target.startswith("data:")]
     assert len(pictures) == 11
     for picture in pictures:
@@ -105,12 +125,17 @@ def test_every_figure_is_there(page):
 
 def test_the_viewer_has_the_surfaces_and_fields(page, folder):
     data = json.loads(page.scripts["viewer-data"])
-    assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and data["laws"] == ["coulomb", "associated", "frictionless"]
+    assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and data["laws"] == [
+        "coulomb",
+        "associated",
+        "frictionless",
+    ]
     for part in data["parts"]:
         vertices = len(base64.b64decode(part["points"])) // 12
         for field in part["fields"].values():
             assert {name: len(base64.b64decode(packed)) // 4 for name, packed in field.items()} == dict.fromkeys(
-                ("mean", "mean_normal", "six_sigma", "six_sigma_normal"), vertices)
+                ("mean", "mean_normal", "six_sigma", "six_sigma_normal"), vertices
+            )
     assert {group["name"] for group in data["arrows"]} >= {"locators"}
 
 
@@ -121,7 +146,11 @@ def test_text_of_the_scene_is_escaped(page):
 def test_figures_in_the_text_are_those_of_the_summary(page, folder):
     summary = json.loads((folder / "summary.json").read_text())
     zone = summary["laws"]["coulomb"]["zones"]["lap"]
-    for value in (zone["mean_rms_slip"], zone["six_sigma_rms_slip"], summary["laws"]["associated"]["measurements"]["M1"]["mean"]):
+    for value in (
+        zone["mean_rms_slip"],
+        zone["six_sigma_rms_slip"],
+        summary["laws"]["associated"]["measurements"]["M1"]["mean"],
+    ):
         assert pictures.number(value) in page.words
     cost = pictures.law_cost(read_outcome(folder), "clamp")
     assert cost["sentence"] in page.words and cost["gaps"].max() > 0
@@ -134,7 +163,9 @@ def test_summary_tables_and_pictures_lie_beside_the_page(page, folder):
 
 def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, page):
     """The paper's figures come from a file beside the scene; nothing about them is in the program."""
-    (folder / PUBLISHED).write_text((WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap"), encoding="utf-8")
+    (folder / PUBLISHED).write_text(
+        (WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap"), encoding="utf-8"
+    )
     found = _Page(write_report(folder))
     (folder / PUBLISHED).unlink()
     assert "0.9582" in found.words and "0.2529" not in found.words  # CZ3 is no zone of this scene
@@ -174,14 +205,29 @@ FRICTIONLESS = {"laws": ["frictionless"], "slip": False}
 TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
 
 
-@pytest.mark.parametrize("name, changes, samples, absent, present", [
-    ("no zones", {"zones": []}, 5, {"table-1", "slip-density", "states", "law-cost"}, {"assembly", "measurements"}),
-    ("normals only", {"report": FRICTIONLESS}, 5, {"table-1", "slip-force", "law-cost"}, {"one-sample-f", "states"}),
-    ("one sample", {}, 1, set(), {"table-1", "one-sample-u", "measurement-table"}),
-    ("nothing varies", {"deviations": []}, 4, set(), {"table-1", "slip-density", "measurements"}),
-    ("no measurements", {"measurements": []}, 5, {"measurements", "measurement-table"}, {"table-1"}),
-    ("no fields", {"report": {"laws": ["coulomb"], "fields": False}}, 5, {"field-view", "fields-coulomb"}, {"fields", "table-1"}),
-])
+@pytest.mark.parametrize(
+    "name, changes, samples, absent, present",
+    [
+        ("no zones", {"zones": []}, 5, {"table-1", "slip-density", "states", "law-cost"}, {"assembly", "measurements"}),
+        (
+            "normals only",
+            {"report": FRICTIONLESS},
+            5,
+            {"table-1", "slip-force", "law-cost"},
+            {"one-sample-f", "states"},
+        ),
+        ("one sample", {}, 1, set(), {"table-1", "one-sample-u", "measurement-table"}),
+        ("nothing varies", {"deviations": []}, 4, set(), {"table-1", "slip-density", "measurements"}),
+        ("no measurements", {"measurements": []}, 5, {"measurements", "measurement-table"}, {"table-1"}),
+        (
+            "no fields",
+            {"report": {"laws": ["coulomb"], "fields": False}},
+            5,
+            {"field-view", "fields-coulomb"},
+            {"fields", "table-1"},
+        ),
+    ],
+)
 def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_scene, cache, tmp_path):
     page = _results(_changed(lap_scene, **{"report": TWO_LAWS} | changes), cache, tmp_path, samples)
     assert not page.ids & absent
@@ -210,7 +256,10 @@ def test_report_of_a_law_that_failed_throughout(folder, page):
     summary = json.loads((folder / "summary.json").read_text())
     block.write_bytes(original)
     assert "coulomb: not converged (40)" in words
-    assert summary["laws"]["coulomb"]["zones"]["lap"]["mean_rms_slip"] is None and summary["laws"]["coulomb"]["worst_residual"] is None
+    assert (
+        summary["laws"]["coulomb"]["zones"]["lap"]["mean_rms_slip"] is None
+        and summary["laws"]["coulomb"]["worst_residual"] is None
+    )
 
 
 def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
@@ -221,7 +270,19 @@ def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
     assert "3 of 3 samples are missing" in page.words
 
 
-@pytest.mark.parametrize("value, text", [(0.012345, "0.0123"), (-4.2, "−4.20"), (123456, "1.23e+05"), (0, "0"), (float("nan"), "–"), (None, "–"),
-                                         (float("inf"), "∞"), (0.99996, "1.00"), (28.0, "28.0")])
+@pytest.mark.parametrize(
+    "value, text",
+    [
+        (0.012345, "0.0123"),
+        (-4.2, "−4.20"),
+        (123456, "1.23e+05"),
+        (0, "0"),
+        (float("nan"), "–"),
+        (None, "–"),
+        (float("inf"), "∞"),
+        (0.99996, "1.00"),
+        (28.0, "28.0"),
+    ],
+)
 def test_numbers_for_people(value, text):
     assert pictures.number(value) == text

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import mic
-from mic.assembly import assemble
+from mic.model.assembly import assemble
 from mic.scene import SETTINGS
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
@@ -18,14 +18,24 @@ BROKEN = {
     "negative friction": (r"friction = 0.27", "friction = -0.1", ["zones[0].friction", "greater than or equal to 0"]),
     "NaN deviation": (r"mean = -5", "mean = nan", ["deviations[0].mean", "finite"]),
     "infinite sigma": (r"sigma = 1.5", "sigma = inf", ["deviations[0].sigma", "finite"]),
-    "zero direction": (r"direction = \[0, 0, -1\]", "direction = [0, 0, 0]", ["clamps[0].direction", "must not be zero"]),
+    "zero direction": (
+        r"direction = \[0, 0, -1\]",
+        "direction = [0, 0, 0]",
+        ["clamps[0].direction", "must not be zero"],
+    ),
     "unknown part": (r'part = "upper"', 'part = "uper"', ["locators[6].part", "'uper'", "did you mean 'upper'"]),
-    "locator missing": (r'(name = "lower-C1"[^=]*=[^=]*= [^\n]*\n)direction = \[1, 0, 0\]', r"\1direction = [0, 1, 0]",
-                        ["parts[0] (lower)", "hold 5 of its 6", "add locators"]),
+    "locator missing": (
+        r'(name = "lower-C1"[^=]*=[^=]*= [^\n]*\n)direction = \[1, 0, 0\]',
+        r"\1direction = [0, 1, 0]",
+        ["parts[0] (lower)", "hold 5 of its 6", "add locators"],
+    ),
     "both force and stroke": (r"force = 60", "force = 60\nstroke = 0.1", ["clamps[0]", "either force", "or stroke"]),
     "unknown stage": (r"force = 60", 'force = 60\nstage = "clmp"', ["clamps[0].stage", "'clmp'", "clamp"]),
-    "two zones of one name": (r"\[\[stages\]\]", '[[zones]]\nname = "lap"\nparts = ["lower", "upper"]\npairs = 3\n\n[[stages]]',
-                              ["zones", "'lap'", "more than once"]),
+    "two zones of one name": (
+        r"\[\[stages\]\]",
+        '[[zones]]\nname = "lap"\nparts = ["lower", "upper"]\npairs = 3\n\n[[stages]]',
+        ["zones", "'lap'", "more than once"],
+    ),
     "limits swapped": (r"lower = -1\b", "lower = 2", ["measurements[0]", "lower must be smaller"]),
     "no pairs": (r"pairs = 24", "", ["zones[0]", "exactly one of pairs"]),
     "not TOML": (r"\[\[parts\]\]", "[[parts]", ["not valid TOML"]),
@@ -34,12 +44,32 @@ BROKEN = {
 }
 # Found only once the meshes are there, and still before any solve.
 BROKEN_ON_MESH = {
-    "missing mesh": (r'geometry = "geometry.py"\nsize = "medium"', 'mesh = "nowhere.msh"', ["'lower'", "mesh", "nowhere.msh", "correct the name"]),
+    "missing mesh": (
+        r'geometry = "geometry.py"\nsize = "medium"',
+        'mesh = "nowhere.msh"',
+        ["'lower'", "mesh", "nowhere.msh", "correct the name"],
+    ),
     "unknown size": (r'size = "medium"', 'size = "huge"', ["'lower'", "'huge'", "coarse, medium, fine"]),
-    "weld off the part": (r"point = \[88, 6, 0.5\]", "point = [30, 6, 0.5]", ["welds[0].point", "off part 'upper'", "correct the coordinates"]),
-    "clamp off the part": (r"point = \[72, 12.5, 1\]", "point = [72, 12.5, 40]", ["clamps[0].point", "39 mm off part 'upper'"]),
-    "empty zone": (r"pairs = 24", "pairs = 24\nbox = [[0, 0, -1], [20, 25, 2]]", ["zones[0] (lap)", "no contact pair", "max_gap"]),
-    "too small a gap": (r"pairs = 24", "pairs = 24\nmax_gap = 1e-12\nbox = [[0, 0, -3], [50, 25, 2]]", ["zones[0] (lap)", "no contact pair"]),
+    "weld off the part": (
+        r"point = \[88, 6, 0.5\]",
+        "point = [30, 6, 0.5]",
+        ["welds[0].point", "off part 'upper'", "correct the coordinates"],
+    ),
+    "clamp off the part": (
+        r"point = \[72, 12.5, 1\]",
+        "point = [72, 12.5, 40]",
+        ["clamps[0].point", "39 mm off part 'upper'"],
+    ),
+    "empty zone": (
+        r"pairs = 24",
+        "pairs = 24\nbox = [[0, 0, -1], [20, 25, 2]]",
+        ["zones[0] (lap)", "no contact pair", "max_gap"],
+    ),
+    "too small a gap": (
+        r"pairs = 24",
+        "pairs = 24\nmax_gap = 1e-12\nbox = [[0, 0, -3], [50, 25, 2]]",
+        ["zones[0] (lap)", "no contact pair"],
+    ),
 }
 
 
@@ -82,7 +112,9 @@ def test_all_problems_are_listed_at_once(tmp_path):
 
 
 def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
-    text = 'setting = "draft"\n' + re.sub(r"pairs = 24\n", "", (LAP / "scene.toml").read_text()).replace('size = "medium"\n', "", 1)
+    text = 'setting = "draft"\n' + re.sub(r"pairs = 24\n", "", (LAP / "scene.toml").read_text()).replace(
+        'size = "medium"\n', "", 1
+    )
     (tmp_path / "scene.toml").write_text(text)
     scene = mic.load_scene(tmp_path)
     draft = SETTINGS["draft"]
@@ -97,7 +129,11 @@ def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_documentation_names_every_setting(name):
-    row = next(line for line in (LAP.parents[1] / "docs" / "scene.md").read_text().splitlines() if line.startswith(f'| `"{name}"`'))
+    row = next(
+        line
+        for line in (LAP.parents[1] / "docs" / "scene.md").read_text().splitlines()
+        if line.startswith(f'| `"{name}"`')
+    )
     assert [cell.strip(' `"') for cell in row.split("|")[2:-1]] == [str(value) for value in SETTINGS[name].values()]
 
 
@@ -113,16 +149,33 @@ def test_shipped_scenes_are_valid(name):
 
 def test_reference_documents_every_key():
     """docs/scene.md names every key of every table, in its section."""
-    from mic import scene as schema
+    from mic.scene import schema as schema
 
     text = (LAP.parents[1] / "docs" / "scene.md").read_text()
     sections = dict(re.findall(r"## `\[+(\w+)\]+`(.*?)(?=\n## |\Z)", text, re.S))
     for key, field in schema.Scene.model_fields.items():
         if key == "folder":
             continue
-        table = next((t for t in (schema.Part, schema.Fixture, schema.Locator, schema.Clamp, schema.Weld, schema.Zone, schema.Stage,
-                                  schema.Deviation, schema.Measurement, schema.MonteCarlo, schema.Report)
-                      if t.__name__ in str(field.annotation)), None)
+        table = next(
+            (
+                t
+                for t in (
+                    schema.Part,
+                    schema.Fixture,
+                    schema.Locator,
+                    schema.Clamp,
+                    schema.Weld,
+                    schema.Zone,
+                    schema.Stage,
+                    schema.Deviation,
+                    schema.Measurement,
+                    schema.MonteCarlo,
+                    schema.Report,
+                )
+                if t.__name__ in str(field.annotation)
+            ),
+            None,
+        )
         where = text if table is None else sections[key]
         for name in [key] if table is None else table.model_fields:
             assert f"`{name}`" in where, f"docs/scene.md: {key}.{name} is not documented"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from shell_bench import at, grid, observed_rates, read, supported_solution, vertex, vertex_load
 
-from fem_reference.part import ShellPart
+from fem_reference.shell.part import ShellPart
 
 
 def near(values, target):
@@ -74,7 +74,9 @@ def pinched_hemisphere(element, n):
 
     def shape(X, Y):
         latitude, longitude = np.radians(72) * Y, np.pi / 2 * X
-        return R * np.column_stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+        return R * np.column_stack(
+            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+        )
 
     part = ShellPart(grid(n, n, shape), t, 6.825e7, 0.3, element)
     load = vertex_load(part, [R, 0, 0], [1, 0, 0]) + vertex_load(part, [0, R, 0], [0, -1, 0])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from shell_bench import at, grid, supported_solution
 
-from fem_reference.part import ShellPart
 from fem_reference.peers import calculix
+from fem_reference.shell.part import ShellPart
 
 needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 
@@ -17,7 +17,12 @@ RADIUS = 6.0
 
 def angle_section(n):
     """Plate 40 × 50 mm with a flange of 20 mm, clamped along y = 0."""
-    return grid(6 * n, 5 * n, lambda X, Y: np.column_stack([np.minimum(60 * X, 40), 50 * Y, np.maximum(60 * X - 40, 0)]), pattern="cross")
+    return grid(
+        6 * n,
+        5 * n,
+        lambda X, Y: np.column_stack([np.minimum(60 * X, 40), 50 * Y, np.maximum(60 * X - 40, 0)]),
+        pattern="cross",
+    )
 
 
 def averages(surface):

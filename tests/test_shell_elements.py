@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from shell_bench import at, grid, read, supported_solution, vertex, vertex_load
+from shell_bench import at, grid, supported_solution, vertex
 
-from fem_reference.part import ELEMENTS, ShellPart
-from mic.surface import Surface
+from fem_reference.shell.part import ELEMENTS, ShellPart
+from mic.geometry.surface import Surface
 
 E, NU, T = 210000.0, 0.3, 0.8
 
@@ -19,7 +19,13 @@ def rotation_matrix():
 def flat_patch(size, stretch=1.0):
     """Distorted flat mesh of side lengths (10 stretch, 8), turned in space; the frame's columns are its x, y and normal."""
     frame = rotation_matrix()
-    surface = grid(size, size, lambda X, Y: np.column_stack([10 * stretch * X, 8 * Y, 0 * X]) @ frame.T, jitter=0.3, pattern="cross")
+    surface = grid(
+        size,
+        size,
+        lambda X, Y: np.column_stack([10 * stretch * X, 8 * Y, 0 * X]) @ frame.T,
+        jitter=0.3,
+        pattern="cross",
+    )
     return surface, frame
 
 
@@ -90,7 +96,10 @@ def curved(n=5):
 
 def junction():
     """Three sheets on one edge."""
-    flange = [grid(3, 3, lambda X, Y, d=d: np.column_stack([9 * X * d[0], 10 * Y, 9 * X * d[1]])) for d in ((1, 0), (-1, 0), (0, 1))]
+    flange = [
+        grid(3, 3, lambda X, Y, d=d: np.column_stack([9 * X * d[0], 10 * Y, 9 * X * d[1]]))
+        for d in ((1, 0), (-1, 0), (0, 1))
+    ]
     points = np.concatenate([surface.points for surface in flange])
     triangles = np.concatenate([surface.triangles + i * 16 for i, surface in enumerate(flange)])
     unique, number = np.unique(np.round(points, 9), axis=0, return_inverse=True)
@@ -127,25 +136,30 @@ def felippa_opt_stiffness(x, y, t):
         L[3 * j - 3] = [Y(k, i), 0, X(i, k)]
         L[3 * j - 2] = [0, X(i, k), Y(k, i)]
         L[3 * j - 1] = (
-            α / 6 * np.array([Y(k, i) * (Y(j, i) - Y(k, j)), X(i, k) * (X(i, j) - X(j, k)), 2 * (X(i, j) * Y(j, i) - X(k, j) * Y(j, k))])
+            α
+            / 6
+            * np.array(
+                [
+                    Y(k, i) * (Y(j, i) - Y(k, j)),
+                    X(i, k) * (X(i, j) - X(j, k)),
+                    2 * (X(i, j) * Y(j, i) - X(k, j) * Y(j, k)),
+                ]
+            )
         )
     L *= t / 2
     basic = L @ D @ L.T / (t * A)
     l2 = {(i, j): X(i, j) ** 2 + Y(i, j) ** 2 for i, j in ((2, 1), (3, 2), (1, 3))}
-    Te = (
-        np.array(
+    Te = np.array(
+        [
+            [Y(2, 3) * Y(1, 3) * l2[2, 1], Y(3, 1) * Y(2, 1) * l2[3, 2], Y(1, 2) * Y(3, 2) * l2[1, 3]],
+            [X(2, 3) * X(1, 3) * l2[2, 1], X(3, 1) * X(2, 1) * l2[3, 2], X(1, 2) * X(3, 2) * l2[1, 3]],
             [
-                [Y(2, 3) * Y(1, 3) * l2[2, 1], Y(3, 1) * Y(2, 1) * l2[3, 2], Y(1, 2) * Y(3, 2) * l2[1, 3]],
-                [X(2, 3) * X(1, 3) * l2[2, 1], X(3, 1) * X(2, 1) * l2[3, 2], X(1, 2) * X(3, 2) * l2[1, 3]],
-                [
-                    (Y(2, 3) * X(3, 1) + X(3, 2) * Y(1, 3)) * l2[2, 1],
-                    (Y(3, 1) * X(1, 2) + X(1, 3) * Y(2, 1)) * l2[3, 2],
-                    (Y(1, 2) * X(2, 3) + X(2, 1) * Y(3, 2)) * l2[1, 3],
-                ],
-            ]
-        )
-        / (4 * A**2)
-    )
+                (Y(2, 3) * X(3, 1) + X(3, 2) * Y(1, 3)) * l2[2, 1],
+                (Y(3, 1) * X(1, 2) + X(1, 3) * Y(2, 1)) * l2[3, 2],
+                (Y(1, 2) * X(2, 3) + X(2, 1) * Y(3, 2)) * l2[1, 3],
+            ],
+        ]
+    ) / (4 * A**2)
     per_edge = 2 * A / 3 / np.array([[l2[2, 1]], [l2[3, 2]], [l2[1, 3]]])
     Q1 = per_edge * [[β[1], β[2], β[3]], [β[4], β[5], β[6]], [β[7], β[8], β[9]]]
     Q2 = per_edge * [[β[9], β[7], β[8]], [β[3], β[1], β[2]], [β[6], β[4], β[5]]]
@@ -188,7 +202,8 @@ def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
 
 
 @pytest.mark.parametrize(
-    ("t", "jitter"), [(10.0, 0.0), (1.0, 0.0), (0.1, 0.0), (0.01, 0.0), (0.001, 0.0), (10.0, 0.1), (1.0, 0.1), (0.1, 0.1)]
+    ("t", "jitter"),
+    [(10.0, 0.0), (1.0, 0.0), (0.1, 0.0), (0.01, 0.0), (0.001, 0.0), (10.0, 0.1), (1.0, 0.1), (0.1, 0.1)],
 )
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_pinched_ring_from_thick_to_thin(element, t, jitter):

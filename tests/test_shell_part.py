@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 from shell_bench import at, grid, supported_solution
 
-from fem_reference.influence import FactorisationError
-from fem_reference.part import ELEMENTS, ShellPart
-from mic.functional import Functionals
-from mic.surface import Patch, Surface
+from fem_reference.shell.factorisation import FactorisationError
+from fem_reference.shell.part import ELEMENTS, ShellPart
+from mic.compliance.functional import Functionals
+from mic.geometry.surface import Patch, Surface
 
 E, NU, T = 210000.0, 0.3, 1.2
 
 
 def panel(n=8):
-    return grid(n, n, lambda X, Y: np.column_stack([60 * X, 50 * Y, 8 * np.sin(2 * X + Y)]), jitter=0.2, pattern="cross")
+    return grid(
+        n, n, lambda X, Y: np.column_stack([60 * X, 50 * Y, 8 * np.sin(2 * X + Y)]), jitter=0.2, pattern="cross"
+    )
 
 
 def functionals(surface, places, radius):
@@ -71,7 +73,9 @@ def test_linear_fields_are_read_exactly_anywhere(element):
     """At single points off the middle of triangles, and at vertices."""
     surface = grid(4, 4, lambda X, Y: np.column_stack([20 * X, 20 * Y, 0 * X]), jitter=0.2)
     part = ShellPart(surface, T, E, NU, element)
-    linear = lambda x: np.column_stack([1 + x[:, 0], 2 * x[:, 1], x[:, 0] - x[:, 1], 0.1 * x[:, 0], 0.3 * x[:, 1], 0.2 * x[:, 0]])
+    linear = lambda x: np.column_stack(
+        [1 + x[:, 0], 2 * x[:, 1], x[:, 0] - x[:, 1], 0.1 * x[:, 0], 0.3 * x[:, 1], 0.2 * x[:, 0]]
+    )
     freedoms = linear(part.dof_position)[np.arange(part.ndof), part.dof_component]
     at_vertices = (part.vertex_values @ freedoms).reshape(-1, 6)
     assert at_vertices == pytest.approx(linear(surface.points), abs=1e-12)
@@ -197,7 +201,7 @@ def test_bad_surfaces_are_refused():
 
 def test_a_mechanism_is_found_out(monkeypatch):
     """Two pieces behind the back of the constructor's check: the pins hold one of them."""
-    monkeypatch.setattr("fem_reference.part._pieces", lambda triangles: 1)
+    monkeypatch.setattr("fem_reference.shell.part._pieces", lambda triangles: 1)
     sound = panel(2)
     two = np.vstack([sound.points, sound.points + [0, 0, 50.0]])
     part = ShellPart(Surface(two, np.vstack([sound.triangles, sound.triangles + len(sound.points)])), T, E, NU)
@@ -227,8 +231,12 @@ def test_patches_share_rows_with_points():
     part = ShellPart(surface, T, E, NU)
     triangle, corner = 4, 2
     rows = Functionals(
-        (Patch(np.array([triangle]), np.eye(3)[[corner]], np.ones(1)),), np.array([0]), np.array([[0, 1.0, 0]]), np.zeros(1, bool),
-        np.zeros(1, int), ("node",)
+        (Patch(np.array([triangle]), np.eye(3)[[corner]], np.ones(1)),),
+        np.array([0]),
+        np.array([[0, 1.0, 0]]),
+        np.zeros(1, bool),
+        np.zeros(1, int),
+        ("node",),
     )
     L = part.functional_matrix(rows)
     assert L.nnz == 1 and L[0, part.vertex_displacement_dofs[surface.triangles[triangle, corner], 1]] == 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from mic.stage import eliminate, statically_determinate
+from mic.compliance.elimination import eliminate, statically_determinate
 
 FREEDOMS, MODES = 30, 6
 
@@ -26,8 +26,11 @@ def free_part(rng):
 def two_parts():
     rng = np.random.default_rng(7)
     parts = [free_part(rng) for _ in range(2)]
-    stack = [np.block([[p[i], np.zeros((p[i].shape[0], q[i].shape[1]))], [np.zeros((q[i].shape[0], p[i].shape[1])), q[i]]])
-             for p, q in [parts] for i in range(5)]
+    stack = [
+        np.block([[p[i], np.zeros((p[i].shape[0], q[i].shape[1]))], [np.zeros((q[i].shape[0], p[i].shape[1])), q[i]]])
+        for p, q in [parts]
+        for i in range(5)
+    ]
     return rng, *stack
 
 
@@ -37,21 +40,27 @@ def whole(K, L, bilateral, v, force_rows, force):
     system = np.block([[K, -B.T], [B, np.zeros((len(B), len(B)))]])
     x = np.linalg.lstsq(system, np.r_[(force_rows @ L).T @ force, v], rcond=None)[0]
     assert np.allclose(system @ x, np.r_[(force_rows @ L).T @ force, v], atol=1e-8)
-    return x[:K.shape[0]], x[K.shape[0]:]
+    return x[: K.shape[0]], x[K.shape[0] :]
 
 
 @pytest.mark.parametrize("held", [12, 16])
 def test_elimination_matches_the_whole_system(two_parts, held):
     rng, K, R, L, H, G = two_parts
-    rows = {name: rng.normal(size=(count, 40)) for name, count in (("bilateral", held), ("contact", 9), ("load", 2), ("output", 4))}
+    rows = {
+        name: rng.normal(size=(count, 40))
+        for name, count in (("bilateral", held), ("contact", 9), ("load", 2), ("output", 4))
+    }
     stage = eliminate(H, G, *(csr_matrix(rows[name]) for name in rows))
     v, f, p = rng.normal(size=held), rng.normal(size=9), rng.normal(size=2)
     u, reaction = whole(K, L, rows["bilateral"], v, np.vstack([rows["contact"], rows["load"]]), np.r_[f, p])
     scale = np.abs(L @ u).max()
     np.testing.assert_allclose(stage.S @ f + stage.T @ v + stage.L @ p, rows["contact"] @ L @ u, atol=1e-8 * scale)
-    np.testing.assert_allclose(stage.S_out @ f + stage.T_out @ v + stage.L_out @ p, rows["output"] @ L @ u, atol=1e-8 * scale)
-    np.testing.assert_allclose(stage.reaction_S @ f + stage.reaction_T @ v + stage.reaction_L @ p, reaction,
-                               atol=1e-7 * np.abs(reaction).max())
+    np.testing.assert_allclose(
+        stage.S_out @ f + stage.T_out @ v + stage.L_out @ p, rows["output"] @ L @ u, atol=1e-8 * scale
+    )
+    np.testing.assert_allclose(
+        stage.reaction_S @ f + stage.reaction_T @ v + stage.reaction_L @ p, reaction, atol=1e-7 * np.abs(reaction).max()
+    )
     assert np.linalg.eigvalsh(stage.S).min() > -1e-9 * np.abs(stage.S).max()
 
 
@@ -91,7 +100,7 @@ def test_support_does_not_matter(two_parts):
     rng, K, R, L, H, G = two_parts
     other = np.zeros_like(K)
     for start in (0, FREEDOMS):
-        free = np.r_[start:start + 10, start + 16:start + FREEDOMS]
+        free = np.r_[start : start + 10, start + 16 : start + FREEDOMS]
         other[np.ix_(free, free)] = np.linalg.inv(K[np.ix_(free, free)])
     rows = [csr_matrix(rng.normal(size=(count, 40))) for count in (15, 6, 0, 3)]
     first, second = eliminate(H, G, *rows), eliminate(L @ other @ L.T, G, *rows)

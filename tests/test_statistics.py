@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mic import statistics as st
+from mic.results import statistics as st
 
 TEN = np.arange(1.0, 11.0)  # mean 5.5, s = 3.0276504
 
@@ -16,8 +16,12 @@ def test_mean_and_sigma_of_ten_numbers():
     # t(0.975, 9) = 2.262157, chi2(0.025, 9) = 2.700389, chi2(0.975, 9) = 19.022768 from printed tables
     s = 3.0276504
     assert mean.value == 5.5
-    assert [mean.low, mean.high] == pytest.approx([5.5 - 2.262157 * s / 10**0.5, 5.5 + 2.262157 * s / 10**0.5], rel=1e-6)
-    assert [sigma.value, sigma.low, sigma.high] == pytest.approx([s, s * (9 / 19.022768) ** 0.5, s * (9 / 2.700389) ** 0.5], rel=1e-6)
+    assert [mean.low, mean.high] == pytest.approx(
+        [5.5 - 2.262157 * s / 10**0.5, 5.5 + 2.262157 * s / 10**0.5], rel=1e-6
+    )
+    assert [sigma.value, sigma.low, sigma.high] == pytest.approx(
+        [s, s * (9 / 19.022768) ** 0.5, s * (9 / 2.700389) ** 0.5], rel=1e-6
+    )
     assert (mean.used, mean.excluded) == (10, 0)
 
 
@@ -48,7 +52,9 @@ def test_capability_of_known_samples():
     s = 2 * (100 / 99) ** 0.5
     cp, cpk = st.capability(x, -1, 17), st.centred_capability(x, -1, 17)
     assert cp.value == pytest.approx(18 / (6 * s), rel=1e-12)
-    assert [cp.low, cp.high] == pytest.approx(cp.value * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], 99) / 99), rel=1e-10)
+    assert [cp.low, cp.high] == pytest.approx(
+        cp.value * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], 99) / 99), rel=1e-10
+    )
     assert cpk.value == pytest.approx(6 / (3 * s), rel=1e-12)
     half = 1.959964 * (1 / 900 + cpk.value**2 / 198) ** 0.5
     assert [cpk.low, cpk.high] == pytest.approx([cpk.value - half, cpk.value + half], rel=1e-6)
@@ -123,9 +129,15 @@ def _coverage(low, high, truth):
     return np.mean((low <= truth) & (truth <= high))
 
 
-@pytest.mark.parametrize("estimate, truth", [
-    (st.mean, TRUE_MEAN), (st.sigma, TRUE_SIGMA), (st.six_sigma, 6 * TRUE_SIGMA),
-    (lambda x: st.capability(x, 0, 5), 5 / (6 * TRUE_SIGMA))])
+@pytest.mark.parametrize(
+    "estimate, truth",
+    [
+        (st.mean, TRUE_MEAN),
+        (st.sigma, TRUE_SIGMA),
+        (st.six_sigma, 6 * TRUE_SIGMA),
+        (lambda x: st.capability(x, 0, 5), 5 / (6 * TRUE_SIGMA)),
+    ],
+)
 @pytest.mark.parametrize("n", [3, 6, 50])
 def test_exact_intervals_cover_the_truth_as_often_as_they_promise(estimate, truth, n):
     found = estimate(_sets(n))

@@ -3,14 +3,17 @@
 import numpy as np
 import pytest
 
-from mic.surface import Surface
+from mic.geometry.surface import Surface
 
 
 def plane(n=10, size=10.0, z=0.0):
     x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1), indexing="ij")
     i = np.arange(x.size).reshape(x.shape)
     a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
-    return Surface(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]), np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+    return Surface(
+        np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]),
+        np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]),
+    )
 
 
 def test_projection_finds_the_closest_of_all_triangles():
@@ -28,8 +31,10 @@ def test_projection_finds_the_closest_of_all_triangles():
 
 
 def test_projection_filter_passes_over_triangles_that_face_elsewhere():
-    wall = Surface([[0, 0, 0], [0, 10, 0], [0, 0, 10], [0, 10, 10], [5, 0, 5], [5, 10, 5], [15, 0, 5], [15, 10, 5]],
-                   [[0, 1, 2], [1, 3, 2], [4, 6, 5], [5, 6, 7]])
+    wall = Surface(
+        [[0, 0, 0], [0, 10, 0], [0, 0, 10], [0, 10, 10], [5, 0, 5], [5, 10, 5], [15, 0, 5], [15, 10, 5]],
+        [[0, 1, 2], [1, 3, 2], [4, 6, 5], [5, 6, 7]],
+    )
     x = [[1.0, 2.0, 4.0]]
     assert wall.project(x).distance[0] == pytest.approx(1.0)
     filtered = wall.project(x, [[0, 0, 1.0]])
@@ -55,12 +60,15 @@ def test_patch_stays_on_its_own_sheet():
     assert np.abs(both.at(patch.triangle, patch.barycentric)[:, 2]).max() == 0
 
 
-@pytest.mark.parametrize("points, triangles, word", [
-    ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], "no area"),
-    ([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], "not finite"),
-    ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 3]], "outside"),
-    ([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], "shape"),
-])
+@pytest.mark.parametrize(
+    "points, triangles, word",
+    [
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], "no area"),
+        ([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], "not finite"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 3]], "outside"),
+        ([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], "shape"),
+    ],
+)
 def test_unusable_surfaces_are_refused(points, triangles, word):
     with pytest.raises(ValueError, match=word):
         Surface(points, triangles)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import mic
-from fem_reference.contact import FullModel
-from mic import statistics
+from fem_reference.full.model import FullModel
+from mic.results import statistics
 from verification.scene import choose, verify_scene
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
@@ -24,7 +24,7 @@ def population(rng, count):
 def ends_and_random(rng, y, count):
     """The middle, both extremes and random ones: chosen by the cheap result, as `choose` does."""
     order = np.argsort(y)
-    rest = rng.choice(order[1:len(y) // 2], count - 3, replace=False)
+    rest = rng.choice(order[1 : len(y) // 2], count - 3, replace=False)
     return np.array([order[len(y) // 2], order[0], order[-1], *rest])
 
 
@@ -48,14 +48,18 @@ def test_intervals_hold_as_often_as_they_say(chooser):
     assert np.abs(held / repetitions - statistics.LEVEL).max() < 0.025, held / repetitions
     assert plain == 0
     spread = np.std(errors, axis=0)
-    assert (np.abs(np.mean(errors, axis=0)) < 0.1 * spread + 3 * spread / np.sqrt(repetitions)).all()  # bias far below the spread
+    assert (
+        np.abs(np.mean(errors, axis=0)) < 0.1 * spread + 3 * spread / np.sqrt(repetitions)
+    ).all()  # bias far below the spread
     assert spread[0] < 1.5 * SIGMA / np.sqrt(300)  # five dear results, and nearly what 300 would give
 
 
 def test_perfect_cheap_results_leave_the_monte_carlo_as_it_is():
     y, _ = population(np.random.default_rng(0), 200)
     found = two_level(y, [3, 50, 120, 7], y[[3, 50, 120, 7]])
-    assert found.mean.value == pytest.approx(y.mean(), rel=1e-13) and found.sigma.value == pytest.approx(y.std(ddof=1), rel=1e-12)
+    assert found.mean.value == pytest.approx(y.mean(), rel=1e-13) and found.sigma.value == pytest.approx(
+        y.std(ddof=1), rel=1e-12
+    )
     assert found.slope == pytest.approx(1, rel=1e-12) and found.worth == pytest.approx(200, rel=1e-6)
     assert found.six_sigma.low == pytest.approx(6 * found.sigma.low)
     plain = statistics.mean(y)
@@ -66,7 +70,9 @@ def test_a_wrong_scale_is_corrected():
     """Cheap results 20 % too small: 6σ is put right; the Monte Carlo alone would be off by 20 %."""
     x = np.random.default_rng(1).standard_normal(400)
     found = two_level(0.8 * x - 1, [0, 1, 2, 3, 4], x[:5])
-    assert found.six_sigma.value == pytest.approx(6 * x.std(ddof=1), rel=1e-10) and found.mean.value == pytest.approx(x.mean(), abs=1e-12)
+    assert found.six_sigma.value == pytest.approx(6 * x.std(ddof=1), rel=1e-10) and found.mean.value == pytest.approx(
+        x.mean(), abs=1e-12
+    )
 
 
 def test_constant_cheap_results_leave_the_dear_ones():
@@ -81,8 +87,10 @@ def test_too_few_dear_results_have_no_interval():
     assert found.mean.value == 3.0 and np.isnan([found.mean.low, found.sigma.high]).all()
 
 
-@pytest.mark.parametrize("cheap, chosen, dear, words", [([1.0, np.nan], [0], [1.0], "finite"), ([1.0, 2.0], [], [], "0 dear"),
-                                                        ([1.0, 2.0], [0, 1], [1.0], "2 chosen")])
+@pytest.mark.parametrize(
+    "cheap, chosen, dear, words",
+    [([1.0, np.nan], [0], [1.0], "finite"), ([1.0, 2.0], [], [], "0 dear"), ([1.0, 2.0], [0, 1], [1.0], "2 chosen")],
+)
 def test_bad_input_is_refused(cheap, chosen, dear, words):
     with pytest.raises(ValueError, match=words):
         two_level(cheap, chosen, dear)
@@ -102,8 +110,12 @@ def test_choice_is_typical_then_extreme_and_random_by_turns():
 @pytest.fixture(scope="module")
 def lap():
     scene = mic.load_scene(FOLDER.parent / "meshes" / "lap_joint")
-    return scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
-                                    "monte_carlo": scene.monte_carlo.model_copy(update={"samples": 40})})
+    return scene.model_copy(
+        update={
+            "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
+            "monte_carlo": scene.monte_carlo.model_copy(update={"samples": 40}),
+        }
+    )
 
 
 def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
@@ -117,7 +129,9 @@ def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
     assert max(row["force, relative"] for (law, _), row in samples.items() if law == "associated") > 0.1
     for row in summary["statistics"]:
         if row["law"] == "coulomb":
-            assert row["corrected 6σ"] == pytest.approx(row["6σ"], rel=1e-6) and row["corrected mean"] == pytest.approx(row["mean"], abs=1e-8)
+            assert row["corrected 6σ"] == pytest.approx(row["6σ"], rel=1e-6) and row["corrected mean"] == pytest.approx(
+                row["mean"], abs=1e-8
+            )
     page = (tmp_path / "report.html").read_text()
     assert "{'" not in page, "a table shows its data structure instead of its text"
     assert "<img" in page and "http" not in page.replace("http://www.w3.org", "")
@@ -128,7 +142,7 @@ def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
 
 
 def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, monkeypatch):
-    from fem_reference.contact import ContactFailure
+    from fem_reference.full.model import ContactFailure
 
     solve, calls = FullModel.evaluate, []
 
@@ -141,14 +155,19 @@ def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, mon
     monkeypatch.setattr(FullModel, "evaluate", second_fails)
     summary = verify_scene(lap, tmp_path, cache, 4, True, Team(), lambda line: None)
     assert [item["failure"] for item in summary["chosen"]] == [None, "planted failure", None, None]
-    assert {row["sample"] for row in summary["per_sample"]} == {item["sample"] for item in summary["chosen"] if item["failure"] is None}
+    assert {row["sample"] for row in summary["per_sample"]} == {
+        item["sample"] for item in summary["chosen"] if item["failure"] is None
+    }
     assert "planted failure" in (tmp_path / "report.html").read_text()
 
 
 def test_the_truth_has_coulombs_law_even_where_the_scene_does_not_ask_for_it(lap, cache, tmp_path):
     only = lap.model_copy(update={"report": replace_laws(lap, ["frictionless"])})
     summary = verify_scene(only, tmp_path, cache, 1, False, Team(), lambda line: None)
-    assert summary["truth"]["law"] == "coulomb" and {row["law"] for row in summary["per_sample"]} == {"coulomb", "frictionless"}
+    assert summary["truth"]["law"] == "coulomb" and {row["law"] for row in summary["per_sample"]} == {
+        "coulomb",
+        "frictionless",
+    }
 
 
 def replace_laws(scene, laws):

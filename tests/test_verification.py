@@ -11,12 +11,12 @@ import pytest
 
 from verification import run as runs
 from verification.report import write_report
-from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Study, Team, studies
+from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Team, studies
 
 ROOT = FOLDER.parent
 
 # Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI tests.
-CHEAP = '''
+CHEAP = """
 import sys
 from pathlib import Path
 
@@ -61,7 +61,7 @@ if __name__ == "__main__":
     run(studies(), Path(sys.argv[1]), False, workers)
     if workers.rank == 0:
         write_summary(Path(sys.argv[1]))
-'''
+"""
 
 
 def cheap_studies(tmp_path):
@@ -75,26 +75,48 @@ def cheap_studies(tmp_path):
 def launch(tmp_path, ranks, folder):
     program = tmp_path / "cheap.py"
     program.write_text(CHEAP)
-    command = [sys.executable, "-m", "mpi4py", str(program), str(folder)] if ranks > 1 else [sys.executable, str(program), str(folder)]
+    command = (
+        [sys.executable, "-m", "mpi4py", str(program), str(folder)]
+        if ranks > 1
+        else [sys.executable, str(program), str(folder)]
+    )
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), "--oversubscribe", *command]
-    environment = os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "PYTHONPATH": str(ROOT)}
+    environment = os.environ | {
+        "OMPI_ALLOW_RUN_AS_ROOT": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        "PYTHONPATH": str(ROOT),
+    }
     return subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
 
 
 def entries(folder):
-    return [{key: value for key, value in entry.items() if key != "seconds"} for entry in json.loads((folder / "summary.json").read_text())]
+    return [
+        {key: value for key, value in entry.items() if key != "seconds"}
+        for entry in json.loads((folder / "summary.json").read_text())
+    ]
 
 
-@pytest.mark.parametrize("bound, measured, passed", [("at most", 1.0, True), ("at most", 1.1, False), ("at least", 0.9, False),
-                                                     ("at least", 1.0, True), ("at most", np.nan, False), ("at least", np.inf, False)])
+@pytest.mark.parametrize(
+    "bound, measured, passed",
+    [
+        ("at most", 1.0, True),
+        ("at most", 1.1, False),
+        ("at least", 0.9, False),
+        ("at least", 1.0, True),
+        ("at most", np.nan, False),
+        ("at least", np.inf, False),
+    ],
+)
 def test_a_number_is_judged(bound, measured, passed):
     assert Judged(Finding("x", measured), Acceptance("x", "c", 1.0, bound=bound), 1.0).passed is passed
 
 
 def test_quick_runs_may_have_their_own_limit():
     assert Acceptance("x", "c", 1.0).at(True) == 1.0
-    assert Acceptance("x", "c", 1.0, quick=2.0).at(True) == 2.0 and Acceptance("x", "c", 1.0, quick=2.0).at(False) == 1.0
+    assert (
+        Acceptance("x", "c", 1.0, quick=2.0).at(True) == 2.0 and Acceptance("x", "c", 1.0, quick=2.0).at(False) == 1.0
+    )
 
 
 def test_each_acceptance_number_must_be_measured(tmp_path):
@@ -133,8 +155,13 @@ def test_report_shows_every_number_offline(tmp_path):
 
     figure, (axis,) = panels(1)
     axis.plot([0, 1], [0, 1])
-    study = replace(cheap_studies(tmp_path)[0], run=lambda context: [
-        Finding("mean", 0.0123, "note <b>", figure, pd.DataFrame({"a, mm": [1.5, np.nan]})), Finding("sum", np.nan)])
+    study = replace(
+        cheap_studies(tmp_path)[0],
+        run=lambda context: [
+            Finding("mean", 0.0123, "note <b>", figure, pd.DataFrame({"a, mm": [1.5, np.nan]})),
+            Finding("sum", np.nan),
+        ],
+    )
     runs.run([study], tmp_path / "out", False, Team(), lambda line: None)
     page = write_report(tmp_path / "out").read_text()
     assert "0.0123" in page and "note &lt;b&gt;" in page and "data:image/svg+xml" in page and "1 not kept" in page
@@ -200,7 +227,7 @@ def kept(folder):
 
 
 def frame_sign(monkeypatch):
-    from mic import assembly
+    from mic.model import assembly
 
     find = assembly.find_pairs
 
@@ -215,42 +242,55 @@ def frame_sign(monkeypatch):
 
 def surface_side(monkeypatch):
     """Each pair reads the sheets' averted faces."""
-    from mic import assembly
+    from mic.model import assembly
 
     find = assembly.find_pairs
-    monkeypatch.setattr(assembly, "find_pairs", lambda *a: [replace(pair, sides=(-pair.sides[0], -pair.sides[1])) for pair in find(*a)])
+    monkeypatch.setattr(
+        assembly, "find_pairs", lambda *a: [replace(pair, sides=(-pair.sides[0], -pair.sides[1])) for pair in find(*a)]
+    )
 
 
 def friction_ignored(monkeypatch):
-    from mic import process
+    from mic.process import process
 
     solver = process.ContactSolver
     monkeypatch.setattr(process, "ContactSolver", lambda S, mu, **options: solver(S, 0 * mu, **options))
 
 
 def welds_forgotten(monkeypatch):
-    from mic import process
+    from mic.process import process
 
     plan = process.plan_stages
 
     def without(*arguments):
-        return [replace(item, bilateral=tuple(row for row in item.bilateral if row[0] != "weld")) for item in plan(*arguments)]
+        return [
+            replace(item, bilateral=tuple(row for row in item.bilateral if row[0] != "weld"))
+            for item in plan(*arguments)
+        ]
 
     monkeypatch.setattr(process, "plan_stages", without)
 
 
 def thickness_doubled(monkeypatch):
-    from fem_reference.part import ShellPart
+    from fem_reference.shell.part import ShellPart
 
     build = ShellPart.__init__
-    monkeypatch.setattr(ShellPart, "__init__", lambda self, surface, thickness, *rest, **options: build(self, surface, 2 * thickness, *rest, **options))
+    monkeypatch.setattr(
+        ShellPart,
+        "__init__",
+        lambda self, surface, thickness, *rest, **options: build(self, surface, 2 * thickness, *rest, **options),
+    )
 
 
 def test_without_a_planted_error_all_limits_are_kept(tmp_path):
     assert kept(tmp_path)
 
 
-@pytest.mark.parametrize("plant", [frame_sign, surface_side, friction_ignored, welds_forgotten, thickness_doubled], ids=lambda plant: plant.__name__)
+@pytest.mark.parametrize(
+    "plant",
+    [frame_sign, surface_side, friction_ignored, welds_forgotten, thickness_doubled],
+    ids=lambda plant: plant.__name__,
+)
 def test_a_planted_error_is_found(plant, monkeypatch, tmp_path):
     plant(monkeypatch)
     assert not kept(tmp_path)

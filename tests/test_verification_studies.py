@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from scipy.sparse import csr_matrix, diags
 
+from mic.sampling.draw import draw
 from mic.scene import SETTINGS
-from mic.variation import draw
 from verification.algebra.study import STUDY as ALGEBRA
 from verification.algebra.study import compare
 from verification.comparison import reduced_and_assembly, relative, zone_slip
@@ -42,7 +42,9 @@ def weld_forgotten(model):
 
 PLANTED = {
     "frame's sign": tangent_reversed,
-    "friction ignored": lambda model: replace(model, contacts=replace(model.contacts, friction=0 * model.contacts.friction)),
+    "friction ignored": lambda model: replace(
+        model, contacts=replace(model.contacts, friction=0 * model.contacts.friction)
+    ),
     "weld forgotten": weld_forgotten,
     "thickness doubled": lambda model: replace(model, H=model.H / 8, shape=model.shape / 8),
     "gap off by 0.1 µm": lambda model: replace(model, contacts=replace(model.contacts, gap=model.contacts.gap + 1e-4)),
@@ -69,7 +71,11 @@ def test_algebra_catches(lap, error):
 
 
 def test_relative_difference():
-    assert relative([1.0, 2.0], [1.0, 2.5]) == pytest.approx(0.2) and relative([0.0], [0.0]) == 0 and relative([1.0], [0.0]) == np.inf
+    assert (
+        relative([1.0, 2.0], [1.0, 2.5]) == pytest.approx(0.2)
+        and relative([0.0], [0.0]) == 0
+        and relative([1.0], [0.0]) == np.inf
+    )
     assert relative([-1.0], [1.0]) == 2  # a wrong sign is not a small error
 
 
@@ -82,9 +88,15 @@ def test_law_tells_the_programme_from_coulomb(lap):
     model, _ = law.with_friction(lap, 0.4)
     deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, 3)
     associated, itself = law.compare(model, deviations, "associated"), law.compare(model, deviations, "coulomb")
-    assert associated["gap at loaded contacts, mm"] > 1e-3 and associated["force"] > 0.1 and associated["identity"] < 1e-6
-    assert itself["gap at loaded contacts, mm"] < 1e-9 and itself["force"] == 0  # were (13) Coulomb's law, `opening` would fail
-    assert law.compare(model, deviations, "frictionless")["force"] == pytest.approx(0.4, rel=0.01)  # at least the friction force itself is missing
+    assert (
+        associated["gap at loaded contacts, mm"] > 1e-3 and associated["force"] > 0.1 and associated["identity"] < 1e-6
+    )
+    assert (
+        itself["gap at loaded contacts, mm"] < 1e-9 and itself["force"] == 0
+    )  # were (13) Coulomb's law, `opening` would fail
+    assert law.compare(model, deviations, "frictionless")["force"] == pytest.approx(
+        0.4, rel=0.01
+    )  # at least the friction force itself is missing
 
 
 def test_law_is_judged_by_finite_elements_with_the_same_friction(lap):
@@ -103,27 +115,43 @@ def test_order_and_limit_of_a_manufactured_sequence(order, sizes):
 
 def test_mesh_sequences_without_an_order():
     oscillating = converge((4, 2, 1), (1.0, 1.3, 1.2))
-    assert oscillating.kind == "oscillating" and oscillating.index == pytest.approx(0.3) and oscillating.extrapolated == 1.2
+    assert (
+        oscillating.kind == "oscillating"
+        and oscillating.index == pytest.approx(0.3)
+        and oscillating.extrapolated == 1.2
+    )
     assert converge((4, 2, 1), (1.1, 1.0, 1.0)).index == pytest.approx(0, abs=1e-12)
     assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
 
 
 def test_stretching_of_a_cylinder_by_hand():
     """A strip bent to w = c x²: the added membrane energy is ∫ E t/(1 − ν²)/2 (½ w'²)² dA; turned as a whole, nothing is added."""
-    from meshes.structured import extrude
-    from mic.surface import Surface
+    from mic.geometry.structured import extrude
+    from mic.geometry.surface import Surface
 
     length, width, c = 100.0, 20.0, 1e-3
     points, triangles = extrude([(0.0, 0.0), (width, 0.0)], 0.0, length, 1.0)
     part = SimpleNamespace(name="strip", surface=Surface(points, triangles), young=2e5, poisson=0.3, thickness=1.0)
     x = points[:, 0]
+
     def bound(w):
         fields = {"strip": np.column_stack([np.zeros((len(x), 2)), w, np.zeros((len(x), 3))])}
         full = SimpleNamespace(resolutions={"clamp": None}, field=lambda stage: fields, strain_energy=lambda stage: 1.0)
         return nominal.stretching(SimpleNamespace(parts=[part]), full)
 
     # without its rigid motion the slope is 2 c (x − length/2)
-    exact = part.young * part.thickness / (1 - part.poisson**2) / 2 * width * 0.25 * (2 * c) ** 4 * 2 * (length / 2) ** 5 / 5
+    exact = (
+        part.young
+        * part.thickness
+        / (1 - part.poisson**2)
+        / 2
+        * width
+        * 0.25
+        * (2 * c) ** 4
+        * 2
+        * (length / 2) ** 5
+        / 5
+    )
     assert bound(c * x**2) == pytest.approx(exact, rel=0.01)
     assert bound(0.1 * x) < 1e-12 * exact
 
@@ -140,13 +168,22 @@ def test_sampling_error_is_that_of_normal_samples():
 
 
 def versions(*lines):
-    return pd.DataFrame([{"knob": "k", "value": str(i), "error of 6σ": e, "preparation, s": p, "per sample, ms": ms} for i, (e, p, ms) in enumerate(lines)])
+    return pd.DataFrame(
+        [
+            {"knob": "k", "value": str(i), "error of 6σ": e, "preparation, s": p, "per sample, ms": ms}
+            for i, (e, p, ms) in enumerate(lines)
+        ]
+    )
 
 
 def test_cheapest_version_keeps_the_target():
     lines = versions((0.2, 1, 1), (0.03, 10, 1), (0.005, 100, 1))
     seconds, line, count = trade.cheapest(lines, 0.10)
-    assert line["value"] == "1" and line["error of 6σ"] + trade.sampling_error(count) <= 0.10 and seconds == pytest.approx(10 + 1e-3 * count)
+    assert (
+        line["value"] == "1"
+        and line["error of 6σ"] + trade.sampling_error(count) <= 0.10
+        and seconds == pytest.approx(10 + 1e-3 * count)
+    )
     assert trade.cheapest(lines, 0.02)[1]["value"] == "2" and trade.cheapest(lines, 0.004) is None
     told = trade.advice(lines, pd.DataFrame([{"per sample, s": 50.0}]))
     assert "not reached" in trade.in_words(told) and told["times cheaper"].max() > 50

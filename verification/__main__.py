@@ -15,11 +15,16 @@ from verification.run import run as run_studies
 from verification.run import team
 from verification.study import studies
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="""
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="""
 How far are the reduced results from the truth, where, and what does accuracy cost?
 
 Start with:  python -m verification list  and then  python -m verification run --quick
-""")
+""",
+)
 
 
 def _chosen(names):
@@ -36,16 +41,23 @@ def list_studies():
     console = Console(highlight=False)
     for study in studies().values():
         full, quick = study.seconds
-        console.print(f"[bold]{study.name}[/]: {study.title}, {full:.0f} s" + (f", quick {quick:.0f} s" if quick != full else ", quick the same"))
+        console.print(
+            f"[bold]{study.name}[/]: {study.title}, {full:.0f} s"
+            + (f", quick {quick:.0f} s" if quick != full else ", quick the same")
+        )
         console.print(f"  {study.claim}", f"  [dim]Reference: {study.reference}[/]", sep="\n", soft_wrap=True)
         for acceptance in study.acceptance:
             console.print(f"  • {acceptance.name}: {acceptance.words()}")
 
 
 @app.command()
-def run(names: Annotated[Optional[list[str]], typer.Argument(help="Studies to run; default: all.", show_default=False)] = None,
-        out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results/verification"),
-        quick: Annotated[bool, typer.Option("--quick", help="Small meshes and few samples.")] = False):
+def run(
+    names: Annotated[
+        Optional[list[str]], typer.Argument(help="Studies to run; default: all.", show_default=False)
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results/verification"),
+    quick: Annotated[bool, typer.Option("--quick", help="Small meshes and few samples.")] = False,
+):
     """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
 
     Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run. Under
@@ -60,16 +72,32 @@ def run(names: Annotated[Optional[list[str]], typer.Argument(help="Studies to ru
         print(f"report: {write_report(out)}")
     failed = [entry for entry in write_summary(out) if not entry["passed"]] if workers.rank == 0 else []
     if failed:
-        print(f"{len(failed)} acceptance numbers are not kept: " + ", ".join(f"{e['study']}/{e['name']}" for e in failed))
+        print(
+            f"{len(failed)} acceptance numbers are not kept: " + ", ".join(f"{e['study']}/{e['name']}" for e in failed)
+        )
     raise typer.Exit(1 if failed else 0)
 
 
 @app.command()
-def scene(scene: Annotated[Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)],
-          samples: Annotated[int, typer.Option(min=1, help="Samples to solve by full finite elements; three at least for confidence intervals.")] = 5,
-          out: Annotated[Optional[Path], typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE-verified.", show_default=False)] = None,
-          nominal: Annotated[bool, typer.Option("--nominal", help="Full solves on the nominal meshes, as the reduced model assumes, not on meshes "
-                                                "that carry each sample's shape.")] = False):
+def scene(
+    scene: Annotated[Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)],
+    samples: Annotated[
+        int,
+        typer.Option(min=1, help="Samples to solve by full finite elements; three at least for confidence intervals."),
+    ] = 5,
+    out: Annotated[
+        Optional[Path],
+        typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE-verified.", show_default=False),
+    ] = None,
+    nominal: Annotated[
+        bool,
+        typer.Option(
+            "--nominal",
+            help="Full solves on the nominal meshes, as the reduced model assumes, not on meshes "
+            "that carry each sample's shape.",
+        ),
+    ] = False,
+):
     """Verify your own scene: run its Monte Carlo, solve a few samples by full finite elements, and correct mean and 6σ.
 
     The samples are chosen by the Monte Carlo: one typical, then extreme and random ones by turns. Full solves that the folder holds already are kept:
@@ -88,7 +116,9 @@ def scene(scene: Annotated[Path, typer.Argument(help="Scene file, or a folder th
 
 
 @app.command()
-def report(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)]):
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)],
+):
     """Write summary.json and report.html of a run folder again."""
     from verification.report import write_report
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from mic.assembly import Assembly, assemble
+from mic.compliance.influence import influence_coefficients
 from mic.contact import certify
-from mic.influence import influence_coefficients
-from mic.process import Evaluation
-from mic.reduced import ReducedModel
+from mic.model.assembly import Assembly, assemble
+from mic.model.reduced import ReducedModel
+from mic.process.process import Evaluation
 from mic.scene import Scene
 
 __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "relative", "zone_slip"]
@@ -66,9 +66,9 @@ def difference(reduced: Evaluation, sample: int, full) -> Difference:
 
     Parameters
     ----------
-    reduced : mic.process.Evaluation
+    reduced : mic.process.process.Evaluation
     sample : int
-    full : fem_reference.contact.FullEvaluation
+    full : fem_reference.full.model.FullEvaluation
     """
     force, displacement, states = [], [], 0
     for stage, truth in full.resolutions.items():
@@ -87,7 +87,7 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
 
     Parameters
     ----------
-    process : mic.process.Process
+    process : mic.process.process.Process
         What made `reduced`.
     """
     found = {}
@@ -97,8 +97,14 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
             mine = reduced.resolutions[name]
             b = mine.displacement[sample].ravel() - prepared.response.S @ mine.force[sample].ravel()
             contacts = process.model.contacts
-            found[name] = certify(prepared.response.S, b, contacts.friction, full.resolutions[name].force.ravel(), process.law,
-                                  contacts.dimension).residual
+            found[name] = certify(
+                prepared.response.S,
+                b,
+                contacts.friction,
+                full.resolutions[name].force.ravel(),
+                process.law,
+                contacts.dimension,
+            ).residual
     return found
 
 
@@ -108,7 +114,7 @@ def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
     Parameters
     ----------
     displacement : (..., m, 3) array
-    contacts : mic.assembly.Contacts
+    contacts : mic.model.assembly.Contacts
     zones : int
 
     Returns

@@ -9,8 +9,17 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend is chosen first: no 
 
 __all__ = ["panels"]
 
-STYLE = {"font.size": 10, "axes.grid": True, "grid.color": "0.9", "axes.axisbelow": True, "legend.fontsize": 8.5, "legend.frameon": False,
-         "svg.hashsalt": "verification", "axes.spines.top": False, "axes.spines.right": False}
+STYLE = {
+    "font.size": 10,
+    "axes.grid": True,
+    "grid.color": "0.9",
+    "axes.axisbelow": True,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "svg.hashsalt": "verification",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 
 
 def panels(count: int, width: float = 5.2, height: float = 3.8):

@@ -24,7 +24,9 @@ def write_report(folder: Path) -> Path:
     folder = Path(folder)
     results = read_results(folder)
     if not results:
-        raise FileNotFoundError(f"{folder}: holds no finished study; name the folder that `python -m verification run --out` wrote")
+        raise FileNotFoundError(
+            f"{folder}: holds no finished study; name the folder that `python -m verification run --out` wrote"
+        )
     entries = write_summary(folder)
     for result in results:
         result["passed"] = all(finding["passed"] for finding in result["findings"])
@@ -32,13 +34,19 @@ def write_report(folder: Path) -> Path:
             if "figure" in finding:
                 finding["image"] = base64.b64encode((result["folder"] / finding["figure"]).read_bytes()).decode()
             if "table" in finding:
-                finding["rows"] = table_cells(pd.read_csv(result["folder"] / finding["table"], keep_default_na=False, na_values=["nan", ""]))
-    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True,
-                                     lstrip_blocks=True)
+                finding["rows"] = table_cells(
+                    pd.read_csv(result["folder"] / finding["table"], keep_default_na=False, na_values=["nan", ""])
+                )
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters["number"] = number
     page = environment.get_template("report.html").render(
-        results=results, entries=len(entries), failed=sum(not entry["passed"] for entry in entries),
-        seconds=sum(result["seconds"] for result in results))
+        results=results,
+        entries=len(entries),
+        failed=sum(not entry["passed"] for entry in entries),
+        seconds=sum(result["seconds"] for result in results),
+    )
     path = folder / "report.html"
     temporary = folder / ".report.html"
     temporary.write_text(page)
@@ -57,7 +65,10 @@ def number(value) -> str:
 
 def table_cells(frame: pd.DataFrame) -> dict:
     """Columns and rows of a table as text."""
-    return {"columns": list(frame.columns), "rows": [[_cell(value) for value in row] for row in frame.itertuples(index=False)]}
+    return {
+        "columns": list(frame.columns),
+        "rows": [[_cell(value) for value in row] for row in frame.itertuples(index=False)],
+    }
 
 
 def _cell(value) -> dict:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mic.montecarlo import communicator, versions
+from mic.sampling.montecarlo import communicator, versions
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
@@ -69,10 +69,17 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
             judged = study.judge(context)
         seconds = time.perf_counter() - start
         if first:
-            _store(target, study, judged, {"fingerprint": fingerprint, "quick": quick, "ranks": team.size, "seconds": round(seconds, 3)})
+            _store(
+                target,
+                study,
+                judged,
+                {"fingerprint": fingerprint, "quick": quick, "ranks": team.size, "seconds": round(seconds, 3)},
+            )
             for item in judged:
-                say(f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} ({item.acceptance.bound} "
-                    f"{item.limit:.3g}{'' if item.acceptance.unit == '1' else ' ' + item.acceptance.unit})")
+                say(
+                    f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} ({item.acceptance.bound} "
+                    f"{item.limit:.3g}{'' if item.acceptance.unit == '1' else ' ' + item.acceptance.unit})"
+                )
     team.wait()
 
 
@@ -86,10 +93,24 @@ def read_results(folder: Path) -> list[dict]:
 
 def write_summary(folder: Path) -> list[dict]:
     """Write ``summary.json``: one entry per acceptance number, ``seconds`` being those of its whole study."""
-    entries = [{"study": result["study"], "name": finding["name"], "claim": finding["claim"], "reference": result["reference"],
-                "measured": finding["measured"], "bound": finding["bound"], "limit": finding["limit"], "unit": finding["unit"],
-                "passed": finding["passed"], "seconds": result["seconds"], "quick": result["quick"], "versions": result["versions"]}
-               for result in read_results(folder) for finding in result["findings"]]
+    entries = [
+        {
+            "study": result["study"],
+            "name": finding["name"],
+            "claim": finding["claim"],
+            "reference": result["reference"],
+            "measured": finding["measured"],
+            "bound": finding["bound"],
+            "limit": finding["limit"],
+            "unit": finding["unit"],
+            "passed": finding["passed"],
+            "seconds": result["seconds"],
+            "quick": result["quick"],
+            "versions": result["versions"],
+        }
+        for result in read_results(folder)
+        for finding in result["findings"]
+    ]
     _write(Path(folder) / "summary.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
     return entries
 
@@ -123,18 +144,35 @@ def _store(target: Path, study: Study, judged: list[Judged], record: dict) -> No
     findings = []
     for item in judged:
         finding, acceptance = item.finding, item.acceptance
-        entry = {"name": finding.name, "claim": acceptance.claim, "measured": _number(finding.measured), "bound": acceptance.bound,
-                 "limit": item.limit, "unit": acceptance.unit, "passed": item.passed, "note": finding.note}
+        entry = {
+            "name": finding.name,
+            "claim": acceptance.claim,
+            "measured": _number(finding.measured),
+            "bound": acceptance.bound,
+            "limit": item.limit,
+            "unit": acceptance.unit,
+            "passed": item.passed,
+            "note": finding.note,
+        }
         if finding.figure is not None:
             entry["figure"] = f"{finding.name}.svg"
-            finding.figure.savefig(partial / entry["figure"], format="svg", bbox_inches="tight", metadata={"Date": None})
+            finding.figure.savefig(
+                partial / entry["figure"], format="svg", bbox_inches="tight", metadata={"Date": None}
+            )
             _close(finding.figure)
         if finding.table is not None:
             entry["table"] = f"{finding.name}.csv"
             finding.table.to_csv(partial / entry["table"], index=False)
         findings.append(entry)
-    content = {"study": study.name, "order": study.order, "title": study.title, "claim": study.claim, "reference": study.reference,
-               "findings": findings, "versions": versions()} | record
+    content = {
+        "study": study.name,
+        "order": study.order,
+        "title": study.title,
+        "claim": study.claim,
+        "reference": study.reference,
+        "findings": findings,
+        "versions": versions(),
+    } | record
     (partial / "result.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
     shutil.rmtree(target, ignore_errors=True)
     partial.replace(target)

@@ -21,12 +21,13 @@ import pandas as pd
 from mpi4py import MPI
 from threadpoolctl import threadpool_limits
 
-from fem_reference.contact import ContactFailure, FullModel
-from mic import statistics
-from mic.montecarlo import run as monte_carlo, versions
-from mic.outcome import read_outcome
+from fem_reference.full.model import ContactFailure, FullModel
+from mic.results import statistics
+from mic.results.outcome import read_outcome
+from mic.sampling.draw import draw
+from mic.sampling.montecarlo import run as monte_carlo
+from mic.sampling.montecarlo import versions
 from mic.scene import Scene
-from mic.variation import draw
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.study import FOLDER, Team
@@ -36,7 +37,9 @@ __all__ = ["Choice", "choose", "verify_scene"]
 
 SHOWN, LINEAR = 5.0, 0.1  # range of the error-bar figure, and its linear part
 TICKS = (-5, -1, -0.1, 0, 0.1, 1, 5)
-LEADING = 0.1  # quantities that vary by less than this share of the most variable one of their kind do not make the headline
+LEADING = (
+    0.1  # quantities that vary by less than this share of the most variable one of their kind do not make the headline
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,9 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
     spread = results.std(axis=0)
     z = (results - np.median(results, axis=0))[:, spread > 0] / spread[spread > 0]
     picked, kinds = [int(np.argmin((z**2).sum(axis=1)))], ["typical"]
-    order = list(np.random.Generator(np.random.Philox(key=np.array([seed, 2**40], dtype=np.uint64))).permutation(len(results)))
+    order = list(
+        np.random.Generator(np.random.Philox(key=np.array([seed, 2**40], dtype=np.uint64))).permutation(len(results))
+    )
     while len(picked) < min(count, len(results)):
         if len(picked) % 2:
             distance = np.min([((z - z[i]) ** 2).sum(axis=1) for i in picked], axis=0)
@@ -93,7 +98,7 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
 
     Parameters
     ----------
-    scene : mic.scene.Scene
+    scene : mic.scene.schema.Scene
     folder : Path
     cache : Path
         Folder of meshes and influence coefficients.
@@ -127,25 +132,45 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         cheap = {law: _quantities(outcome.valid(law)) for law in outcome.laws}
         base = cheap.get(truth, next(iter(cheap.values())))
         if base.shape[1] == 0 or len(base) == 0:
-            raise ValueError("the scene has nothing to verify: it needs valid samples, and measurements or contact zones with slip")
+            raise ValueError(
+                "the scene has nothing to verify: it needs valid samples, and measurements or contact zones with slip"
+            )
         chosen = choose(base.to_numpy(), base.index.to_numpy(), count, seed)
-        tell(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples "
-             + ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen))
+        tell(
+            f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples "
+            + ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
+        )
         full_model = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF)
         key = hashlib.sha256(json.dumps([_model_key(model), deviated, truth, seed]).encode()).hexdigest()[:16]
-        full = team.map(lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen)
+        full = team.map(
+            lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen
+        )
     if team.rank > 0:
         return {}
     solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
-    per_sample = pd.DataFrame([row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)])
+    per_sample = pd.DataFrame(
+        [row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)]
+    )
     table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
     laws = len(scene.report.laws)
     summary = {
-        "scene": scene.name, "samples": samples, "seed": seed, "truth": {"law": truth, "deviated_meshes": deviated},
-        "chosen": [{"sample": c.sample, "kind": c.kind, "seconds": r.get("seconds"), "failure": r.get("failure")} for c, r in zip(chosen, full)],
-        "seconds": {"reduced_model": prepared - start, "reduced_sample": (evaluated - prepared) * team.size / (samples * laws),
-                    "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None},
-        "per_sample": per_sample.to_dict("records"), "statistics": table.to_dict("records"), "versions": versions(), "ranks": team.size,
+        "scene": scene.name,
+        "samples": samples,
+        "seed": seed,
+        "truth": {"law": truth, "deviated_meshes": deviated},
+        "chosen": [
+            {"sample": c.sample, "kind": c.kind, "seconds": r.get("seconds"), "failure": r.get("failure")}
+            for c, r in zip(chosen, full)
+        ],
+        "seconds": {
+            "reduced_model": prepared - start,
+            "reduced_sample": (evaluated - prepared) * team.size / (samples * laws),
+            "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None,
+        },
+        "per_sample": per_sample.to_dict("records"),
+        "statistics": table.to_dict("records"),
+        "versions": versions(),
+        "ranks": team.size,
     }
     summary = _finite(summary)
     per_sample.to_csv(folder / "samples.csv", index=False)
@@ -184,7 +209,11 @@ def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
         return {"failure": str(problem)}
     result = {"measurements": found.measurements, "seconds": np.array(time.perf_counter() - start)}
     for stage, resolution in found.resolutions.items():
-        result |= {f"force:{stage}": resolution.force, f"displacement:{stage}": resolution.displacement, f"state:{stage}": resolution.state}
+        result |= {
+            f"force:{stage}": resolution.force,
+            f"displacement:{stage}": resolution.displacement,
+            f"state:{stage}": resolution.state,
+        }
     folder.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
     np.savez(temporary, **result)
@@ -205,14 +234,18 @@ def _of_full(model, result) -> dict[str, float]:
     for name, values in result.items():
         if name.startswith("displacement:") and model.contacts.dimension == 3:
             slip = zone_slip(values, model.contacts, len(scene.zones))
-            found |= {f"slip:{name.removeprefix('displacement:')}:{zone.name}": float(s) for zone, s in zip(scene.zones, slip)}
-    return found | {f"measurement:{item.name}": float(value) for item, value in zip(scene.measurements, result["measurements"])}
+            found |= {
+                f"slip:{name.removeprefix('displacement:')}:{zone.name}": float(s) for zone, s in zip(scene.zones, slip)
+            }
+    return found | {
+        f"measurement:{item.name}": float(value) for item, value in zip(scene.measurements, result["measurements"])
+    }
 
 
 def _sample_rows(outcome, model, choice, result) -> list[dict]:
     """How far one sample's reduced results are from the full ones, under each law."""
     stages = [name.removeprefix("force:") for name in result if name.startswith("force:")]
-    axes = ("n", "t1", "t2")[:model.contacts.dimension]
+    axes = ("n", "t1", "t2")[: model.contacts.dimension]
     truth, rows = _of_full(model, result), []
     for law in outcome.laws:
         valid = outcome.valid(law)
@@ -226,10 +259,18 @@ def _sample_rows(outcome, model, choice, result) -> list[dict]:
             states += int((outcome.contact(law, stage, "state")[place[0]] != result[f"state:{stage}"]).sum())
         row = valid.iloc[place[0]]
         slips, measured = ([name for name in truth if name.startswith(kind)] for kind in ("slip:", "measurement:"))
-        rows.append({"law": law, "sample": choice.sample, "kind": choice.kind, "force, relative": max(force, default=0.0),
-                     "zone slip, relative": relative([row[name] for name in slips], [truth[name] for name in slips]),
-                     "zone slip, mm": max((abs(row[name] - truth[name]) for name in slips), default=0.0),
-                     "measurement, mm": max((abs(row[name] - truth[name]) for name in measured), default=0.0), "changed states": states})
+        rows.append(
+            {
+                "law": law,
+                "sample": choice.sample,
+                "kind": choice.kind,
+                "force, relative": max(force, default=0.0),
+                "zone slip, relative": relative([row[name] for name in slips], [truth[name] for name in slips]),
+                "zone slip, mm": max((abs(row[name] - truth[name]) for name in slips), default=0.0),
+                "measurement, mm": max((abs(row[name] - truth[name]) for name in measured), default=0.0),
+                "changed states": states,
+            }
+        )
     return rows
 
 
@@ -245,9 +286,15 @@ def _statistics_rows(law, cheap, model, solved) -> list[dict]:
         if dear:
             found = two_level(y, place, [values[name] for values in dear.values()])
             row |= _estimate("corrected mean", found.mean) | _estimate("corrected 6σ", found.six_sigma)
-            row |= {"slope": found.slope, "residual, mm": found.residual, "worth, full solves": found.worth,
-                    "error of the mean, σ": (row["mean"] - found.mean.value) / found.sigma.value if found.sigma.value > 0 else 0.0,
-                    "error of 6σ": row["6σ"] / found.six_sigma.value - 1 if found.sigma.value > 0 else 0.0}
+            row |= {
+                "slope": found.slope,
+                "residual, mm": found.residual,
+                "worth, full solves": found.worth,
+                "error of the mean, σ": (row["mean"] - found.mean.value) / found.sigma.value
+                if found.sigma.value > 0
+                else 0.0,
+                "error of 6σ": row["6σ"] / found.six_sigma.value - 1 if found.sigma.value > 0 else 0.0,
+            }
         rows.append(row)
     return rows
 
@@ -265,10 +312,21 @@ def _figure(table, truth):
         own = table[table["law"] == law].set_index("quantity").loc[names]
         y = np.arange(len(names)) + 0.22 * (k - (len(laws) - 1) / 2)
         sigma = own["6σ"].to_numpy() / 6
-        for axis, corrected, centre, scale in ((left, "corrected mean", own["mean"], sigma), (right, "corrected 6σ", own["6σ"], own["6σ"])):
+        for axis, corrected, centre, scale in (
+            (left, "corrected mean", own["mean"], sigma),
+            (right, "corrected 6σ", own["6σ"], own["6σ"]),
+        ):
             with np.errstate(divide="ignore", invalid="ignore"):
                 value, low, high = ((own[f"{corrected}{end}"] - centre) / scale for end in ("", " low", " high"))
-            axis.errorbar(value, y, xerr=[(value - low).clip(lower=0), (high - value).clip(lower=0)], fmt="o", ms=3.5, lw=1.2, label=law)
+            axis.errorbar(
+                value,
+                y,
+                xerr=[(value - low).clip(lower=0), (high - value).clip(lower=0)],
+                fmt="o",
+                ms=3.5,
+                lw=1.2,
+                label=law,
+            )
     for axis, label in ((left, "corrected mean − reduced mean, in σ"), (right, "corrected 6σ / reduced 6σ − 1")):
         axis.axvline(0, color="k", lw=0.8)
         axis.set(yticks=range(len(names)), yticklabels=names, xlabel=label)
@@ -277,7 +335,13 @@ def _figure(table, truth):
         axis.minorticks_off()
         axis.invert_yaxis()
     right.set_yticklabels([])
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=len(laws), frameon=False, title=f"reduced law; full: {truth}")
+    figure.legend(
+        *left.get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=len(laws),
+        frameon=False,
+        title=f"reduced law; full: {truth}",
+    )
     return figure
 
 
@@ -292,22 +356,42 @@ def _page(summary, per_sample, table, truth) -> str:
         plt.close(figure)
     from verification.report import number, table_cells
 
-    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters["number"] = number
-    return environment.get_template("scene.html").render(summary=summary, image=image, level=statistics.LEVEL, worst=worst(table), leading=LEADING,
-                                                         per_sample=table_cells(per_sample), statistics=table_cells(table))
+    return environment.get_template("scene.html").render(
+        summary=summary,
+        image=image,
+        level=statistics.LEVEL,
+        worst=worst(table),
+        leading=LEADING,
+        per_sample=table_cells(per_sample),
+        statistics=table_cells(table),
+    )
 
 
 def worst(table) -> list[dict]:
     """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees it."""
     found = []
     kind = table["quantity"].str.split(":").str[0]
-    leading = table[table["6σ"] >= LEADING * table.groupby(["law", kind])["6σ"].transform("max")] if len(table) else table
+    leading = (
+        table[table["6σ"] >= LEADING * table.groupby(["law", kind])["6σ"].transform("max")] if len(table) else table
+    )
     for law, own in leading.groupby("law", sort=False):
         if "error of 6σ" in own:
             six, mean = own.loc[own["error of 6σ"].abs().idxmax()], own.loc[own["error of the mean, σ"].abs().idxmax()]
-            found.append({"law": law, "six_sigma": six["error of 6σ"], "six_sigma_of": six["quantity"], "low": six["6σ"] / six["corrected 6σ high"] - 1,
-                          "high": six["6σ"] / six["corrected 6σ low"] - 1, "mean": mean["error of the mean, σ"], "mean_of": mean["quantity"]})
+            found.append(
+                {
+                    "law": law,
+                    "six_sigma": six["error of 6σ"],
+                    "six_sigma_of": six["quantity"],
+                    "low": six["6σ"] / six["corrected 6σ high"] - 1,
+                    "high": six["6σ"] / six["corrected 6σ low"] - 1,
+                    "mean": mean["error of the mean, σ"],
+                    "mean_of": mean["quantity"],
+                }
+            )
     return found
 
 

@@ -21,4 +21,6 @@ def shipped(name: str, size: str | float, laws=("coulomb",)) -> Scene:
     """
     scene = load_scene(FOLDER.parent / "meshes" / name)
     parts = [part.model_copy(update={"size": size}) for part in scene.parts]
-    return scene.model_copy(update={"parts": parts, "report": scene.report.model_copy(update={"laws": list(laws), "fields": False})})
+    return scene.model_copy(
+        update={"parts": parts, "report": scene.report.model_copy(update={"laws": list(laws), "fields": False})}
+    )

@@ -13,7 +13,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from meshes.structured import extrude
+from mic.geometry.structured import extrude
 from mic.scene import Scene
 
 __all__ = ["build", "line", "write_mesh"]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Literal
 
-from mic.reduced import ReducedModel
+from mic.model.reduced import ReducedModel
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 
@@ -123,7 +123,7 @@ class Team:
         if self.size == 1:
             return [function(item) for item in items]
         try:
-            own = [function(item) for item in items[self.rank::self.size]]
+            own = [function(item) for item in items[self.rank :: self.size]]
         except Exception:
             traceback.print_exc()
             sys.stderr.flush()
@@ -198,14 +198,30 @@ class Study:
         findings = self.run(context)
         limits = {acceptance.name: acceptance for acceptance in self.acceptance}
         if sorted(finding.name for finding in findings) != sorted(limits):
-            raise ValueError(f"study {self.name!r} measured {sorted(f.name for f in findings)}, its acceptance numbers are {sorted(limits)}")
+            raise ValueError(
+                f"study {self.name!r} measured {sorted(f.name for f in findings)}, its acceptance numbers are {sorted(limits)}"
+            )
         return [Judged(finding, limits[finding.name], limits[finding.name].at(context.quick)) for finding in findings]
 
     def opening(self) -> str:
         """The lines with which the study's page opens."""
         rows = [f"| {a.name} | {a.claim} | {a.words()} |" for a in self.acceptance]
-        return "\n".join([f"# {self.title}", "", f"**Claim.** {self.claim}", "", f"**Reference.** {self.reference}", "",
-                          "| accepted | claim | number |", "| --- | --- | --- |", *rows]) + "\n"
+        return (
+            "\n".join(
+                [
+                    f"# {self.title}",
+                    "",
+                    f"**Claim.** {self.claim}",
+                    "",
+                    f"**Reference.** {self.reference}",
+                    "",
+                    "| accepted | claim | number |",
+                    "| --- | --- | --- |",
+                    *rows,
+                ]
+            )
+            + "\n"
+        )
 
 
 def studies() -> dict[str, Study]:

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from mic.statistics import LEVEL, Estimate
+from mic.results.statistics import LEVEL, Estimate
 
 __all__ = ["TwoLevel", "two_level"]
 
@@ -88,7 +88,9 @@ def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
     y = y_all[np.asarray(chosen, dtype=int)]
     N, n = len(y_all), len(x)
     if n < 1 or N < 2 or len(y) != n:
-        raise ValueError(f"two-level estimate: got {N} cheap and {n} dear results for {len(y)} chosen samples; at least 2 and 1 are needed")
+        raise ValueError(
+            f"two-level estimate: got {N} cheap and {n} dear results for {len(y)} chosen samples; at least 2 and 1 are needed"
+        )
     if not (np.isfinite(y_all).all() and np.isfinite(x).all()):
         raise ValueError("two-level estimate: results must be finite; leave failed samples out")
     centred = y_all - y_all.mean()
@@ -106,17 +108,25 @@ def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
     mean = x.mean() + slope * off
     mean_parts = np.array([s_e2 * (1 / n + off**2 * per_S), slope**2 * s_y2 / N])
     variance = max(slope**2 - s_e2 * per_S, 0.0) * s_y2 + s_e2
-    variance_parts = np.array([4 * slope**2 * s_y2**2 * s_e2 * per_S + (1 - s_y2 * per_S) ** 2 * 2 * s_e2**2 / max(freedom, 1),
-                               slope**4 * var_s_y2])
+    variance_parts = np.array(
+        [
+            4 * slope**2 * s_y2**2 * s_e2 * per_S + (1 - s_y2 * per_S) ** 2 * 2 * s_e2**2 / max(freedom, 1),
+            slope**4 * var_s_y2,
+        ]
+    )
     sigma = np.sqrt(variance)
     nan = n < 3
     half = np.nan if nan else _half_width(mean_parts, (freedom, N - 1), level)
     share = np.nan if nan or variance == 0 else _half_width(variance_parts, (freedom, N - 1), level) / (2 * variance)
     worth = variance / mean_parts.sum() if mean_parts.sum() > 0 else float("inf")
     with np.errstate(over="ignore"):
-        return TwoLevel(Estimate(float(mean), float(mean - half), float(mean + half), n, N - n),
-                        Estimate(float(sigma), float(sigma * np.exp(-share)), float(sigma * np.exp(share)), n, N - n),
-                        slope, float(np.sqrt(s_e2)), float(worth))
+        return TwoLevel(
+            Estimate(float(mean), float(mean - half), float(mean + half), n, N - n),
+            Estimate(float(sigma), float(sigma * np.exp(-share)), float(sigma * np.exp(share)), n, N - n),
+            slope,
+            float(np.sqrt(s_e2)),
+            float(worth),
+        )
 
 
 def _half_width(parts, freedoms, level):

@@ -3,16 +3,18 @@
 import sys
 from pathlib import Path
 
-from mic import pictures
-from mic.fields import read_fields
-from mic.outcome import kept_parts, read_outcome
+from mic.report import pictures
+from mic.results.fields import read_fields
+from mic.results.outcome import kept_parts, read_outcome
 
 
 def main(folder):
     outcome = read_outcome(folder)
     surfaces = {part.name: part.surface for part in kept_parts(outcome)}
-    for name, picture in (("wheelhouse", pictures.overview_picture(outcome, surfaces, read_fields(folder)[0], "coulomb")),
-                          ("slip_density", pictures.slip_density_picture(outcome, outcome.stages[0]))):
+    for name, picture in (
+        ("wheelhouse", pictures.overview_picture(outcome, surfaces, read_fields(folder)[0], "coulomb")),
+        ("slip_density", pictures.slip_density_picture(outcome, outcome.stages[0])),
+    ):
         (Path(__file__).parent / f"{name}.{picture.kind}").write_bytes(picture.data)
 
 

@@ -1,7 +1,7 @@
 """Linear shells by CalculiX: its input written, ccx run, its results read. Debian: apt-get install calculix-ccx.
 
 CalculiX has no shell theory of its own: it expands each quadratic triangle S6 into a solid wedge and ties them at folds, so that
-nothing but the geometry is shared with `fem_reference.element`.
+nothing but the geometry is shared with `fem_reference.shell.element`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.surface import Surface
+from mic.geometry.surface import Surface
 
 
 class CalculixError(RuntimeError):
@@ -78,7 +78,10 @@ def _deck(surface, thickness, young, poisson, clamped, forces) -> str:
     elements = np.hstack([triangles, n + of_side.reshape(3, -1).T]) + 1  # CalculiX counts from 1
     held = np.concatenate([np.flatnonzero(clamped), n + np.flatnonzero(clamped[edges].all(axis=1))]) + 1
     lines = ["*NODE, NSET=ALL"]
-    lines += [f"{i}, {x:.12e}, {y:.12e}, {z:.12e}" for i, (x, y, z) in enumerate(np.vstack([surface.points, midpoints]), start=1)]
+    lines += [
+        f"{i}, {x:.12e}, {y:.12e}, {z:.12e}"
+        for i, (x, y, z) in enumerate(np.vstack([surface.points, midpoints]), start=1)
+    ]
     lines += ["*NSET, NSET=VERTICES, GENERATE", f"1, {n}, 1"]
     lines += ["*ELEMENT, TYPE=S6, ELSET=SHEET"]
     lines += [", ".join(map(str, [k, *nodes])) for k, nodes in enumerate(elements.tolist(), start=1)]

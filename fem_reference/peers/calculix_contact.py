@@ -2,7 +2,7 @@
 
 Where the leaves are pressed, friction makes them act as one until it gives way; elsewhere each bends on its own. No closed form is at
 hand for the partial slip in between. Solids (C3D20R) with surface-to-surface penalty contact share nothing with
-`fem_reference.equilibrium`: neither element, nor surface, nor algorithm.
+`fem_reference.full.equilibrium`: neither element, nor surface, nor algorithm.
 
 CalculiX 2.20 takes each load in one increment here. Leaves pressed and slipping all over have a closed form, which it meets to 0.3 %
 in this way; in smaller increments its friction grows with their number (deflections 3 % too small with 4, 5 % with 20), with
@@ -16,13 +16,43 @@ import numpy as np
 from fem_reference.peers.calculix import CalculixError, read, run
 
 # One C3D20R in a grid of half elements: corners, then midsides, in CalculiX's order
-_NODES = np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2),
-                   (1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2),
-                   (0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)])
+_NODES = np.array(
+    [
+        (0, 0, 0),
+        (2, 0, 0),
+        (2, 2, 0),
+        (0, 2, 0),
+        (0, 0, 2),
+        (2, 0, 2),
+        (2, 2, 2),
+        (0, 2, 2),
+        (1, 0, 0),
+        (2, 1, 0),
+        (1, 2, 0),
+        (0, 1, 0),
+        (1, 0, 2),
+        (2, 1, 2),
+        (1, 2, 2),
+        (0, 1, 2),
+        (0, 0, 1),
+        (2, 0, 1),
+        (2, 2, 1),
+        (0, 2, 1),
+    ]
+)
 
 
-def leaves(length: float, width: float, depth: float, young: float, friction: float, pressure: float, pressed_from: float,
-           loads, cells: tuple[int, int] = (40, 2)) -> np.ndarray:
+def leaves(
+    length: float,
+    width: float,
+    depth: float,
+    young: float,
+    friction: float,
+    pressure: float,
+    pressed_from: float,
+    loads,
+    cells: tuple[int, int] = (40, 2),
+) -> np.ndarray:
     """Deflections of the tip (s,), mm, of a cantilever of two leaves under tip loads that follow one another.
 
     Parameters
@@ -50,7 +80,9 @@ def leaves(length: float, width: float, depth: float, young: float, friction: fl
     def node(leaf, i, j, k):
         if (leaf, i, j, k) not in nodes:
             nodes[leaf, i, j, k] = len(nodes) + 1
-            lines.append(f"{len(nodes)}, {length * i / (2 * nx)!r}, {width * j / 2!r}, {depth * (leaf + k / (2 * nz))!r}")
+            lines.append(
+                f"{len(nodes)}, {length * i / (2 * nx)!r}, {width * j / 2!r}, {depth * (leaf + k / (2 * nz))!r}"
+            )
         return nodes[leaf, i, j, k]
 
     for leaf in (0, 1):
@@ -72,8 +104,15 @@ def leaves(length: float, width: float, depth: float, young: float, friction: fl
     for leaf, name in enumerate(("LOWER", "UPPER")):
         lines += [f"*SURFACE, NAME={name}, TYPE=ELEMENT", *(face for owner, face in inner if owner == leaf)]
     # Slopes (MPa/mm) that leave overlaps and elastic slips far below the slip looked for
-    lines += ["*SURFACE INTERACTION, NAME=FACES", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR", f"{5 * young!r}",
-              "*FRICTION", f"{friction!r}, {young!r}", "*CONTACT PAIR, INTERACTION=FACES, TYPE=SURFACE TO SURFACE", "LOWER, UPPER"]
+    lines += [
+        "*SURFACE INTERACTION, NAME=FACES",
+        "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",
+        f"{5 * young!r}",
+        "*FRICTION",
+        f"{friction!r}, {young!r}",
+        "*CONTACT PAIR, INTERACTION=FACES, TYPE=SURFACE TO SURFACE",
+        "LOWER, UPPER",
+    ]
     lines += ["*NSET, NSET=TIP", ", ".join(map(str, tips))]
     for load in (0.0, *loads):
         lines += ["*STEP, INC=1000", "*STATIC", "1., 1., 1e-6, 1.", "*DLOAD, OP=NEW", *outer, "*CLOAD, OP=NEW"]

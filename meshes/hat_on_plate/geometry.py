@@ -4,11 +4,12 @@ The plate's mid-surface lies at z = 0, those of the hat's two flanges at z = THI
 parts are centred on y = 0 and reach from x = 0 to x = LENGTH. Normals of the plate, and of the hat's flanges and top, point
 along +z; on the flanges that is from the plate to the hat.
 """
+
 from __future__ import annotations
 
 import numpy as np
 
-from meshes.structured import extrude
+from mic.geometry.structured import extrude
 
 LENGTH = 160.0  # mm, both parts
 PLATE_WIDTH = 120.0  # mm

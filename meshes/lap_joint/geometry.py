@@ -3,9 +3,10 @@
 The lower strip's mid-surface lies at z = 0 from x = 0, the upper strip's at z = THICKNESS; nominally the sheets touch.
 Normals of both meshes point along +z, from the lower to the upper strip.
 """
+
 from __future__ import annotations
 
-from meshes.structured import extrude
+from mic.geometry.structured import extrude
 
 LENGTH, WIDTH = 100.0, 25.0  # mm, each strip
 OVERLAP = 40.0  # mm

@@ -19,6 +19,7 @@ from the wheel on the outer part's panel.
 
 ``python -m meshes.wheelhouse.geometry`` prints the proposed fixture, joints and measurement points as TOML.
 """
+
 from __future__ import annotations
 
 from bisect import bisect_right
@@ -159,7 +160,9 @@ def _region(part: str, name: str) -> _Piece:
     for piece in _profile(part):
         if piece.name == name:
             return piece
-    raise ValueError(f"part {part!r} has no region {name!r}; it has {', '.join(p.name for p in _profile(part) if p.name)}")
+    raise ValueError(
+        f"part {part!r} has no region {name!r}; it has {', '.join(p.name for p in _profile(part) if p.name)}"
+    )
 
 
 def _bump(q2):
@@ -373,7 +376,9 @@ WELDS = {"W1": -86.0, "W2": -38.0, "W3": 24.0, "W4": 54.0, "W5": 92.0}  # arch a
 ZONES = {"CZ1": (-78.0, -46.0), "CZ2": (-26.0, 14.0), "CZ3": (60.0, 84.0)}  # front, top, rear: arch angles, degrees
 CLAMPS = {"CZ1": (-70.0, -54.0), "CZ2": (-16.0, 4.0), "CZ3": (66.0, 78.0)}  # two in each zone
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-_EDGE = 3.0 / FLANGE_WIDTH  # fraction: 3 mm inside the flange's free edge, where a 5 mm wide spot still lies on the sheet
+_EDGE = (
+    3.0 / FLANGE_WIDTH
+)  # fraction: 3 mm inside the flange's free edge, where a 5 mm wide spot still lies on the sheet
 
 # name: (region, arch angle, fraction of the region, direction; None = the sheet's normal, else projected on the sheet)
 # A1-A3, B1, B2, C1 hold the part statically determinately (3-2-1); A4-A8 complete the 8-2-1 scheme.

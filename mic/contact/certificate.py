@@ -166,4 +166,3 @@ def _as_contacts(a: np.ndarray, n: int, m: int, dimension: int) -> np.ndarray:
     full = np.zeros((n, m, 3))
     full[..., 0] = a
     return full
-

@@ -94,22 +94,28 @@ def compare_laws(S, b, mu_values, tol=1e-10, threads=1) -> pd.DataFrame:
             states = contact_states(solution.force, 0.0 if law is Law.FRICTIONLESS else mu)
             count = {state: (states == state).sum(axis=1) for state in ContactState}
             slip, coulomb_slip = u[..., 1:], coulomb.displacement.reshape(u.shape)[..., 1:]
-            frames.append(pd.DataFrame({
-                "mu": float(np.mean(mu)),
-                "law": law.value,
-                "sample": np.arange(len(b)),
-                "converged": solution.converged & coulomb.converged,
-                "normal_force": f[..., 0].sum(axis=1),
-                "friction_force": np.hypot(f[..., 1], f[..., 2]).sum(axis=1),
-                "slip": np.sqrt(np.sum(slip**2, axis=(1, 2)) / max(u.shape[1], 1)),
-                "gap_at_load": np.max(np.where(states == ContactState.OPEN, 0.0, u[..., 0]), axis=1, initial=0.0),
-                "open": count[ContactState.OPEN],
-                "stuck": count[ContactState.STUCK],
-                "sliding": count[ContactState.SLIDING],
-                "force_change": _relative_change(solution.force, coulomb.force),
-                "slip_change": _relative_change(slip, coulomb_slip),
-                "changed_states": (states != coulomb_states).sum(axis=1),
-            }))
+            frames.append(
+                pd.DataFrame(
+                    {
+                        "mu": float(np.mean(mu)),
+                        "law": law.value,
+                        "sample": np.arange(len(b)),
+                        "converged": solution.converged & coulomb.converged,
+                        "normal_force": f[..., 0].sum(axis=1),
+                        "friction_force": np.hypot(f[..., 1], f[..., 2]).sum(axis=1),
+                        "slip": np.sqrt(np.sum(slip**2, axis=(1, 2)) / max(u.shape[1], 1)),
+                        "gap_at_load": np.max(
+                            np.where(states == ContactState.OPEN, 0.0, u[..., 0]), axis=1, initial=0.0
+                        ),
+                        "open": count[ContactState.OPEN],
+                        "stuck": count[ContactState.STUCK],
+                        "sliding": count[ContactState.SLIDING],
+                        "force_change": _relative_change(solution.force, coulomb.force),
+                        "slip_change": _relative_change(slip, coulomb_slip),
+                        "changed_states": (states != coulomb_states).sum(axis=1),
+                    }
+                )
+            )
     return pd.concat(frames, ignore_index=True)
 
 

@@ -9,8 +9,15 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["gauss_seidel", "local_factors", "newton", "solve_by_splitting", "solve_frictional", "solve_frictionless",
-           "starting_scale"]
+__all__ = [
+    "gauss_seidel",
+    "local_factors",
+    "newton",
+    "solve_by_splitting",
+    "solve_frictional",
+    "solve_frictionless",
+    "starting_scale",
+]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
@@ -227,7 +234,7 @@ def _merit(associated, mu, y, w, phi):
     dummy = np.empty((3, 3))
     for k in range(len(mu)):
         i = 3 * k
-        f = phi[i:i + 3]
+        f = phi[i : i + 3]
         _contact_equation(associated, mu[k], y[i], y[i + 1], y[i + 2], w[i], w[i + 1], w[i + 2], f, dummy, dummy, False)
         total += f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
     return np.sqrt(total)
@@ -345,8 +352,20 @@ def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halv
         stuck = free = 0
         for k in range(m):
             i = 3 * k
-            state[k] = _contact_equation(associated, mu[k], trial_y[i], trial_y[i + 1], trial_y[i + 2],
-                                         trial_w[i], trial_w[i + 1], trial_w[i + 2], phi[i:i + 3], A[k], B[k], True)
+            state[k] = _contact_equation(
+                associated,
+                mu[k],
+                trial_y[i],
+                trial_y[i + 1],
+                trial_y[i + 2],
+                trial_w[i],
+                trial_w[i + 1],
+                trial_w[i + 2],
+                phi[i : i + 3],
+                A[k],
+                B[k],
+                True,
+            )
             stuck += state[k] == STUCK
             free += state[k] == OPEN
         if stuck > free and len(inverse) > 0:

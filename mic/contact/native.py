@@ -174,8 +174,21 @@ class NativeSolver:
         scale = kernels.starting_scale(self.friction, q)
         for damping, halvings in ((1e-9, 7), (1e-12, 0), (1e-6, 7), (1e-14, 7)):
             z, w = y.copy(), W @ y + q
-            _, steps = kernels.newton(self.law is Law.ASSOCIATED, W, np.empty((0, 0)), q, self.friction, z, w, damping,
-                                      scale, 1e-14, 20, halvings, len(self.friction))
+            _, steps = kernels.newton(
+                self.law is Law.ASSOCIATED,
+                W,
+                np.empty((0, 0)),
+                q,
+                self.friction,
+                z,
+                w,
+                damping,
+                scale,
+                1e-14,
+                20,
+                halvings,
+                len(self.friction),
+            )
             yield z, steps, steps
 
     def _proximal_points(self, q, y):
@@ -207,8 +220,20 @@ class NativeSolver:
             kernels.solve_frictionless(W, Q, Y, tol, rounds, errors, iterations)
         else:
             factors = self.factors if W is self.W else kernels.local_factors(W)
-            kernels.solve_frictional(self.law is Law.ASSOCIATED, W, factors, Q, self.friction, Y, tol, rounds, SWEEPS,
-                                     crowd * len(self.friction), errors, iterations)
+            kernels.solve_frictional(
+                self.law is Law.ASSOCIATED,
+                W,
+                factors,
+                Q,
+                self.friction,
+                Y,
+                tol,
+                rounds,
+                SWEEPS,
+                crowd * len(self.friction),
+                errors,
+                iterations,
+            )
 
     def infeasible(self, b) -> bool:
         """Whether no force at all can keep the contacts from penetrating.
@@ -240,8 +265,9 @@ class NativeSolver:
 
         def stage(samples, method):
             """Run ``method(Q, Y, errors, iterations)`` on chunks of the samples, in parallel."""
+
             def chunk(first):
-                pick = samples[first:first + size]
+                pick = samples[first : first + size]
                 parts = Q[pick], Y[pick], errors[pick], iterations[pick]
                 method(*parts)
                 Y[pick], errors[pick], iterations[pick] = parts[1:]
@@ -259,8 +285,19 @@ class NativeSolver:
             self._run_kernel(self.W, *parts[:2], tol, *parts[2:], rounds=1, crowd=CROWD)
 
         def splitting(Q, Y, errors, iterations):
-            kernels.solve_by_splitting(self.law is Law.ASSOCIATED, self.W, *self._splitting, Q, self.friction, Y, tol,
-                                       SPLITTING_STEPS, SPLITTING_ROUNDS, errors, iterations)
+            kernels.solve_by_splitting(
+                self.law is Law.ASSOCIATED,
+                self.W,
+                *self._splitting,
+                Q,
+                self.friction,
+                Y,
+                tol,
+                SPLITTING_STEPS,
+                SPLITTING_ROUNDS,
+                errors,
+                iterations,
+            )
 
         with _THREADPOOLS.limit(limits=1):
             if not Q.size:
@@ -287,8 +324,11 @@ class NativeSolver:
             smallest, largest = eigenvalues[0], eigenvalues[-1]
             rho = np.sqrt(max(smallest, 1e-6 * largest) * largest)
             invertible = INVERTIBLE * smallest > largest
-            self._splitting = (np.ascontiguousarray(inv(self.W)) if invertible else np.empty((0, 0)),
-                               np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))), rho)
+            self._splitting = (
+                np.ascontiguousarray(inv(self.W)) if invertible else np.empty((0, 0)),
+                np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))),
+                rho,
+            )
 
 
 def _inverse_root(diagonal: np.ndarray) -> np.ndarray:

@@ -11,8 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["ContactProblem", "RigidScene", "arch", "box_stack", "brick_wall", "capsule_pile", "compliant", "hanging_chain",
-           "manufactured", "slip_dominated", "sphere_pile"]
+__all__ = [
+    "ContactProblem",
+    "RigidScene",
+    "arch",
+    "box_stack",
+    "brick_wall",
+    "capsule_pile",
+    "compliant",
+    "hanging_chain",
+    "manufactured",
+    "slip_dominated",
+    "sphere_pile",
+]
 
 
 @dataclass(frozen=True)
@@ -68,13 +79,22 @@ def compliant(m: int, rng: np.random.Generator, condition: float = 1e5, tangenti
     return 0.5 * (S + S.T)
 
 
-def slip_dominated(m: int, n: int, rng: np.random.Generator, mu: float = 0.27, condition: float = 1e5) -> ContactProblem:
+def slip_dominated(
+    m: int, n: int, rng: np.random.Generator, mu: float = 0.27, condition: float = 1e5
+) -> ContactProblem:
     """Compliant contacts with independent random ``b``: about half of them close, nearly all of those slide."""
     return ContactProblem(compliant(m, rng, condition), rng.standard_normal((n, 3 * m)), np.full(m, mu))
 
 
-def manufactured(S: np.ndarray, mu: np.ndarray, n: int, rng: np.random.Generator, stick: float = 0.7, slide: float = 0.2,
-                 law: str = "coulomb") -> ContactProblem:
+def manufactured(
+    S: np.ndarray,
+    mu: np.ndarray,
+    n: int,
+    rng: np.random.Generator,
+    stick: float = 0.7,
+    slide: float = 0.2,
+    law: str = "coulomb",
+) -> ContactProblem:
     """Choose forces and displacements that obey the law, then ``b = u - S f``.
 
     Parameters
@@ -162,10 +182,13 @@ class RigidScene:
             gap[3 * k] = distance
             for body, sign in ((a, -1.0), (b, 1.0)):
                 if body >= 0:
-                    H[3 * k:3 * k + 3, 6 * body:6 * body + 3] += sign * frame
-                    H[3 * k:3 * k + 3, 6 * body + 3:6 * body + 6] += sign * np.cross(point - self.centre[body], frame)
-        inverse_mass = np.concatenate([np.r_[np.full(3, 1.0 / mass), 1.0 / inertia]
-                                       for mass, inertia in zip(self.mass, self.inertia)])
+                    H[3 * k : 3 * k + 3, 6 * body : 6 * body + 3] += sign * frame
+                    H[3 * k : 3 * k + 3, 6 * body + 3 : 6 * body + 6] += sign * np.cross(
+                        point - self.centre[body], frame
+                    )
+        inverse_mass = np.concatenate(
+            [np.r_[np.full(3, 1.0 / mass), 1.0 / inertia] for mass, inertia in zip(self.mass, self.inertia)]
+        )
         free = np.zeros((samples, bodies, 6))
         free[..., :3] = self.step * np.asarray(gravity)
         free[..., :3] += speed * rng.standard_normal((samples, bodies, 3))
@@ -184,8 +207,12 @@ def box_stack(boxes: int, size=(1.0, 1.0, 1.0)) -> RigidScene:
     below = -1
     for level in range(boxes):
         body = scene.box((0.0, 0.0, (level + 0.5) * size[2]), size)
-        scene.face(below, body, _corners((-0.5 * size[0], -0.5 * size[1]), (0.5 * size[0], 0.5 * size[1]), level * size[2]),
-                   (0.0, 0.0, 1.0))
+        scene.face(
+            below,
+            body,
+            _corners((-0.5 * size[0], -0.5 * size[1]), (0.5 * size[0], 0.5 * size[1]), level * size[2]),
+            (0.0, 0.0, 1.0),
+        )
         below = body
     return scene
 
@@ -205,8 +232,12 @@ def brick_wall(rows: int, columns: int, size=(2.0, 1.0, 0.6)) -> RigidScene:
             for other, other_span in supports:
                 low, high = max(span[0], other_span[0]), min(span[1], other_span[1])
                 if high - low > 1e-9:
-                    scene.face(other, body, _corners((low, -0.5 * size[1]), (high, 0.5 * size[1]), row * size[2]),
-                               (0.0, 0.0, 1.0))
+                    scene.face(
+                        other,
+                        body,
+                        _corners((low, -0.5 * size[1]), (high, 0.5 * size[1]), row * size[2]),
+                        (0.0, 0.0, 1.0),
+                    )
             if current:
                 side = [(span[0], y, (row + z) * size[2]) for y in (-0.5 * size[1], 0.5 * size[1]) for z in (0.0, 1.0)]
                 scene.face(current[-1][0], body, side, (1.0, 0.0, 0.0))

@@ -113,10 +113,21 @@ class ContactSolver:
         converged = certificate.residual <= self.tol
         status = np.empty(len(rows), dtype=object)
         for sample in range(len(rows)):
-            status[sample] = (Status.CONVERGED if converged[sample] else
-                              Status.INFEASIBLE if infeasible[sample] else Status.NOT_CONVERGED)
-        values = dict(force=force, displacement=displacement, converged=converged, status=status, iterations=iterations,
-                      **vars(certificate))
+            status[sample] = (
+                Status.CONVERGED
+                if converged[sample]
+                else Status.INFEASIBLE
+                if infeasible[sample]
+                else Status.NOT_CONVERGED
+            )
+        values = dict(
+            force=force,
+            displacement=displacement,
+            converged=converged,
+            status=status,
+            iterations=iterations,
+            **vars(certificate),
+        )
         if b.ndim == 1:
             values = {name: value[0] for name, value in values.items()}
             values["converged"] = bool(values["converged"])
@@ -184,11 +195,14 @@ def _checked_compliance(S, dimension):
         raise ValueError("S must be positive semidefinite; it has a negative diagonal entry")
     asymmetry = np.abs(S - S.T).max(initial=0.0)
     if asymmetry > ASYMMETRY_REFUSED * largest:
-        raise ValueError(f"S must be symmetric; it differs from its transpose by {asymmetry / largest:.1e} of its largest entry, "
-                         f"above the limit of {ASYMMETRY_REFUSED:g}")
+        raise ValueError(
+            f"S must be symmetric; it differs from its transpose by {asymmetry / largest:.1e} of its largest entry, "
+            f"above the limit of {ASYMMETRY_REFUSED:g}"
+        )
     if asymmetry > ASYMMETRY_WARNED * largest:
-        warnings.warn(f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised",
-                      stacklevel=3)
+        warnings.warn(
+            f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
+        )
     return 0.5 * (S + S.T)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from mpi4py import MPI
 
-from fem_reference.contact import FullModel
-from mic.variation import draw
+from fem_reference.full.model import FullModel
+from mic.sampling.draw import draw
 from verification.comparison import certificates, difference, reduced_and_assembly
 from verification.plots import panels
 from verification.scenes import shipped
@@ -25,8 +25,8 @@ def compare(model, assembly, law, sample, penalties) -> list[dict]:
 
     Parameters
     ----------
-    model : mic.reduced.ReducedModel
-    assembly : mic.assembly.Assembly
+    model : mic.model.reduced.ReducedModel
+    assembly : mic.model.assembly.Assembly
     law : str
     sample : int
     penalties : sequence of float
@@ -36,31 +36,51 @@ def compare(model, assembly, law, sample, penalties) -> list[dict]:
     reduced = process.evaluate(deviations)
     rows = []
     for penalty in (*penalties, None):
-        finite_elements = FullModel(assembly, comm=MPI.COMM_SELF, augmented=penalty is None, **({} if penalty is None else {"penalty": penalty}))
+        finite_elements = FullModel(
+            assembly, comm=MPI.COMM_SELF, augmented=penalty is None, **({} if penalty is None else {"penalty": penalty})
+        )
         full = finite_elements.evaluate(deviations[0], law)
         off = difference(reduced, 0, full)
-        rows.append({"law": law, "sample": sample, "ε/k": penalty, "force": off.force, "displacement": off.displacement,
-                     "measurement": off.measurement, "changed states": off.states,
-                     "residual of the full solve": max(certificates(process, reduced, 0, full).values()),
-                     "Newton iterations": sum(len(solve.iterations) for solve in full.history)})
+        rows.append(
+            {
+                "law": law,
+                "sample": sample,
+                "ε/k": penalty,
+                "force": off.force,
+                "displacement": off.displacement,
+                "measurement": off.measurement,
+                "changed states": off.states,
+                "residual of the full solve": max(certificates(process, reduced, 0, full).values()),
+                "Newton iterations": sum(len(solve.iterations) for solve in full.history),
+            }
+        )
     return rows
 
 
 def run(context):
-    cases = [(name, quick if context.quick else size, sample) for name, size, quick, samples in CASES
-             for sample in range(1 if context.quick else samples)]
+    cases = [
+        (name, quick if context.quick else size, sample)
+        for name, size, quick, samples in CASES
+        for sample in range(1 if context.quick else samples)
+    ]
     penalties = QUICK_PENALTIES if context.quick else PENALTIES
     # Influence coefficients are computed by all ranks together, so before the work is shared out.
-    built = {name: reduced_and_assembly(shipped(name, size), context.cache) for name, size, sample in cases if sample == 0}
+    built = {
+        name: reduced_and_assembly(shipped(name, size), context.cache) for name, size, sample in cases if sample == 0
+    }
 
     def cell(item):
         (name, _, sample), law = item
         model, assembly = built[name]
         freedoms = 6 * sum(len(part.surface.points) for part in assembly.parts)
-        return [{"assembly": name, "freedoms": freedoms, "pairs": len(assembly.contacts)} | row
-                for row in compare(model, assembly, law, sample, penalties)]
+        return [
+            {"assembly": name, "freedoms": freedoms, "pairs": len(assembly.contacts)} | row
+            for row in compare(model, assembly, law, sample, penalties)
+        ]
 
-    rows = pd.DataFrame([row for rows in context.team.map(cell, [(case, law) for case in cases for law in LAWS]) for row in rows])
+    rows = pd.DataFrame(
+        [row for rows in context.team.map(cell, [(case, law) for case in cases for law in LAWS]) for row in rows]
+    )
     rows["largest"] = rows[["force", "displacement", "measurement"]].max(axis=1)
     augmented, penalised = rows[rows["ε/k"].isna()], rows[rows["ε/k"].notna()]
 
@@ -68,26 +88,52 @@ def run(context):
     orders = []
     for axis, (name, *_) in zip(axes, CASES):
         for law, colour in zip(LAWS, ("tab:red", "tab:blue")):
-            series_of, best_of = (table[(table["assembly"] == name) & (table["law"] == law)] for table in (penalised, augmented))
+            series_of, best_of = (
+                table[(table["assembly"] == name) & (table["law"] == law)] for table in (penalised, augmented)
+            )
             for sample, series in series_of.groupby("sample"):
                 order = -np.polyfit(np.log(series["ε/k"]), np.log(series["largest"]), 1)[0]
                 orders.append(order)
-                axis.loglog(series["ε/k"], series["largest"], "o-", color=colour, ms=4, lw=1,
-                            label=f"{law}, order {order:.3f}" if sample == 0 else None)
+                axis.loglog(
+                    series["ε/k"],
+                    series["largest"],
+                    "o-",
+                    color=colour,
+                    ms=4,
+                    lw=1,
+                    label=f"{law}, order {order:.3f}" if sample == 0 else None,
+                )
             best = best_of["largest"].max()
             axis.axhline(best, color=colour, ls=":", lw=1, label=f"{law}, augmented {best:.0e}")
         axis.set(title=name.replace("_", " "), xlabel="penalty ε/k", ylabel="largest relative difference")
         axis.legend()
     finest = penalised[penalised["ε/k"] == penalties[-1]]
     return [
-        Finding("order", max(abs(order - 1) for order in orders), f"Least-squares orders from {min(orders):.4f} to {max(orders):.4f} over ε/k = "
-                f"{penalties[0]:.0e} … {penalties[-1]:.0e}, k = E t of the softer sheet.", figure, rows),
+        Finding(
+            "order",
+            max(abs(order - 1) for order in orders),
+            f"Least-squares orders from {min(orders):.4f} to {max(orders):.4f} over ε/k = "
+            f"{penalties[0]:.0e} … {penalties[-1]:.0e}, k = E t of the softer sheet.",
+            figure,
+            rows,
+        ),
         Finding("penalty", finest["largest"].max(), f"At ε/k = {penalties[-1]:.0e}."),
-        Finding("augmented", augmented["largest"].max(), f"Forces {augmented['force'].max():.1e}, gaps and slips {augmented['displacement'].max():.1e}, "
-                f"measurements {augmented['measurement'].max():.1e}."),
-        Finding("states", float(augmented["changed states"].sum()), f"Of {int(augmented['pairs'].sum())} contacts in each of the stages."),
-        Finding("certificate", augmented["residual of the full solve"].max(),
-                "The contact forces of the full solve, put into the reduced contact problem of each stage."),
+        Finding(
+            "augmented",
+            augmented["largest"].max(),
+            f"Forces {augmented['force'].max():.1e}, gaps and slips {augmented['displacement'].max():.1e}, "
+            f"measurements {augmented['measurement'].max():.1e}.",
+        ),
+        Finding(
+            "states",
+            float(augmented["changed states"].sum()),
+            f"Of {int(augmented['pairs'].sum())} contacts in each of the stages.",
+        ),
+        Finding(
+            "certificate",
+            augmented["residual of the full solve"].max(),
+            "The contact forces of the full solve, put into the reduced contact problem of each stage.",
+        ),
     ]
 
 
@@ -96,14 +142,26 @@ STUDY = Study(
     title="Algebra",
     claim="On the same mesh, with the same pairs and the same law, the reduced model finds what the full finite elements find, through all stages.",
     reference="Full frictional contact finite elements (fem_reference): Newton's method on all freedoms, by penalty and by augmented Lagrangian; no "
-              "influence coefficients. Lap joint, hat on a plate with a rigid stop, wheelhouse; Coulomb and frictionless.",
+    "influence coefficients. Lap joint, hat on a plate with a rigid stop, wheelhouse; Coulomb and frictionless.",
     acceptance=(
-        Acceptance("order", "The difference falls at first order in 1/ε: largest departure of the fitted order from 1.", 0.05),
-        Acceptance("penalty", "At the stiffest penalty, largest difference of forces, gaps, slips and measurements over the largest value.", 1e-6,
-                   quick=1e-5),
-        Acceptance("augmented", "With the augmented Lagrangian, which removes the penalty error, the same difference.", 1e-8),
+        Acceptance(
+            "order", "The difference falls at first order in 1/ε: largest departure of the fitted order from 1.", 0.05
+        ),
+        Acceptance(
+            "penalty",
+            "At the stiffest penalty, largest difference of forces, gaps, slips and measurements over the largest value.",
+            1e-6,
+            quick=1e-5,
+        ),
+        Acceptance(
+            "augmented", "With the augmented Lagrangian, which removes the penalty error, the same difference.", 1e-8
+        ),
         Acceptance("states", "Contacts whose state, open, sticking or slipping, differs.", 0, unit="contacts"),
-        Acceptance("certificate", "The full solve's forces obey Coulomb's law in the reduced problem: largest scale-free residual.", 1e-8),
+        Acceptance(
+            "certificate",
+            "The full solve's forces obey Coulomb's law in the reduced problem: largest scale-free residual.",
+            1e-8,
+        ),
     ),
     seconds=(420, 90),
     run=run,

@@ -93,7 +93,6 @@ class Leaves:
         """
         return 2 * 4 * self.slip_load * (peak - self.slip_load) * (self.sliding_compliance - self.stuck_compliance)
 
-
     def exact_slips(self, load: float, x) -> np.ndarray:
         """Sliding freely, the upper leaf's face moves along x against the lower's by h times the slope, mm; mean over each pair's cell."""
         x, cell = np.asarray(x), 2 * self.length / self.columns
@@ -135,33 +134,89 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / leaves.size / 2)))
     x = (np.arange(leaves.columns) + 0.5) / leaves.columns * 2 * L - L
     cell = 2 * L / leaves.columns
-    sheets = {name: dict(x=-L, z=z, length=2 * L, width=b, size=leaves.size, thickness=h, young=leaves.young, poisson=0.0)
-              for name, z in (("lower", 0.0), ("upper", h))}
+    sheets = {
+        name: dict(x=-L, z=z, length=2 * L, width=b, size=leaves.size, thickness=h, young=leaves.young, poisson=0.0)
+        for name, z in (("lower", 0.0), ("upper", h))
+    }
     locators, clamps, measurements, deviations = [], [], [], []
     for part, z in (("lower", 0.0), ("upper", h)):
         for i, at in enumerate((-L, L)):
-            locators += [dict(name=f"{part}-z{i}{j}", part=part, point=(at, yj, z), direction=(0, 0, 1), radius=0) for j, yj in enumerate(y)]
-            locators.append(dict(name=f"{part}-y{i}", part=part, point=(at / 2, b / 2, z), direction=(0, 1, 0), radius=0))
+            locators += [
+                dict(name=f"{part}-z{i}{j}", part=part, point=(at, yj, z), direction=(0, 0, 1), radius=0)
+                for j, yj in enumerate(y)
+            ]
+            locators.append(
+                dict(name=f"{part}-y{i}", part=part, point=(at / 2, b / 2, z), direction=(0, 1, 0), radius=0)
+            )
         locators.append(dict(name=f"{part}-x", part=part, point=(0, b / 2, z), direction=(1, 0, 0), radius=0))
         press = leaves.pressure * cell * b * (1 if part == "lower" else -1)
-        clamps += [dict(name=f"{part}-p{i}", part=part, point=(xi, b / 2, z), direction=(0, 0, 1), force=press, radius=cell / 2, stage="press")
-                   for i, xi in enumerate(x)]
+        clamps += [
+            dict(
+                name=f"{part}-p{i}",
+                part=part,
+                point=(xi, b / 2, z),
+                direction=(0, 0, 1),
+                force=press,
+                radius=cell / 2,
+                stage="press",
+            )
+            for i, xi in enumerate(x)
+        ]
         for j, yj in enumerate(y):
-            measurements.append(dict(name=f"{part}-{j}", part=part, point=(0, yj, z), direction=(0, 0, -1), radius=0, lower=-1, upper=1))
+            measurements.append(
+                dict(name=f"{part}-{j}", part=part, point=(0, yj, z), direction=(0, 0, -1), radius=0, lower=-1, upper=1)
+            )
             for k, step in enumerate(np.diff(loads, prepend=0.0)):
                 # The middle carries 2 P, each leaf P.
-                clamps.append(dict(name=f"{part}-{j}-load{k}", part=part, point=(0, yj, z), direction=(0, 0, -1), force=step * share[j],
-                                   radius=0, stage=f"load{k}"))
+                clamps.append(
+                    dict(
+                        name=f"{part}-{j}-load{k}",
+                        part=part,
+                        point=(0, yj, z),
+                        direction=(0, 0, -1),
+                        force=step * share[j],
+                        radius=0,
+                        stage=f"load{k}",
+                    )
+                )
                 deviations.append(dict(name=f"{part}-{j}-load{k}", kind="clamp", target=f"{part}-{j}-load{k}", sigma=0))
-    zone = dict(name="interface", parts=("lower", "upper"), friction=leaves.friction, points=[(xi, b / 2, 0.0) for xi in x],
-                mid_surface=mid_surface)
+    zone = dict(
+        name="interface",
+        parts=("lower", "upper"),
+        friction=leaves.friction,
+        points=[(xi, b / 2, 0.0) for xi in x],
+        mid_surface=mid_surface,
+    )
     # A row of points across the width: a nugget of any length along the span would shorten the stretched part of the leaves.
-    welds = [dict(name=f"W{i}{j}", parts=("lower", "upper"), point=(at, yj, 0), radius=0, moment=False)
-             for i, at in enumerate((-weld_at, weld_at)) for j, yj in enumerate(y)] if weld_at else []
-    stages = [dict(kind="locate"), dict(kind="clamp", name="press"), *([dict(kind="weld")] if welds else []),
-              *(dict(kind="clamp", name=f"load{k}", increments=increments) for k in range(len(loads))), dict(kind="measure")]
-    return strips.build(folder, sheets, name="leaves", locators=locators, clamps=clamps, welds=welds, zones=[zone], stages=stages,
-                        deviations=deviations, measurements=measurements, report={"slip": True})
+    welds = (
+        [
+            dict(name=f"W{i}{j}", parts=("lower", "upper"), point=(at, yj, 0), radius=0, moment=False)
+            for i, at in enumerate((-weld_at, weld_at))
+            for j, yj in enumerate(y)
+        ]
+        if weld_at
+        else []
+    )
+    stages = [
+        dict(kind="locate"),
+        dict(kind="clamp", name="press"),
+        *([dict(kind="weld")] if welds else []),
+        *(dict(kind="clamp", name=f"load{k}", increments=increments) for k in range(len(loads))),
+        dict(kind="measure"),
+    ]
+    return strips.build(
+        folder,
+        sheets,
+        name="leaves",
+        locators=locators,
+        clamps=clamps,
+        welds=welds,
+        zones=[zone],
+        stages=stages,
+        deviations=deviations,
+        measurements=measurements,
+        report={"slip": True},
+    )
 
 
 def slips(leaves: Leaves, context, load: float) -> tuple[np.ndarray, np.ndarray]:
@@ -172,8 +227,9 @@ def slips(leaves: Leaves, context, load: float) -> tuple[np.ndarray, np.ndarray]
     return model.contacts.point[:, 0], (displacement[:, 1:] * tangents).sum(1)
 
 
-def deflections(leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1,
-                mid_surface: bool = False) -> np.ndarray:
+def deflections(
+    leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1, mid_surface: bool = False
+) -> np.ndarray:
     """(k,) deflections of the middle after each of the loads, mm; the arguments are those of :func:`scene`."""
     built = scene(leaves, context.cache / "meshes", loads, weld_at, increments, mid_surface)
     model = context.model(built)

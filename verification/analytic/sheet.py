@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mic.assembly import assemble
+from mic.model.assembly import assemble
 from verification import strips
 
 __all__ = ["Sheet", "dragged_ends", "incline_reaction", "stop_force"]
@@ -65,7 +65,19 @@ class Sheet:
         return np.array(found)
 
 
-def _scene(sheet: Sheet, folder, turn, gap, clamps, zone, measurements=(), supports="base", stop_y=None, deviations=(), stages=()):
+def _scene(
+    sheet: Sheet,
+    folder,
+    turn,
+    gap,
+    clamps,
+    zone,
+    measurements=(),
+    supports="base",
+    stop_y=None,
+    deviations=(),
+    stages=(),
+):
     """A sheet whose lower face lies `gap` above a round pad; points and directions of the arguments lie in the sheet's own frame.
 
     It is held by supports in its normal direction at its corners (or across its whole ends), two at its side, and a stop at its far end.
@@ -74,20 +86,46 @@ def _scene(sheet: Sheet, folder, turn, gap, clamps, zone, measurements=(), suppo
     ends = (0, L)
     y, _ = strips.line(0, b, 1 + 2 * max(1, round(b / sheet.size / 2)))
     across = y if supports == "ends" else (0, b)
-    locators = [dict(name=f"z{i}{j}", point=(at, yj, 0), direction=(0, 0, 1)) for i, at in enumerate(ends) for j, yj in enumerate(across)]
-    locators += [dict(name=f"y{i}", point=(at, b / 2, 0), direction=(0, 1, 0)) for i, at in enumerate((L / 4, 3 * L / 4))]
+    locators = [
+        dict(name=f"z{i}{j}", point=(at, yj, 0), direction=(0, 0, 1))
+        for i, at in enumerate(ends)
+        for j, yj in enumerate(across)
+    ]
+    locators += [
+        dict(name=f"y{i}", point=(at, b / 2, 0), direction=(0, 1, 0)) for i, at in enumerate((L / 4, 3 * L / 4))
+    ]
     locators.append(dict(name="stop", point=(L, b / 2 if stop_y is None else stop_y, 0), direction=(1, 0, 0)))
 
     def turned(item, **more):
-        return item | {key: tuple(turn @ np.array(item[key], dtype=float)) for key in ("point", "direction") if key in item} | more
+        return (
+            item
+            | {key: tuple(turn @ np.array(item[key], dtype=float)) for key in ("point", "direction") if key in item}
+            | more
+        )
 
-    pad = dict(name="base", point=tuple(turn @ [L / 2, b / 2, -h / 2 - gap]), normal=tuple(turn @ [0, 0, 1.0]), radius=2 * L)
+    pad = dict(
+        name="base", point=tuple(turn @ [L / 2, b / 2, -h / 2 - gap]), normal=tuple(turn @ [0, 0, 1.0]), radius=2 * L
+    )
     sheets = {"sheet": dict(x=0, z=0, length=L, width=b, size=sheet.size, thickness=h, young=sheet.young, poisson=0.0)}
-    zone = zone | {"name": "base", "parts": ("base", "sheet"), "friction": sheet.friction, "points": [tuple(turn @ p) for p in zone["points"]]}
-    return strips.build(folder, sheets, turn, name="sheet", fixtures=[pad], locators=[turned(item, part="sheet", radius=0) for item in locators],
-                        clamps=[turned(item, part="sheet") for item in clamps], zones=[zone], deviations=list(deviations),
-                        measurements=[turned(item, part="sheet", radius=0, lower=-1, upper=1) for item in measurements],
-                        stages=[dict(kind="locate"), *(stages or [dict(kind="clamp")]), dict(kind="measure")])
+    zone = zone | {
+        "name": "base",
+        "parts": ("base", "sheet"),
+        "friction": sheet.friction,
+        "points": [tuple(turn @ p) for p in zone["points"]],
+    }
+    return strips.build(
+        folder,
+        sheets,
+        turn,
+        name="sheet",
+        fixtures=[pad],
+        locators=[turned(item, part="sheet", radius=0) for item in locators],
+        clamps=[turned(item, part="sheet") for item in clamps],
+        zones=[zone],
+        deviations=list(deviations),
+        measurements=[turned(item, part="sheet", radius=0, lower=-1, upper=1) for item in measurements],
+        stages=[dict(kind="locate"), *(stages or [dict(kind="clamp")]), dict(kind="measure")],
+    )
 
 
 def _centres(sheet):
@@ -126,28 +164,60 @@ def incline_reaction(sheet: Sheet, context, angle: float) -> tuple[float, float]
     points = assemble(bare, context.cache).contacts.point @ turn
     zone["points"] = [tuple(point) for point in points]
     down = tuple(turn.T @ [0, 0, -1.0])
-    clamps = [dict(name=f"weight{i}", point=tuple(point), direction=down, force=weight / len(points), radius=0) for i, point in enumerate(points)]
+    clamps = [
+        dict(name=f"weight{i}", point=tuple(point), direction=down, force=weight / len(points), radius=0)
+        for i, point in enumerate(points)
+    ]
     scene = _scene(sheet, context.cache / "meshes", turn, 0.0, clamps, zone, stop_y=points[:, 1].mean())
     evaluation = _converged(context.model(scene).evaluate(np.zeros(0)))
     stop = [locator.name for locator in scene.locators].index("stop")
-    return -evaluation.resolutions["clamp"].reaction[0, stop] / weight, max(0.0, np.sin(angle) - sheet.friction * np.cos(angle))
+    return -evaluation.resolutions["clamp"].reaction[0, stop] / weight, max(
+        0.0, np.sin(angle) - sheet.friction * np.cos(angle)
+    )
 
 
 def dragged_ends(sheet: Sheet, context, forces) -> np.ndarray:
     """Displacement (mm) of a pressed sheet's end after each of the forces (N) that pull there, away from the sheet."""
     y, share = strips.line(0, sheet.width, 1 + 2 * max(1, round(sheet.width / sheet.size / 2)))
     cell = sheet.length / sheet.columns
-    clamps = [dict(name=f"press{i}", point=point, direction=(0, 0, -1), force=sheet.pressure * cell * sheet.width, radius=sheet.width / 2, stage="press")
-              for i, point in enumerate(_centres(sheet))]
+    clamps = [
+        dict(
+            name=f"press{i}",
+            point=point,
+            direction=(0, 0, -1),
+            force=sheet.pressure * cell * sheet.width,
+            radius=sheet.width / 2,
+            stage="press",
+        )
+        for i, point in enumerate(_centres(sheet))
+    ]
     deviations = []
     for k, step in enumerate(np.diff(forces, prepend=0.0)):
         for j, yj in enumerate(y):
-            clamps.append(dict(name=f"pull{j}-{k}", point=(0, yj, 0), direction=(-1, 0, 0), force=step * share[j], radius=0, stage=f"pull{k}"))
+            clamps.append(
+                dict(
+                    name=f"pull{j}-{k}",
+                    point=(0, yj, 0),
+                    direction=(-1, 0, 0),
+                    force=step * share[j],
+                    radius=0,
+                    stage=f"pull{k}",
+                )
+            )
             deviations.append(dict(name=f"pull{j}-{k}", kind="clamp", target=f"pull{j}-{k}", sigma=0))
     measurements = [dict(name=f"end{j}", point=(0, yj, 0), direction=(-1, 0, 0)) for j, yj in enumerate(y)]
     stages = [dict(kind="clamp", name="press"), *(dict(kind="clamp", name=f"pull{k}") for k in range(len(forces)))]
-    scene = _scene(sheet, context.cache / "meshes", np.eye(3), 0.0, clamps, {"points": _centres(sheet), "mid_surface": True}, measurements,
-                   deviations=deviations, stages=stages)
+    scene = _scene(
+        sheet,
+        context.cache / "meshes",
+        np.eye(3),
+        0.0,
+        clamps,
+        {"points": _centres(sheet), "mid_surface": True},
+        measurements,
+        deviations=deviations,
+        stages=stages,
+    )
     model = context.model(scene)
     step = np.array([int(name.rpartition("-")[2]) for name in model.parameters])
     force = {clamp.name: clamp.force for clamp in scene.clamps}
@@ -164,7 +234,10 @@ def stop_force(sheet: Sheet, context, load: float, gap: float, alter=lambda scen
     """
     L, b = sheet.length, sheet.width
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / sheet.size / 2)))
-    clamps = [dict(name=f"load{j}", point=(L / 2, yj, 0), direction=(0, 0, -1), force=load * share[j], radius=0) for j, yj in enumerate(y)]
+    clamps = [
+        dict(name=f"load{j}", point=(L / 2, yj, 0), direction=(0, 0, -1), force=load * share[j], radius=0)
+        for j, yj in enumerate(y)
+    ]
     zone = {"points": [(L / 2, b / 2, 0)], "max_gap": 2 * gap, "patch": b / 2}
     scene = _scene(sheet, context.cache / "meshes", np.eye(3), gap, clamps, zone, supports="ends")
     evaluation = _converged(context.model(alter(scene)).evaluate(np.zeros(0)))

@@ -28,15 +28,31 @@ def layered_cantilever(context):
     axis.plot(leaves.exact(fine * leaves.slip_load), fine, "k-", lw=1, label="closed form")
     axis.plot(found, ratio, "o", color="tab:red", ms=5, label=f"reduced model, error {error:.2%}")
     reach = np.array([0, found[peak]])
-    axis.plot(reach, reach / leaves.stuck_compliance / leaves.slip_load, ":", color="tab:blue", label="leaves act as one")
-    axis.plot(reach, reach / leaves.sliding_compliance / leaves.slip_load, ":", color="tab:green", label="leaves slide freely")
+    axis.plot(
+        reach, reach / leaves.stuck_compliance / leaves.slip_load, ":", color="tab:blue", label="leaves act as one"
+    )
+    axis.plot(
+        reach, reach / leaves.sliding_compliance / leaves.slip_load, ":", color="tab:green", label="leaves slide freely"
+    )
     axis.set(xlabel="deflection, mm", ylabel="load over slip load", ylim=(-2.3, 2.9))
     axis.legend(loc="upper left")
-    table = pd.DataFrame({"load / slip load": ratio, "deflection, mm": found, "closed form, mm": exact,
-                          "difference / largest": (found - exact) / np.abs(exact).max()})
+    table = pd.DataFrame(
+        {
+            "load / slip load": ratio,
+            "deflection, mm": found,
+            "closed form, mm": exact,
+            "difference / largest": (found - exact) / np.abs(exact).max(),
+        }
+    )
     return [
-        Finding("cantilever", error, f"Slip load {leaves.slip_load:.3g} N, {leaves.columns} pairs. Stuck, the beam yields by {stuck:.4f} of what one beam of "
-                "double depth would; sliding freely it would yield by four times as much.", figure, table),
+        Finding(
+            "cantilever",
+            error,
+            f"Slip load {leaves.slip_load:.3g} N, {leaves.columns} pairs. Stuck, the beam yields by {stuck:.4f} of what one beam of "
+            "double depth would; sliding freely it would yield by four times as much.",
+            figure,
+            table,
+        ),
         Finding("hysteresis", abs(area / expected - 1), f"Loop of {area:.4g} N mm, closed form {expected:.4g} N mm."),
     ]
 
@@ -47,8 +63,15 @@ def welded_leaves(context):
     rows = []
     for at in (40.0, 70.0, 90.0):
         found, exact = deflections(leaves, context, [10.0], weld_at=at)[0], leaves.welded_deflection(10.0, at)
-        rows.append({"welds at, mm": at, "deflection, mm": found, "closed form, mm": exact, "relative error": found / exact - 1,
-                     "without welds, mm": 10.0 * leaves.sliding_compliance})
+        rows.append(
+            {
+                "welds at, mm": at,
+                "deflection, mm": found,
+                "closed form, mm": exact,
+                "relative error": found / exact - 1,
+                "without welds, mm": 10.0 * leaves.sliding_compliance,
+            }
+        )
     table = pd.DataFrame(rows)
     x, slip = slips(leaves, context, 10.0)
     exact_slip = leaves.exact_slips(10.0, x)
@@ -58,8 +81,10 @@ def welded_leaves(context):
     axis.plot(x, slip, "o", color="tab:red", ms=4, label=f"reduced model, error {error:.2%}")
     axis.set(xlabel="x, mm", ylabel="slip of the upper leaf along x, mm")
     axis.legend()
-    return [Finding("slip", error, "Its sign tells which faces of the sheets the pairs read.", figure),
-            Finding("welded", float(table["relative error"].abs().max()), table=table)]
+    return [
+        Finding("slip", error, "Its sign tells which faces of the sheets the pairs read.", figure),
+        Finding("welded", float(table["relative error"].abs().max()), table=table),
+    ]
 
 
 def incline(context):
@@ -70,13 +95,28 @@ def incline(context):
     error = np.abs(found - exact).max()
     figure, (axis,) = panels(1)
     fine = np.linspace(0, 1.5, 200)
-    axis.plot(np.degrees(fine), np.maximum(0, np.sin(fine) - sheet.friction * np.cos(fine)), "k-", lw=1, label="max(0, sin α − μ cos α)")
+    axis.plot(
+        np.degrees(fine),
+        np.maximum(0, np.sin(fine) - sheet.friction * np.cos(fine)),
+        "k-",
+        lw=1,
+        label="max(0, sin α − μ cos α)",
+    )
     axis.plot(np.degrees(angles), found, "o", color="tab:red", label=f"reduced model, error {error:.1e}")
     axis.axvline(np.degrees(np.arctan(sheet.friction)), color="0.6", ls=":", label="angle of friction")
     axis.set(xlabel="slope, degrees", ylabel="force on the stop / weight")
     axis.legend()
-    return [Finding("incline", error, "The incline is turned about the vertical as well, so that none of its axes is one of the scene.", figure,
-                    pd.DataFrame({"slope, degrees": np.degrees(angles), "force on the stop / weight": found, "closed form": exact}))]
+    return [
+        Finding(
+            "incline",
+            error,
+            "The incline is turned about the vertical as well, so that none of its axes is one of the scene.",
+            figure,
+            pd.DataFrame(
+                {"slope, degrees": np.degrees(angles), "force on the stop / weight": found, "closed form": exact}
+            ),
+        )
+    ]
 
 
 def partial_slip(context):
@@ -92,8 +132,15 @@ def partial_slip(context):
     axis.plot(found, ratio, "o", color="tab:red", label=f"reduced model, error {error:.2%}")
     axis.set(xlabel="displacement of the pulled end, mm", ylabel="pull / largest friction")
     axis.legend(loc="upper left")
-    return [Finding("partial-slip", error, f"{sheet.columns} pairs on a sheet of {sheet.length:g} mm.", figure,
-                    pd.DataFrame({"pull / largest friction": ratio, "displacement, mm": found, "closed form, mm": exact}))]
+    return [
+        Finding(
+            "partial-slip",
+            error,
+            f"{sheet.columns} pairs on a sheet of {sheet.length:g} mm.",
+            figure,
+            pd.DataFrame({"pull / largest friction": ratio, "displacement, mm": found, "closed form, mm": exact}),
+        )
+    ]
 
 
 def stop(context):
@@ -102,7 +149,15 @@ def stop(context):
     rows = []
     for load, gap in ((0.1, 0.5), (4.0, 0.5), (10.0, 0.5), (10.0, 2.0)):
         found, exact = stop_force(sheet, context, load, gap)
-        rows.append({"load, N": load, "gap, mm": gap, "force on the stop, N": found, "beam theory, N": exact, "difference / load": (found - exact) / load})
+        rows.append(
+            {
+                "load, N": load,
+                "gap, mm": gap,
+                "force on the stop, N": found,
+                "beam theory, N": exact,
+                "difference / load": (found - exact) / load,
+            }
+        )
     table = pd.DataFrame(rows)
     return [Finding("stop", float(table["difference / load"].abs().max()), table=table)]
 
@@ -120,16 +175,43 @@ STUDY = Study(
     claim="Where contact and friction have a closed solution the reduced model finds it: sticking, sliding, turning round, with memory.",
     reference="Closed forms, computed where they are used; neither production nor the finite-element reference is the judge.",
     acceptance=(
-        Acceptance("cantilever", "Layered cantilever with slip between the leaves (Goodman and Klumpp), before, at and after the slip load, loading and "
-                   "unloading: largest error of the deflection over the largest deflection.", 0.003, quick=0.008),
-        Acceptance("hysteresis", "The energy that friction takes in a closed loop of the layered cantilever: relative error.", 0.003, quick=0.008),
-        Acceptance("slip", "Leaves without friction slide on each other by their depth times the slope: largest error over the largest slip.", 0.003, quick=0.006),
-        Acceptance("welded", "Leaves without friction, tied by welds: relative error of the deflection.", 0.002, quick=0.006),
-        Acceptance("incline", "A sheet on an incline stays below the angle of friction, and leans on its stop with W (sin α - μ cos α) above it: largest error "
-                   "over the weight.", 1e-4),
-        Acceptance("partial-slip", "A pressed sheet dragged at its end slips as far as friction needs (shear lag; Cattaneo and Mindlin's law on the way back): "
-                   "largest error of the end's displacement over the largest displacement.", 0.003),
-        Acceptance("stop", "A strip bent down onto a stop: largest error of the force on the stop over the load.", 0.003),
+        Acceptance(
+            "cantilever",
+            "Layered cantilever with slip between the leaves (Goodman and Klumpp), before, at and after the slip load, loading and "
+            "unloading: largest error of the deflection over the largest deflection.",
+            0.003,
+            quick=0.008,
+        ),
+        Acceptance(
+            "hysteresis",
+            "The energy that friction takes in a closed loop of the layered cantilever: relative error.",
+            0.003,
+            quick=0.008,
+        ),
+        Acceptance(
+            "slip",
+            "Leaves without friction slide on each other by their depth times the slope: largest error over the largest slip.",
+            0.003,
+            quick=0.006,
+        ),
+        Acceptance(
+            "welded", "Leaves without friction, tied by welds: relative error of the deflection.", 0.002, quick=0.006
+        ),
+        Acceptance(
+            "incline",
+            "A sheet on an incline stays below the angle of friction, and leans on its stop with W (sin α - μ cos α) above it: largest error "
+            "over the weight.",
+            1e-4,
+        ),
+        Acceptance(
+            "partial-slip",
+            "A pressed sheet dragged at its end slips as far as friction needs (shear lag; Cattaneo and Mindlin's law on the way back): "
+            "largest error of the end's displacement over the largest displacement.",
+            0.003,
+        ),
+        Acceptance(
+            "stop", "A strip bent down onto a stop: largest error of the force on the stop over the load.", 0.003
+        ),
     ),
     seconds=(15, 10),
     run=run,

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from fem_reference.influence import FactorisationError
-from meshes.structured import extrude
+from fem_reference.shell.factorisation import FactorisationError
 from mic.contact import ContactSolver
 from mic.contact.problems import compliant, manufactured
+from mic.geometry.structured import extrude
 from mic.scene import Locator, SceneError
 from verification import strips
 from verification.analytic.sheet import Sheet, incline_reaction, stop_force
@@ -67,7 +67,9 @@ def coincident(context, value):
 
     def alter(scene):
         x, y, z = scene.zones[0].points[0]
-        zone = scene.zones[0].model_copy(update={"points": [(x - value / 2, y, z), (x + value / 2, y, z)], "patch": 0.0})
+        zone = scene.zones[0].model_copy(
+            update={"points": [(x - value / 2, y, z), (x + value / 2, y, z)], "patch": 0.0}
+        )
         return scene.model_copy(update={"zones": [zone]})
 
     return bent_onto_stop(context, sheet, alter=alter)
@@ -77,19 +79,31 @@ def redundant(context, value):
     """Each locator given this many times over."""
 
     def alter(scene):
-        more = [Locator(**(locator.model_dump() | {"name": f"{locator.name}-{i}"})) for locator in scene.locators for i in range(int(value) - 1)]
+        more = [
+            Locator(**(locator.model_dump() | {"name": f"{locator.name}-{i}"}))
+            for locator in scene.locators
+            for i in range(int(value) - 1)
+        ]
         return scene.model_copy(update={"locators": scene.locators + more})
 
     return bent_onto_stop(context, Sheet(size=5.0), alter=alter)
 
 
-UNITS = {"mm, N": (1.0, 1.0), "m, N": (1e-3, 1.0), "m, kN": (1e-3, 1e-3), "µm, mN": (1e3, 1e3), "inch, lbf": (1 / 25.4, 1 / 4.4482216)}
+UNITS = {
+    "mm, N": (1.0, 1.0),
+    "m, N": (1e-3, 1.0),
+    "m, kN": (1e-3, 1e-3),
+    "µm, mN": (1e3, 1e3),
+    "inch, lbf": (1 / 25.4, 1 / 4.4482216),
+}
 
 
 def units(context, name):
     """The same strip in other consistent units of length and force; what a scene calls mm and N is what the user makes of it."""
     length, force = UNITS[name]
-    sheet = Sheet(length=200 * length, width=10 * length, depth=length, size=5 * length, young=210e3 * force / length**2)
+    sheet = Sheet(
+        length=200 * length, width=10 * length, depth=length, size=5 * length, young=210e3 * force / length**2
+    )
     return bent_onto_stop(context, sheet, 0.1 * length)
 
 
@@ -105,7 +119,9 @@ def contacts(context, value):
     rng = np.random.default_rng(int(value))
     points = rng.random((int(value), 2)) * np.sqrt(value)
     distance = np.linalg.norm(points[:, None] - points, axis=-1)
-    return manufactured_error(np.kron(np.exp(-distance) + 0.1 * np.eye(int(value)), np.eye(3)), np.full(int(value), 0.3))
+    return manufactured_error(
+        np.kron(np.exp(-distance) + 0.1 * np.eye(int(value)), np.eye(3)), np.full(int(value), 0.3)
+    )
 
 
 def scaled(context, mu, scale):
@@ -118,25 +134,41 @@ def manufactured_error(S, mu):
     problem = manufactured(S, mu, 4, np.random.default_rng(11))
     solution = ContactSolver(problem.S, problem.mu).solve(problem.b)
     if not solution.converged.all():
-        raise ArithmeticError(f"{(~solution.converged).sum()} of 4 samples did not converge and say so (residual {solution.residual.max():.1e})")
+        raise ArithmeticError(
+            f"{(~solution.converged).sum()} of 4 samples did not converge and say so (residual {solution.residual.max():.1e})"
+        )
     m = len(mu)
     f, u = solution.force.reshape(-1, m, 3), (solution.force @ S + problem.b).reshape(-1, m, 3)
     force, length = np.abs(f).max(), np.abs(problem.b).max()
     traction, slip = np.linalg.norm(f[..., 1:], axis=-1), np.linalg.norm(u[..., 1:], axis=-1)
     cone = mu * f[..., 0]
-    return float(max((-u[..., 0]).max() / length, (traction - cone).max() / force, np.abs(f[..., 0] * u[..., 0]).max() / (force * length),
-                     np.abs(cone * slip + (f[..., 1:] * u[..., 1:]).sum(-1)).max() / (force * length)))
+    return float(
+        max(
+            (-u[..., 0]).max() / length,
+            (traction - cone).max() / force,
+            np.abs(f[..., 0] * u[..., 0]).max() / (force * length),
+            np.abs(cone * slip + (f[..., 1:] * u[..., 1:]).sum(-1)).max() / (force * length),
+        )
+    )
 
 
 def sweeps(quick):
     """Name of each sweep, the function of its cells, their values, and the error that counts as right."""
     moduli = (1.0, 1e7) if quick else (1.0, 1e3, 210e3, 1e7)
     slendernesses = (1e-5, 1e-3, 1e-1) if quick else (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-    rows = [(f"t/L, E = {young:g} MPa", lambda c, v, young=young: slender(c, young, v), slendernesses, RIGHT) for young in moduli]
+    rows = [
+        (f"t/L, E = {young:g} MPa", lambda c, v, young=young: slender(c, young, v), slendernesses, RIGHT)
+        for young in moduli
+    ]
     rows += [
         ("gap, mm", gap, (1e-9, 1e-3, 1e2) if quick else (1e-9, 1e-6, 1e-3, 1e-1, 1.0, 1e2), RIGHT),
         ("friction", friction, (0.0, 0.3, 1e3) if quick else (0.0, 1e-6, 1e-2, 0.3, 1.0, 30.0, 1e3), 1e-3),
-        ("sliver width / size", sliver, (1e-2, 1e-5, 1e-8) if quick else (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8), RIGHT),
+        (
+            "sliver width / size",
+            sliver,
+            (1e-2, 1e-5, 1e-8) if quick else (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8),
+            RIGHT,
+        ),
         ("pairs apart, mm", coincident, (1.0, 1e-6, 0.0) if quick else (5.0, 1.0, 1e-2, 1e-4, 1e-6, 1e-9, 0.0), RIGHT),
         ("locators given … times", redundant, (2, 5) if quick else (1, 2, 3, 5), RIGHT),
         ("units", units, tuple(UNITS)[:3] if quick else tuple(UNITS), RIGHT),
@@ -144,8 +176,14 @@ def sweeps(quick):
         ("contacts", contacts, (1, 10, 100, 300) if quick else (1, 3, 10, 30, 100, 300, 1000, 3000), EXACT),
     ]
     for scale in (1e-9, 1e6):
-        rows.append((f"friction, S × {scale:g}", lambda c, v, scale=scale: scaled(c, v, scale),
-                     (0.0, 0.3, 1e3) if quick else (0.0, 1e-3, 0.1, 0.3, 1.0, 10.0, 1e3), EXACT))
+        rows.append(
+            (
+                f"friction, S × {scale:g}",
+                lambda c, v, scale=scale: scaled(c, v, scale),
+                (0.0, 0.3, 1e3) if quick else (0.0, 1e-3, 0.1, 0.3, 1.0, 10.0, 1e3),
+                EXACT,
+            )
+        )
     return rows
 
 
@@ -155,7 +193,13 @@ def attempt(context, name, function, value, right):
         error = float(function(context, value))
     except REFUSALS as refusal:
         reason = str(refusal).splitlines()[0] if str(refusal) else ""
-        return {"sweep": name, "value": value, "error": np.nan, "outcome": "refused" if len(reason) > 20 else "wrong", "reason": reason}
+        return {
+            "sweep": name,
+            "value": value,
+            "error": np.nan,
+            "outcome": "refused" if len(reason) > 20 else "wrong",
+            "reason": reason,
+        }
     outcome = "right" if error <= right else "wrong"  # NaN is wrong
     return {"sweep": name, "value": value, "error": error, "outcome": outcome, "reason": ""}
 
@@ -172,7 +216,12 @@ def heat_map(table):
             second = "refused" if cell["outcome"] == "refused" else f"{cell['error']:.0e}"
             axis.text(column + 0.5, row + 0.32, value, ha="center", va="center", fontsize=8.5)
             axis.text(column + 0.5, row + 0.7, second, ha="center", va="center", fontsize=7.5, color="0.3")
-    axis.set(xlim=(0, table.groupby("sweep").size().max()), ylim=(len(names), 0), xticks=[], yticks=np.arange(len(names)) + 0.5)
+    axis.set(
+        xlim=(0, table.groupby("sweep").size().max()),
+        ylim=(len(names), 0),
+        xticks=[],
+        yticks=np.arange(len(names)) + 0.5,
+    )
     axis.set_yticklabels(names)
     axis.grid(False)
     handles = [plt_rectangle(0, 0, colour) for colour in colours.values()]
@@ -187,13 +236,22 @@ def plt_rectangle(x, y, colour):
 
 
 def run(context):
-    cells = [(name, function, value, right) for name, function, values, right in sweeps(context.quick) for value in values]
+    cells = [
+        (name, function, value, right) for name, function, values, right in sweeps(context.quick) for value in values
+    ]
     table = pd.DataFrame(context.team.map(lambda cell: attempt(context, *cell), cells))
     outcome = table["outcome"].value_counts()
     refused = table[table["outcome"] == "refused"][["sweep", "value", "reason"]]
     return [
-        Finding("wrong", int(outcome.get("wrong", 0)), f"{len(table)} cells: " + ", ".join(f"{n} {kind}" for kind, n in outcome.items())
-                + ". Each shows the value (above) and the error (below).", heat_map(table), table.drop(columns="reason")),
+        Finding(
+            "wrong",
+            int(outcome.get("wrong", 0)),
+            f"{len(table)} cells: "
+            + ", ".join(f"{n} {kind}" for kind, n in outcome.items())
+            + ". Each shows the value (above) and the error (below).",
+            heat_map(table),
+            table.drop(columns="reason"),
+        ),
         Finding("refused", int(outcome.get("refused", 0)) / len(table), table=refused if len(refused) else None),
     ]
 

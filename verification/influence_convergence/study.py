@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from fem_reference.part import ShellPart
-from mic.functional import Functionals
-from mic.surface import Patch, Surface
+from fem_reference.shell.part import ShellPart
+from mic.compliance.functional import Functionals
+from mic.geometry.surface import Patch, Surface
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
 
@@ -97,7 +97,9 @@ def held_in_the_mean(surface: Surface) -> Functionals:
     k = len(surface.triangles)
     everywhere = Patch(np.arange(k), np.full((k, 3), 1 / 3), surface.areas / surface.areas.sum())
     axes = np.tile(np.eye(3), (2, 1))
-    return Functionals((everywhere,), np.zeros(6, int), axes, np.arange(6) >= 3, np.zeros(6, int), tuple(f"mean {i}" for i in range(6)))
+    return Functionals(
+        (everywhere,), np.zeros(6, int), axes, np.arange(6) >= 3, np.zeros(6, int), tuple(f"mean {i}" for i in range(6))
+    )
 
 
 def self_compliances(size: float, element: str) -> dict:
@@ -167,7 +169,11 @@ def run(context):
     patch_findings = [Finding(block, float(errors[block, False][judged])) for block in JUDGED_BLOCKS]
     patch_findings[0] = Finding("normal", patch_findings[0].measured, note, figure, table)
     gain = errors["tangential", True][judged] / errors["tangential", False][judged]
-    return [*patch_findings, Finding("nodal", float(gain)), Finding("elements", max(worst(other, (block, False)) for block in JUDGED_BLOCKS))]
+    return [
+        *patch_findings,
+        Finding("nodal", float(gain)),
+        Finding("elements", max(worst(other, (block, False)) for block in JUDGED_BLOCKS)),
+    ]
 
 
 STUDY = Study(
@@ -179,13 +185,19 @@ STUDY = Study(
         "Self-compliances of the panel held in the mean, free of the choice of pins."
     ),
     acceptance=(
-        Acceptance("normal", "Contact, along the normal, patches of 8 mm on 3 mm elements: largest relative error.", 0.02),
+        Acceptance(
+            "normal", "Contact, along the normal, patches of 8 mm on 3 mm elements: largest relative error.", 0.02
+        ),
         Acceptance("tangential", "Contact, tangential, the same patches and mesh.", 0.02),
         Acceptance("weld", "Welds, displacements, patches of 5 mm on 3 mm elements.", 0.02),
         Acceptance("weld tilt", "Welds, rotations about the tangents, the same.", 0.02),
         Acceptance("measurement", "Measurement points, patches of 5 mm on 3 mm elements.", 0.01),
-        Acceptance("nodal", "Tangential error at nodes over that of patches, same mesh.", 5.0, bound="at least", quick=3.0),
-        Acceptance("elements", "P2 × CR against DKT + OPT, patches, all these blocks: largest relative difference.", 0.05),
+        Acceptance(
+            "nodal", "Tangential error at nodes over that of patches, same mesh.", 5.0, bound="at least", quick=3.0
+        ),
+        Acceptance(
+            "elements", "P2 × CR against DKT + OPT, patches, all these blocks: largest relative difference.", 0.05
+        ),
     ),
     seconds=(25, 8),
     run=run,

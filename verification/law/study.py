@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from mpi4py import MPI
 
-from fem_reference.contact import FullModel
-from mic.variation import draw
+from fem_reference.full.model import FullModel
+from mic.sampling.draw import draw
 from verification.comparison import difference, reduced_and_assembly, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
@@ -17,7 +17,11 @@ from verification.study import Acceptance, Finding, Study
 
 CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", "coarse", 12.0), ("wheelhouse", "coarse", 30.0))
 FRICTION = (0.05, 0.1, 0.2, 0.27, 0.4, 0.6, 0.8)
-FULL = {"lap_joint": FRICTION, "hat_on_plate": (0.05, 0.27, 0.8), "wheelhouse": (0.27,)}  # where the finite elements are the truth
+FULL = {
+    "lap_joint": FRICTION,
+    "hat_on_plate": (0.05, 0.27, 0.8),
+    "wheelhouse": (0.27,),
+}  # where the finite elements are the truth
 QUICK_FULL = {"lap_joint": (0.05, 0.27, 0.8), "hat_on_plate": (0.27,), "wheelhouse": ()}
 LAWS = ("associated", "frictionless")
 LOADED = 1e-3  # share of the stage's largest normal force from which a contact counts as loaded
@@ -52,19 +56,35 @@ def compare(model, deviations, law) -> dict:
         force.append((np.abs(g - f).max(axis=(1, 2)) / scale).max())
         total.append(np.abs(g[..., 0].sum(1) / f[..., 0].sum(1) - 1).max())
         touching = (exact.state[ok] > 0) | (mine.state[ok] > 0)
-        changed, closed = changed + int((touching & (exact.state[ok] != mine.state[ok])).sum()), closed + int(touching.sum())
+        changed, closed = (
+            changed + int((touching & (exact.state[ok] != mine.state[ok])).sum()),
+            closed + int(touching.sum()),
+        )
         if law == "associated":  # what (13) implies where a contact carries load: u_n = μ‖u_t‖
             u, loaded = mine.displacement[ok], g[..., 0] > LOADED * g[..., 0].max(axis=1, keepdims=True)
             excess = np.abs(u[..., 0] - model.contacts.friction * np.hypot(u[..., 1], u[..., 2]))
             sliding = loaded & (mine.state[ok] == 2)
             identity = max(identity, excess[sliding].max(initial=0.0) / max(u[..., 0][loaded].max(initial=0.0), 1e-300))
-    slip = {name: zone_slip(e.resolutions["clamp"].displacement[ok], model.contacts, zones) for name, e in (("truth", truth), ("found", found))}
+    slip = {
+        name: zone_slip(e.resolutions["clamp"].displacement[ok], model.contacts, zones)
+        for name, e in (("truth", truth), ("found", found))
+    }
     mean = {name: values.mean(axis=0) for name, values in slip.items()}
     measured = np.abs(found.measurements[ok] - truth.measurements[ok]).max() / np.abs(truth.measurements[ok]).max()
-    return {"gap at loaded contacts, mm": max(gap), "force": max(force), "force when clamped": force[0], "total normal force": max(total), "changed states": changed / max(closed, 1),
-            "mean zone slip": float(((mean["found"] - mean["truth"]) / mean["truth"])[np.argmax(np.abs(mean["found"] - mean["truth"]))]),
-            "measurement": measured, "identity": identity, "samples": int(ok.sum()),
-            "gap under coulomb, mm": max(float(loaded_gap(r)[ok].max()) for r in truth.resolutions.values())}
+    return {
+        "gap at loaded contacts, mm": max(gap),
+        "force": max(force),
+        "force when clamped": force[0],
+        "total normal force": max(total),
+        "changed states": changed / max(closed, 1),
+        "mean zone slip": float(
+            ((mean["found"] - mean["truth"]) / mean["truth"])[np.argmax(np.abs(mean["found"] - mean["truth"]))]
+        ),
+        "measurement": measured,
+        "identity": identity,
+        "samples": int(ok.sum()),
+        "gap under coulomb, mm": max(float(loaded_gap(r)[ok].max()) for r in truth.resolutions.values()),
+    }
 
 
 def against_full(built, mu) -> float:
@@ -77,8 +97,10 @@ def against_full(built, mu) -> float:
 
 def run(context):
     samples, where = (5, QUICK_FULL) if context.quick else (40, FULL)
-    built = {name: reduced_and_assembly(shipped(name, quick if context.quick else size, ("coulomb", *LAWS)), context.cache)
-             for name, size, quick in CASES}
+    built = {
+        name: reduced_and_assembly(shipped(name, quick if context.quick else size, ("coulomb", *LAWS)), context.cache)
+        for name, size, quick in CASES
+    }
     solves = [(name, mu) for name, frictions in where.items() for mu in frictions]
     checks = context.team.map(lambda item: against_full(built[item[0]], item[1]), solves)
 
@@ -88,9 +110,14 @@ def run(context):
         deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, samples)
         return {"assembly": name, "μ": mu, "law": law} | compare(model, deviations, law)
 
-    rows = pd.DataFrame(context.team.map(cell, [(name, mu, law) for name, *_ in CASES for mu in FRICTION for law in LAWS]))
+    rows = pd.DataFrame(
+        context.team.map(cell, [(name, mu, law) for name, *_ in CASES for mu in FRICTION for law in LAWS])
+    )
     associated = rows[rows["law"] == "associated"]
-    published = {law: rows[(rows["assembly"] == PUBLISHED[0]) & (rows["μ"] == PUBLISHED[1]) & (rows["law"] == law)].iloc[0] for law in LAWS}
+    published = {
+        law: rows[(rows["assembly"] == PUBLISHED[0]) & (rows["μ"] == PUBLISHED[1]) & (rows["law"] == law)].iloc[0]
+        for law in LAWS
+    }
 
     figure, axes = panels(4, 3.7)
     quantities = ("gap at loaded contacts, mm", "force", "changed states", "mean zone slip")
@@ -98,30 +125,57 @@ def run(context):
         for (name, *_), colour in zip(CASES, ("tab:blue", "tab:green", "tab:red")):
             for law, style in zip(LAWS, ("o-", "s:")):
                 own = rows[(rows["assembly"] == name) & (rows["law"] == law)]
-                axis.plot(own["μ"], own[quantity], style, color=colour, ms=3.5, lw=1, label=f"{name.replace('_', ' ')}, {law}")
+                axis.plot(
+                    own["μ"], own[quantity], style, color=colour, ms=3.5, lw=1, label=f"{name.replace('_', ' ')}, {law}"
+                )
         axis.set(xlabel="μ", title=quantity)
     axes[-1].set_yscale("symlog", linthresh=0.1)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
     def words(law):
         row = published[law]
-        return (f"{law}: forces off by up to {row['force']:.0%} of the largest ({row['force when clamped']:.0%} when clamped), total normal force by up to {row['total normal force']:.0%}, "
-                f"{row['changed states']:.0%} of the touching contacts in another state, mean zone slip by {row['mean zone slip']:+.1%}, "
-                f"measurements by up to {row['measurement']:.1%} of the largest, gaps of up to {row['gap at loaded contacts, mm']:.3f} mm at loaded contacts")
+        return (
+            f"{law}: forces off by up to {row['force']:.0%} of the largest ({row['force when clamped']:.0%} when clamped), total normal force by up to {row['total normal force']:.0%}, "
+            f"{row['changed states']:.0%} of the touching contacts in another state, mean zone slip by {row['mean zone slip']:+.1%}, "
+            f"measurements by up to {row['measurement']:.1%} of the largest, gaps of up to {row['gap at loaded contacts, mm']:.3f} mm at loaded contacts"
+        )
 
     return [
-        Finding("truth", max(checks), f"{len(checks)} full solves, lap joint at μ from {min(FRICTION)} to {max(FRICTION)} among them: it is Coulomb's law "
-                "that the finite elements obey, and the reduced coulomb with them."),
-        Finding("coulomb-gap", rows["gap under coulomb, mm"].max(), "Over all assemblies, frictions, samples and stages."),
-        Finding("identity", associated["identity"].max(), "The optimality conditions of (13) ask for u_n = μ‖u_t‖ where a contact slides under load. They "
-                "are kept: the gaps come from the formula, not from a solver."),
-        Finding("opening", published["associated"]["gap at loaded contacts, mm"],
-                f"Wheelhouse, μ = {PUBLISHED[1]}, worst of {samples} samples. Where nothing slides much, (13) and Coulomb's law agree; the more a loaded contact "
-                "slides and the larger μ, the farther they part. " + "; ".join(words(law) for law in LAWS) + ".", figure, rows),
-        Finding("associated-force", published["associated"]["force"], "On the same assembly; frictionless: "
-                f"{published['frictionless']['force']:.0%}. The frictionless law has no tangential forces at all, and so the error of μ at least."),
-        Finding("associated-slip", abs(published["associated"]["mean zone slip"]), "In fairness to (13): the mean zone slip, which the paper tabulates, suffers "
-                f"less than the forces do; frictionless: {published['frictionless']['mean zone slip']:+.1%}."),
+        Finding(
+            "truth",
+            max(checks),
+            f"{len(checks)} full solves, lap joint at μ from {min(FRICTION)} to {max(FRICTION)} among them: it is Coulomb's law "
+            "that the finite elements obey, and the reduced coulomb with them.",
+        ),
+        Finding(
+            "coulomb-gap", rows["gap under coulomb, mm"].max(), "Over all assemblies, frictions, samples and stages."
+        ),
+        Finding(
+            "identity",
+            associated["identity"].max(),
+            "The optimality conditions of (13) ask for u_n = μ‖u_t‖ where a contact slides under load. They "
+            "are kept: the gaps come from the formula, not from a solver.",
+        ),
+        Finding(
+            "opening",
+            published["associated"]["gap at loaded contacts, mm"],
+            f"Wheelhouse, μ = {PUBLISHED[1]}, worst of {samples} samples. Where nothing slides much, (13) and Coulomb's law agree; the more a loaded contact "
+            "slides and the larger μ, the farther they part. " + "; ".join(words(law) for law in LAWS) + ".",
+            figure,
+            rows,
+        ),
+        Finding(
+            "associated-force",
+            published["associated"]["force"],
+            "On the same assembly; frictionless: "
+            f"{published['frictionless']['force']:.0%}. The frictionless law has no tangential forces at all, and so the error of μ at least.",
+        ),
+        Finding(
+            "associated-slip",
+            abs(published["associated"]["mean zone slip"]),
+            "In fairness to (13): the mean zone slip, which the paper tabulates, suffers "
+            f"less than the forces do; frictionless: {published['frictionless']['mean zone slip']:+.1%}.",
+        ),
     ]
 
 
@@ -131,11 +185,28 @@ STUDY = Study(
     claim="Programme (13) is not Coulomb's law: it opens sliding contacts under load. This is by how much it, and leaving friction out, change the answer.",
     reference="Full frictional contact finite elements, and reduced coulomb where these have certified it; μ = 0.05 … 0.8.",
     acceptance=(
-        Acceptance("truth", "The reduced coulomb is what the full finite elements find: largest relative difference.", 1e-8),
+        Acceptance(
+            "truth", "The reduced coulomb is what the full finite elements find: largest relative difference.", 1e-8
+        ),
         Acceptance("coulomb-gap", "Under Coulomb's law no loaded contact is open: largest gap.", 1e-9, unit="mm"),
-        Acceptance("identity", "Solutions of (13) open by μ times the slip, as its optimality conditions say: largest departure over the largest gap.", 1e-6),
-        Acceptance("opening", "(13) opens loaded contacts of the wheelhouse at the paper's friction: largest gap.", 0.02, unit="mm", bound="at least"),
-        Acceptance("associated-force", "(13) changes contact forces there: largest error over the largest force.", 0.1, bound="at least"),
+        Acceptance(
+            "identity",
+            "Solutions of (13) open by μ times the slip, as its optimality conditions say: largest departure over the largest gap.",
+            1e-6,
+        ),
+        Acceptance(
+            "opening",
+            "(13) opens loaded contacts of the wheelhouse at the paper's friction: largest gap.",
+            0.02,
+            unit="mm",
+            bound="at least",
+        ),
+        Acceptance(
+            "associated-force",
+            "(13) changes contact forces there: largest error over the largest force.",
+            0.1,
+            bound="at least",
+        ),
         Acceptance("associated-slip", "(13) changes the mean slip of a zone there by no more than this share.", 0.25),
     ),
     seconds=(240, 60),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mic.variation import draw
+from mic.sampling.draw import draw
 from verification.comparison import reduced_and_assembly, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
@@ -86,8 +86,12 @@ def converge(size, value) -> Convergence:
 
 def same_points(scene, contacts):
     """The scene with its contact pairs at given points."""
-    zones = [zone.model_copy(update={"points": [tuple(p) for p in contacts.point[contacts.zone == z]], "pairs": None, "spacing": None})
-             for z, zone in enumerate(scene.zones)]
+    zones = [
+        zone.model_copy(
+            update={"points": [tuple(p) for p in contacts.point[contacts.zone == z]], "pairs": None, "spacing": None}
+        )
+        for z, zone in enumerate(scene.zones)
+    ]
     return scene.model_copy(update={"zones": zones})
 
 
@@ -100,8 +104,11 @@ def statistics_of(model, samples) -> dict[tuple[str, str], float]:
     slip = zone_slip(found.resolutions["clamp"].displacement, model.contacts, len(scene.zones))
     series = [("measurement", item.name, found.measurements[:, j]) for j, item in enumerate(scene.measurements)]
     series += [("slip", zone.name, slip[:, z]) for z, zone in enumerate(scene.zones)]
-    return {(f"{statistic} {kind}", name): float(value(x)) for kind, name, x in series
-            for statistic, value in (("mean", np.mean), ("6σ", lambda x: 6 * np.std(x, ddof=1)))}
+    return {
+        (f"{statistic} {kind}", name): float(value(x))
+        for kind, name, x in series
+        for statistic, value in (("mean", np.mean), ("6σ", lambda x: 6 * np.std(x, ddof=1)))
+    }
 
 
 def refine(context, name, sizes, samples) -> pd.DataFrame:
@@ -111,7 +118,10 @@ def refine(context, name, sizes, samples) -> pd.DataFrame:
         scene = shipped(name, size)
         model, assembly = reduced_and_assembly(scene if points is None else same_points(scene, points), context.cache)
         points = assembly.contacts if points is None else points
-        area = sum(np.linalg.norm(np.cross(*np.diff(part.surface.corners, axis=1).transpose(1, 0, 2)), axis=1).sum() / 2 for part in assembly.parts)
+        area = sum(
+            np.linalg.norm(np.cross(*np.diff(part.surface.corners, axis=1).transpose(1, 0, 2)), axis=1).sum() / 2
+            for part in assembly.parts
+        )
         h.append(np.sqrt(area / sum(len(part.surface.triangles) for part in assembly.parts)))
         values.append(statistics_of(model, samples))
     rows = []
@@ -119,9 +129,18 @@ def refine(context, name, sizes, samples) -> pd.DataFrame:
         series = [value[key] for value in values]
         found = converge(h[:3], series[:3])
         scale = max(abs(value) for other, value in values[2].items() if other[0] == key[0])
-        rows.append({"assembly": name, "quantity": f"{key[0]} {key[1]}"} | {f"mesh {i}": v for i, v in enumerate(series, 1)}
-                    | {"order": found.order, "kind": found.kind, "extrapolated": found.extrapolated, "index": found.index / scale,
-                       "off on mesh 2": abs(series[1] - found.extrapolated) / scale, "scale": scale})
+        rows.append(
+            {"assembly": name, "quantity": f"{key[0]} {key[1]}"}
+            | {f"mesh {i}": v for i, v in enumerate(series, 1)}
+            | {
+                "order": found.order,
+                "kind": found.kind,
+                "extrapolated": found.extrapolated,
+                "index": found.index / scale,
+                "off on mesh 2": abs(series[1] - found.extrapolated) / scale,
+                "scale": scale,
+            }
+        )
     table = pd.DataFrame(rows)
     table.attrs["h"] = h
     return table
@@ -137,19 +156,39 @@ def run(context):
         h = table.attrs["h"]
         for _, row in table.iterrows():
             off = [abs(row[f"mesh {i + 1}"] - row["extrapolated"]) / row["scale"] for i in range(3)]
-            shown = 3 if row["kind"] == "monotone" else 2  # where nothing is extrapolated the finest value stands for the limit
-            axis.loglog(h[:shown], np.maximum(off[:shown], 1e-8), "o-" if row["kind"] == "monotone" else "o:", ms=3, lw=1,
-                        color="tab:red" if "slip" in row["quantity"] else "tab:blue", alpha=0.6)
+            shown = (
+                3 if row["kind"] == "monotone" else 2
+            )  # where nothing is extrapolated the finest value stands for the limit
+            axis.loglog(
+                h[:shown],
+                np.maximum(off[:shown], 1e-8),
+                "o-" if row["kind"] == "monotone" else "o:",
+                ms=3,
+                lw=1,
+                color="tab:red" if "slip" in row["quantity"] else "tab:blue",
+                alpha=0.6,
+            )
         axis.loglog(h[:3], 0.01 * (np.array(h[:3]) / h[1]) ** 2, "k--", lw=1)
         axis.text(h[0], 0.01 * (h[0] / h[1]) ** 2, " $h^2$")
-        axis.set(title=table["assembly"][0].replace("_", " "), xlabel="h = √(area / triangles), mm", ylabel="off the extrapolated limit, relative")
+        axis.set(
+            title=table["assembly"][0].replace("_", " "),
+            xlabel="h = √(area / triangles), mm",
+            ylabel="off the extrapolated limit, relative",
+        )
     axes[0].plot([], [], "o-", color="tab:blue", label="measurements")
     axes[0].plot([], [], "o-", color="tab:red", label="slips")
     axes[0].plot([], [], "k:", label="oscillating")
     axes[0].legend()
     order = float(lap["order"].median())
-    findings.append(Finding("lap-order", order, f"Median over {len(lap)} quantities; {(lap['kind'] == 'oscillating').sum()} of them oscillate.", figure,
-                            lap.drop(columns="scale")))
+    findings.append(
+        Finding(
+            "lap-order",
+            order,
+            f"Median over {len(lap)} quantities; {(lap['kind'] == 'oscillating').sum()} of them oscillate.",
+            figure,
+            lap.drop(columns="scale"),
+        )
+    )
     finest = lap["index"].max()
     note = ""
     if "mesh 4" in lap:
@@ -157,13 +196,34 @@ def run(context):
         note = f"On a mesh of half the size {held:.0%} of the quantities moved by no more than their index said."
     findings.append(Finding("lap-index", finest, note))
     sides = ", ".join(f"{h:.2f}" for h in wheelhouse.attrs["h"])
-    sigmas, slips = (wheelhouse[wheelhouse["quantity"].str.startswith(f"6σ {kind}")] for kind in ("measurement", "slip"))
-    findings.append(Finding("wheelhouse-index", sigmas["index"].max(), f"Meshes with h = {sides} mm. Median index {sigmas['index'].median():.2%}; "
-                            f"{(wheelhouse['kind'] == 'oscillating').sum()} of {len(wheelhouse)} quantities oscillate.", table=wheelhouse.drop(columns="scale")))
-    findings.append(Finding("wheelhouse-slip-index", slips["index"].max(), f"{(slips['kind'] == 'oscillating').sum()} of {len(slips)} oscillate: contact forces "
-                            "follow the facets of the mesh, and slips follow the forces."))
-    findings.append(Finding("wheelhouse-medium", sigmas["off on mesh 2"].max(), f"Median {sigmas['off on mesh 2'].median():.2%}; worst: "
-                            f"{sigmas.loc[sigmas['off on mesh 2'].idxmax(), 'quantity']}."))
+    sigmas, slips = (
+        wheelhouse[wheelhouse["quantity"].str.startswith(f"6σ {kind}")] for kind in ("measurement", "slip")
+    )
+    findings.append(
+        Finding(
+            "wheelhouse-index",
+            sigmas["index"].max(),
+            f"Meshes with h = {sides} mm. Median index {sigmas['index'].median():.2%}; "
+            f"{(wheelhouse['kind'] == 'oscillating').sum()} of {len(wheelhouse)} quantities oscillate.",
+            table=wheelhouse.drop(columns="scale"),
+        )
+    )
+    findings.append(
+        Finding(
+            "wheelhouse-slip-index",
+            slips["index"].max(),
+            f"{(slips['kind'] == 'oscillating').sum()} of {len(slips)} oscillate: contact forces "
+            "follow the facets of the mesh, and slips follow the forces.",
+        )
+    )
+    findings.append(
+        Finding(
+            "wheelhouse-medium",
+            sigmas["off on mesh 2"].max(),
+            f"Median {sigmas['off on mesh 2'].median():.2%}; worst: "
+            f"{sigmas.loc[sigmas['off on mesh 2'].idxmax(), 'quantity']}.",
+        )
+    )
     return findings
 
 
@@ -174,12 +234,25 @@ STUDY = Study(
     reference="Richardson extrapolation over three meshes; on the lap joint a fourth mesh judges the index. Contact pairs stand at the same points on all meshes.",
     acceptance=(
         Acceptance("lap-order", "Median observed order of means and 6σ on the lap joint.", 1.5, bound="at least"),
-        Acceptance("lap-index", "Largest grid convergence index of the lap joint's third mesh, over the largest value of its kind.", 0.01),
-        Acceptance("wheelhouse-index", "Largest grid convergence index of the key characteristics' 6σ on the wheelhouse's fine mesh, over the largest 6σ.",
-                   0.04, quick=0.4),
+        Acceptance(
+            "lap-index",
+            "Largest grid convergence index of the lap joint's third mesh, over the largest value of its kind.",
+            0.01,
+        ),
+        Acceptance(
+            "wheelhouse-index",
+            "Largest grid convergence index of the key characteristics' 6σ on the wheelhouse's fine mesh, over the largest 6σ.",
+            0.04,
+            quick=0.4,
+        ),
         Acceptance("wheelhouse-slip-index", "The same of the zone slips' 6σ.", 0.2, quick=0.6),
-        Acceptance("wheelhouse-medium", "How far the key characteristics' 6σ on the wheelhouse's medium mesh is from the extrapolated limit at most, over the "
-                   "largest 6σ.", 0.04, quick=0.2),
+        Acceptance(
+            "wheelhouse-medium",
+            "How far the key characteristics' 6σ on the wheelhouse's medium mesh is from the extrapolated limit at most, over the "
+            "largest 6σ.",
+            0.04,
+            quick=0.2,
+        ),
     ),
     seconds=(150, 45),
     run=run,

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from mpi4py import MPI
 
-from fem_reference.contact import ContactFailure, FullModel
-from mic.variation import draw
+from fem_reference.full.model import ContactFailure, FullModel
+from mic.sampling.draw import draw
 from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
@@ -48,9 +48,13 @@ def stretching(assembly, full) -> float:
         double_area = np.linalg.norm(normal, axis=1)
         normal /= double_area[:, None]
         w = np.einsum("tij,tj->ti", u[triangles], normal)
-        gradient = ((w[:, 1] - w[:, 0])[:, None] * np.cross(b, normal) + (w[:, 2] - w[:, 0])[:, None] * np.cross(normal, a)) / double_area[:, None]
+        gradient = (
+            (w[:, 1] - w[:, 0])[:, None] * np.cross(b, normal) + (w[:, 2] - w[:, 0])[:, None] * np.cross(normal, a)
+        ) / double_area[:, None]
         square = (gradient**2).sum(axis=1)  # ε has the one eigenvalue ½|∇w|², so ε : D : ε = E t/(1 − ν²) (½|∇w|²)²
-        added += float((0.5 * double_area / 2 * part.young * part.thickness / (1 - part.poisson**2) * (0.5 * square) ** 2).sum())
+        added += float(
+            (0.5 * double_area / 2 * part.young * part.thickness / (1 - part.poisson**2) * (0.5 * square) ** 2).sum()
+        )
     return added / full.strain_energy(stage)
 
 
@@ -78,42 +82,89 @@ def compare(built, size) -> dict:
         return row | {"failure": str(problem)}
     off = difference(reduced, 0, deviated)
     stage, zones = next(iter(deviated.resolutions)), len(assembly.scene.zones)
-    mine, truth = (zone_slip(d, assembly.contacts, zones) for d in (reduced.resolutions[stage].displacement[0], deviated.resolutions[stage].displacement))
-    normal = max(relative(reduced.resolutions[name].force[0, :, 0], resolution.force[:, 0]) for name, resolution in deviated.resolutions.items())
-    return row | {"measurement": off.measurement, "force": off.force, "normal force": normal, "zone slip": float(np.abs(mine - truth).max() / truth.max()),
-                  "zone slip, mm": float(np.abs(mine - truth).max()), "changed states": off.states, "same mesh": difference(reduced, 0, flat).largest,
-                  "stretching": stretching(assembly, flat), "failure": ""}
+    mine, truth = (
+        zone_slip(d, assembly.contacts, zones)
+        for d in (reduced.resolutions[stage].displacement[0], deviated.resolutions[stage].displacement)
+    )
+    normal = max(
+        relative(reduced.resolutions[name].force[0, :, 0], resolution.force[:, 0])
+        for name, resolution in deviated.resolutions.items()
+    )
+    return row | {
+        "measurement": off.measurement,
+        "force": off.force,
+        "normal force": normal,
+        "zone slip": float(np.abs(mine - truth).max() / truth.max()),
+        "zone slip, mm": float(np.abs(mine - truth).max()),
+        "changed states": off.states,
+        "same mesh": difference(reduced, 0, flat).largest,
+        "stretching": stretching(assembly, flat),
+        "failure": "",
+    }
 
 
 def run(context):
-    cases = [(name, quick if context.quick else size) for name, size, quick in CASES if not context.quick or quick is not None]
+    cases = [
+        (name, quick if context.quick else size)
+        for name, size, quick in CASES
+        if not context.quick or quick is not None
+    ]
     built = {name: reduced_and_assembly(shipped(name, size), context.cache) for name, size in cases}
     sizes = QUICK_DEVIATIONS if context.quick else DEVIATIONS
     items = [(name, size) for name, _ in cases for size in sizes]
-    rows = pd.DataFrame([{"assembly": name} | row for (name, _), row in zip(items, context.team.map(lambda i: compare(built[i[0]], i[1]), items))])
+    rows = pd.DataFrame(
+        [
+            {"assembly": name} | row
+            for (name, _), row in zip(items, context.team.map(lambda i: compare(built[i[0]], i[1]), items))
+        ]
+    )
     solved = rows[rows["failure"] == ""]
     least, typical, large = (solved[solved["deviation, mm"] == size] for size in (min(sizes), TYPICAL, max(sizes)))
-    orders = {name: np.polyfit(np.log(own["deviation, mm"]), np.log(own["measurement"]), 1)[0]
-              for name, own in solved[solved["deviation, mm"] <= TYPICAL].groupby("assembly", sort=False) if len(own) > 1}
+    orders = {
+        name: np.polyfit(np.log(own["deviation, mm"]), np.log(own["measurement"]), 1)[0]
+        for name, own in solved[solved["deviation, mm"] <= TYPICAL].groupby("assembly", sort=False)
+        if len(own) > 1
+    }
 
     figure, axes = panels(4, 3.7)
     for axis, quantity in zip(axes, ("measurement", "force", "zone slip", "stretching")):
         for name, own in solved.groupby("assembly", sort=False):
             axis.loglog(own["deviation, mm"], own[quantity], "o-", ms=4, lw=1, label=name.replace("_", " "))
-        axis.set(xlabel="largest shape deviation, mm", title="added membrane energy, relative" if quantity == "stretching" else f"{quantity}, relative difference")
+        axis.set(
+            xlabel="largest shape deviation, mm",
+            title="added membrane energy, relative" if quantity == "stretching" else f"{quantity}, relative difference",
+        )
     axes[0].legend()
 
     def each(table, column, form):
         return ", ".join(f"{row['assembly'].replace('_', ' ')} {row[column]:{form}}" for _, row in table.iterrows())
 
     return [
-        Finding("measurement", typical["measurement"].max(), f"At {TYPICAL} mm: {each(typical, 'measurement', '.2%')}. At {max(sizes)} mm: {each(large, 'measurement', '.1%')}. "
-                f"Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}, their normal parts: {each(typical, 'normal force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
-                f"{(rows['failure'] != '').sum()} of {len(rows)} pairs of full solves failed.", figure, rows),
-        Finding("growth", min(orders.values()), "Observed: " + ", ".join(f"{n.replace('_', ' ')} {o:.2f}" for n, o in orders.items()) + "."),
-        Finding("same-mesh", solved["same mesh"].max(), "What is left when the full solve keeps the nominal mesh: the differences above come from the geometry alone."),
-        Finding("stretching", least["stretching"].max(), f"At {min(sizes)} mm. At {TYPICAL} mm: {each(typical, 'stretching', '.1%')}; at {max(sizes)} mm: {each(large, 'stretching', '.1%')}. The bound takes the linear displacement as it is and "
-                "adds the membrane energy of the rotations' squares; a real sheet gives way in its plane, so the truth is less."),
+        Finding(
+            "measurement",
+            typical["measurement"].max(),
+            f"At {TYPICAL} mm: {each(typical, 'measurement', '.2%')}. At {max(sizes)} mm: {each(large, 'measurement', '.1%')}. "
+            f"Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}, their normal parts: {each(typical, 'normal force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
+            f"{(rows['failure'] != '').sum()} of {len(rows)} pairs of full solves failed.",
+            figure,
+            rows,
+        ),
+        Finding(
+            "growth",
+            min(orders.values()),
+            "Observed: " + ", ".join(f"{n.replace('_', ' ')} {o:.2f}" for n, o in orders.items()) + ".",
+        ),
+        Finding(
+            "same-mesh",
+            solved["same mesh"].max(),
+            "What is left when the full solve keeps the nominal mesh: the differences above come from the geometry alone.",
+        ),
+        Finding(
+            "stretching",
+            least["stretching"].max(),
+            f"At {min(sizes)} mm. At {TYPICAL} mm: {each(typical, 'stretching', '.1%')}; at {max(sizes)} mm: {each(large, 'stretching', '.1%')}. The bound takes the linear displacement as it is and "
+            "adds the membrane energy of the rotations' squares; a real sheet gives way in its plane, so the truth is less.",
+        ),
     ]
 
 
@@ -123,11 +174,26 @@ STUDY = Study(
     claim="One stiffness, that of the nominal mesh, serves all deviated parts: its error grows with the deviations and is this large.",
     reference="Full frictional contact finite elements on meshes that carry the deviated shape, with its stiffness, normals and gaps; deviations of 0.1 … 10 mm.",
     acceptance=(
-        Acceptance("measurement", f"Key characteristics at deviations of {TYPICAL} mm: largest relative difference.", 0.1),
-        Acceptance("growth", "Smaller deviations leave smaller differences, at first order or better: lowest observed order up to there.", 0.8, bound="at least"),
-        Acceptance("same-mesh", "On the nominal mesh the full solve finds what the reduced model finds: largest relative difference.", 1e-7),
-        Acceptance("stretching", f"Geometric nonlinearity at deviations of {min(DEVIATIONS)} mm: bound on the membrane energy that linear kinematics leaves out, "
-                   "over the strain energy.", 0.1),
+        Acceptance(
+            "measurement", f"Key characteristics at deviations of {TYPICAL} mm: largest relative difference.", 0.1
+        ),
+        Acceptance(
+            "growth",
+            "Smaller deviations leave smaller differences, at first order or better: lowest observed order up to there.",
+            0.8,
+            bound="at least",
+        ),
+        Acceptance(
+            "same-mesh",
+            "On the nominal mesh the full solve finds what the reduced model finds: largest relative difference.",
+            1e-7,
+        ),
+        Acceptance(
+            "stretching",
+            f"Geometric nonlinearity at deviations of {min(DEVIATIONS)} mm: bound on the membrane energy that linear kinematics leaves out, "
+            "over the strain energy.",
+            0.1,
+        ),
     ),
     seconds=(600, 60),
     run=run,

@@ -9,8 +9,8 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.stats import gaussian_kde
 
-from mic import statistics
-from mic.variation import draw
+from mic.results import statistics
+from mic.sampling.draw import draw
 from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
@@ -22,7 +22,9 @@ LAWS = ("frictionless", "associated", "coulomb")
 def zone_slip(model, evaluation):
     """(n, zones) RMS slip of each zone after clamping, mm, samples that failed left out."""
     square = (evaluation.resolutions["clamp"].displacement[~evaluation.failed][:, :, 1:] ** 2).sum(-1)
-    return np.column_stack([np.sqrt(square[:, model.contacts.zone == z].mean(1)) for z in range(len(model.scene.zones))])
+    return np.column_stack(
+        [np.sqrt(square[:, model.contacts.zone == z].mean(1)) for z in range(len(model.scene.zones))]
+    )
 
 
 def calibrate(model, targets, samples):
@@ -46,7 +48,7 @@ def calibrate(model, targets, samples):
     standard = (standard - standard.mean(0)) / standard.std(0)
 
     def forces(x):
-        return mean0 * (1 + x[: len(mean0)]), sigma0 * np.exp(x[len(mean0):])
+        return mean0 * (1 + x[: len(mean0)]), sigma0 * np.exp(x[len(mean0) :])
 
     def residual(x):
         mean, sigma = forces(x)
@@ -71,7 +73,10 @@ def run(context):
     with open(scene.folder / "paper.toml", "rb") as file:
         paper = tomllib.load(file)
     names = [zone.name for zone in scene.zones]
-    published = {law: np.array([[paper["zones"][name][law][key] for name in names] for key in ("mean", "six_sigma")]) for law in ("frictionless", "associated")}
+    published = {
+        law: np.array([[paper["zones"][name][law][key] for name in names] for key in ("mean", "six_sigma")])
+        for law in ("frictionless", "associated")
+    }
     model = context.model(scene)
     mean, sigma = calibrate(model, published["frictionless"], 150 if context.quick else 500)
 
@@ -87,12 +92,32 @@ def run(context):
         reported = published["frictionless" if law == "frictionless" else "associated"]
         for z, name in enumerate(names):
             m, s = statistics.mean(slip[law][:, z]), statistics.six_sigma(slip[law][:, z])
-            rows.append({"law": law, "zone": name, "mean, mm": m.value, "± (95 %)": m.high - m.value, "paper's mean, mm": reported[0, z],
-                         "6σ, mm": s.value, "6σ from": s.low, "6σ to": s.high, "paper's 6σ, mm": reported[1, z], "failed samples": int(evaluations[law].failed.sum())})
+            rows.append(
+                {
+                    "law": law,
+                    "zone": name,
+                    "mean, mm": m.value,
+                    "± (95 %)": m.high - m.value,
+                    "paper's mean, mm": reported[0, z],
+                    "6σ, mm": s.value,
+                    "6σ from": s.low,
+                    "6σ to": s.high,
+                    "paper's 6σ, mm": reported[1, z],
+                    "failed samples": int(evaluations[law].failed.sum()),
+                }
+            )
     table = pd.DataFrame(rows)
     free = table[table["law"] == "frictionless"]
-    calibration = max(abs(free["mean, mm"] / free["paper's mean, mm"] - 1).max(), abs(free["6σ, mm"] / free["paper's 6σ, mm"] - 1).max())
-    ratio = {law: np.stack([slip[law].mean(0) / slip["frictionless"].mean(0), slip[law].std(0) / slip["frictionless"].std(0)]) for law in LAWS[1:]}
+    calibration = max(
+        abs(free["mean, mm"] / free["paper's mean, mm"] - 1).max(),
+        abs(free["6σ, mm"] / free["paper's 6σ, mm"] - 1).max(),
+    )
+    ratio = {
+        law: np.stack(
+            [slip[law].mean(0) / slip["frictionless"].mean(0), slip[law].std(0) / slip["frictionless"].std(0)]
+        )
+        for law in LAWS[1:]
+    }
     published_ratio = published["associated"] / published["frictionless"]
     worst = max(r.max() for r in ratio.values())
     off = np.abs(np.log(ratio["associated"] / published_ratio))
@@ -103,35 +128,72 @@ def run(context):
         for law, colour in zip(LAWS, ("tab:blue", "tab:green", "tab:red")):
             axis.plot(x, gaussian_kde(slip[law][:, z])(x), color=colour, label=law)
         for law, colour in (("frictionless", "tab:blue"), ("associated", "tab:green")):
-            axis.axvline(published[law][0, z], color=colour, ls=":", label=f"paper, {'frictional' if law == 'associated' else law}")
+            axis.axvline(
+                published[law][0, z],
+                color=colour,
+                ls=":",
+                label=f"paper, {'frictional' if law == 'associated' else law}",
+            )
         axis.set(xlabel=f"RMS slip in {name}, mm", ylabel="probability density, 1/mm")
     axes[0].legend(fontsize=7.5)
 
     forces = slip_forces(evaluations["coulomb"])
     measured = paper["slip_force"]
     force_figure, (axis,) = panels(1, width=7)
-    axis.bar(np.arange(len(forces)), np.sort(forces)[::-1], color="tab:red", label="active contacts, mean of the samples")
+    axis.bar(
+        np.arange(len(forces)), np.sort(forces)[::-1], color="tab:red", label="active contacts, mean of the samples"
+    )
     axis.axhspan(measured["measured_low"], measured["measured_high"], color="0.9", label="measured, paper")
     for key in ("calculated_low", "calculated_high"):
-        axis.axhline(measured[key], color="0.4", ls=":", label="range calculated in the paper" if key.endswith("low") else None)
+        axis.axhline(
+            measured[key], color="0.4", ls=":", label="range calculated in the paper" if key.endswith("low") else None
+        )
     axis.set(xlabel="active contacts, largest first", ylabel="friction force, N")
     axis.legend()
     inside = ((forces >= measured["calculated_low"]) & (forces <= measured["calculated_high"])).mean()
-    fitted = pd.DataFrame({"force": model.parameters, "mean, N": mean, "σ, N": sigma, "scene's mean, N": base_mean, "scene's σ, N": base_sigma})
+    fitted = pd.DataFrame(
+        {
+            "force": model.parameters,
+            "mean, N": mean,
+            "σ, N": sigma,
+            "scene's mean, N": base_mean,
+            "scene's σ, N": base_sigma,
+        }
+    )
     return [
-        Finding("calibration", float(calibration), "On 500 samples that were not used to calibrate; 6σ of 500 samples is itself uncertain, see the table of the trend.",
-                table=fitted),
-        Finding("trend", float(worst), "Friction under the paper's law leaves "
-                + ", ".join(f"{ratio['associated'][0, z]:.2f} of the mean and {ratio['associated'][1, z]:.2f} of the spread in {name} (paper: "
-                            f"{published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})" for z, name in enumerate(names))
-                + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's geometry, locators and clamp forces are not "
-                "published: agreement of the frictionless column is a calibration and proves nothing; that friction lowers mean and spread in all zones is a "
-                "prediction that could have failed; the amount is a property of this geometry and its clamps, and no agreement of amounts is claimed.", figure, table),
-        Finding("laws", float(np.abs(slip["associated"].mean(0) / slip["coulomb"].mean(0) - 1).max()),
-                "The paper's programme (13) against Coulomb's law proper, on the same samples."),
-        Finding("slip-force", float(np.quantile(forces, 0.95) / measured["calculated_high"]),
-                f"{len(forces)} active contacts carry {forces.min():.2g} to {forces.max():.3g} N (paper: measured {measured['measured_low']:g} to {measured['measured_high']:g} N, "
-                f"calculated {measured['calculated_low']:g} to {measured['calculated_high']:g} N); {inside:.0%} of them lie in the range that the paper calculated.", force_figure),
+        Finding(
+            "calibration",
+            float(calibration),
+            "On 500 samples that were not used to calibrate; 6σ of 500 samples is itself uncertain, see the table of the trend.",
+            table=fitted,
+        ),
+        Finding(
+            "trend",
+            float(worst),
+            "Friction under the paper's law leaves "
+            + ", ".join(
+                f"{ratio['associated'][0, z]:.2f} of the mean and {ratio['associated'][1, z]:.2f} of the spread in {name} (paper: "
+                f"{published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})"
+                for z, name in enumerate(names)
+            )
+            + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's geometry, locators and clamp forces are not "
+            "published: agreement of the frictionless column is a calibration and proves nothing; that friction lowers mean and spread in all zones is a "
+            "prediction that could have failed; the amount is a property of this geometry and its clamps, and no agreement of amounts is claimed.",
+            figure,
+            table,
+        ),
+        Finding(
+            "laws",
+            float(np.abs(slip["associated"].mean(0) / slip["coulomb"].mean(0) - 1).max()),
+            "The paper's programme (13) against Coulomb's law proper, on the same samples.",
+        ),
+        Finding(
+            "slip-force",
+            float(np.quantile(forces, 0.95) / measured["calculated_high"]),
+            f"{len(forces)} active contacts carry {forces.min():.2g} to {forces.max():.3g} N (paper: measured {measured['measured_low']:g} to {measured['measured_high']:g} N, "
+            f"calculated {measured['calculated_low']:g} to {measured['calculated_high']:g} N); {inside:.0%} of them lie in the range that the paper calculated.",
+            force_figure,
+        ),
     ]
 
 
@@ -141,10 +203,26 @@ STUDY = Study(
     claim="With the corrective forces calibrated on the paper's frictionless column alone, friction lowers mean and spread of the slip in all three zones, as in the paper.",
     reference="Table 1 and section 4.2 of the paper, whose geometry is another: the values are set beside each other, only the trend is claimed.",
     acceptance=(
-        Acceptance("calibration", "The frictionless column is met: largest relative difference of the means and 6σ, on fresh samples.", 0.15),
-        Acceptance("trend", "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to frictionless, both laws.", 1.0),
-        Acceptance("laws", "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.", 0.08),
-        Acceptance("slip-force", "Friction forces are of the published size: the 95 % quantile over the active contacts, over the largest published.", 1.0),
+        Acceptance(
+            "calibration",
+            "The frictionless column is met: largest relative difference of the means and 6σ, on fresh samples.",
+            0.15,
+        ),
+        Acceptance(
+            "trend",
+            "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to frictionless, both laws.",
+            1.0,
+        ),
+        Acceptance(
+            "laws",
+            "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.",
+            0.08,
+        ),
+        Acceptance(
+            "slip-force",
+            "Friction forces are of the published size: the 95 % quantile over the active contacts, over the largest published.",
+            1.0,
+        ),
     ),
     seconds=(40, 20),
     run=run,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mic.variation import draw
+from mic.sampling.draw import draw
 from verification.analytic.leaves import Leaves, deflections
 from verification.plots import panels
 from verification.scenes import shipped
@@ -26,20 +26,32 @@ def summary(context, scene, samples):
     square = (resolution.displacement[ok][:, :, 1:] ** 2).sum(-1)
     zone = model.contacts.zone
     # RMS over the zone's area, so that unequal cells do not count alike
-    slip = [np.sqrt(np.average(square[:, zone == z], axis=1, weights=model.contacts.area[zone == z])) for z in range(len(scene.zones))]
-    return {"pairs": len(zone), "failed": int((~ok).sum()), "slip": np.array([x.mean() for x in slip]), "slip sigma": np.array([x.std(ddof=1) for x in slip]),
-            "tolerance": np.array([item.upper - item.lower for item in scene.measurements]), "kc": evaluation.measurements[ok].mean(0), "kc sigma": evaluation.measurements[ok].std(axis=0, ddof=1),
-            "force": np.array([resolution.force[ok][:, zone == z, 0].sum(1).mean() for z in range(len(scene.zones))])}
+    slip = [
+        np.sqrt(np.average(square[:, zone == z], axis=1, weights=model.contacts.area[zone == z]))
+        for z in range(len(scene.zones))
+    ]
+    return {
+        "pairs": len(zone),
+        "failed": int((~ok).sum()),
+        "slip": np.array([x.mean() for x in slip]),
+        "slip sigma": np.array([x.std(ddof=1) for x in slip]),
+        "tolerance": np.array([item.upper - item.lower for item in scene.measurements]),
+        "kc": evaluation.measurements[ok].mean(0),
+        "kc sigma": evaluation.measurements[ok].std(axis=0, ddof=1),
+        "force": np.array([resolution.force[ok][:, zone == z, 0].sum(1).mean() for z in range(len(scene.zones))]),
+    }
 
 
 def against(found, reference):
     """Largest relative differences of one summary from another."""
-    return {"zone slip": (abs(found["slip"] - reference["slip"]) / reference["slip"].max()).max(),
-            "6σ of slip": (abs(found["slip sigma"] - reference["slip sigma"]) / reference["slip sigma"].max()).max(),
-            "key characteristic / tolerance": (abs(found["kc"] - reference["kc"]) / reference["tolerance"]).max(),
-            "key characteristic / 6σ": (abs(found["kc"] - reference["kc"]) / (6 * reference["kc sigma"])).max(),
-            "σ of key characteristic": (abs(found["kc sigma"] - reference["kc sigma"]) / reference["kc sigma"]).max(),
-            "normal force": (abs(found["force"] - reference["force"]) / reference["force"].max()).max()}
+    return {
+        "zone slip": (abs(found["slip"] - reference["slip"]) / reference["slip"].max()).max(),
+        "6σ of slip": (abs(found["slip sigma"] - reference["slip sigma"]) / reference["slip sigma"].max()).max(),
+        "key characteristic / tolerance": (abs(found["kc"] - reference["kc"]) / reference["tolerance"]).max(),
+        "key characteristic / 6σ": (abs(found["kc"] - reference["kc"]) / (6 * reference["kc sigma"])).max(),
+        "σ of key characteristic": (abs(found["kc sigma"] - reference["kc sigma"]) / reference["kc sigma"]).max(),
+        "normal force": (abs(found["force"] - reference["force"]) / reference["force"].max()).max(),
+    }
 
 
 def run(context):
@@ -50,12 +62,18 @@ def run(context):
     scenes = [with_zones(base, pairs=count, spacing=None) for count in per_zone]
     radii = (0.0, 4.0) if context.quick else (0.0, 2.0, 4.0, 8.0)
     scenes += [with_zones(base, pairs=34, patch=radius) for radius in radii]
-    scenes += [with_zones(shipped("wheelhouse", size / 1.5), pairs=34, patch=radius) for radius in radii] + [with_zones(shipped("wheelhouse", size / 1.5), pairs=34)]
+    scenes += [with_zones(shipped("wheelhouse", size / 1.5), pairs=34, patch=radius) for radius in radii] + [
+        with_zones(shipped("wheelhouse", size / 1.5), pairs=34)
+    ]
     scenes.append(with_zones(base, pairs=34, mid_surface=True))
-    *found, stiffness = context.team.map(lambda task: task(), [lambda scene=scene: summary(context, scene, samples) for scene in scenes]
-                                         + [lambda: cantilever(context)])
+    *found, stiffness = context.team.map(
+        lambda task: task(),
+        [lambda scene=scene: summary(context, scene, samples) for scene in scenes] + [lambda: cantilever(context)],
+    )
     dense = found[len(per_zone) - 1]
-    rows = [{"pairs": s["pairs"], "failed samples": s["failed"]} | against(s, dense) for s in found[: len(per_zone) - 1]]
+    rows = [
+        {"pairs": s["pairs"], "failed samples": s["failed"]} | against(s, dense) for s in found[: len(per_zone) - 1]
+    ]
     density = pd.DataFrame(rows)
     figure, (axis,) = panels(1)
     for column in density.columns[2:]:
@@ -64,20 +82,46 @@ def run(context):
     axis.legend()
     at_102 = density[density["pairs"] == 102].iloc[0]
 
-    coarse, fine = found[len(per_zone): len(per_zone) + len(radii)], found[len(per_zone) + len(radii): len(per_zone) + 2 * len(radii) + 1]
+    coarse, fine = (
+        found[len(per_zone) : len(per_zone) + len(radii)],
+        found[len(per_zone) + len(radii) : len(per_zone) + 2 * len(radii) + 1],
+    )
     coarse = coarse + [found[per_zone.index(34)]]
-    patches = pd.DataFrame([{"patch radius, mm": radius} | against(a, b) for radius, a, b in zip([*map(str, radii), "tributary"], coarse, fine)])
+    patches = pd.DataFrame(
+        [
+            {"patch radius, mm": radius} | against(a, b)
+            for radius, a, b in zip([*map(str, radii), "tributary"], coarse, fine)
+        ]
+    )
     middle = against(found[-1], found[per_zone.index(34)])
     return [
-        Finding("density", float(at_102["zone slip"]), f"Mesh of {size:g} mm, {samples} samples; the flanges are meshed at about a third of that.", figure, density),
-        Finding("density-kc", float(at_102["key characteristic / tolerance"]),
-                f"Over 6σ, which is small here beside the tolerance, it is {at_102['key characteristic / 6σ']:.2g}; σ itself changes by "
-                f"{at_102['σ of key characteristic']:.2g}."),
-        Finding("patch", float(patches.iloc[-1]["zone slip"]), f"The same pairs on meshes of {size:g} and {size / 1.5:g} mm: what changes is the mesh, most where "
-                "the functional has no limit (radius 0).", table=patches),
+        Finding(
+            "density",
+            float(at_102["zone slip"]),
+            f"Mesh of {size:g} mm, {samples} samples; the flanges are meshed at about a third of that.",
+            figure,
+            density,
+        ),
+        Finding(
+            "density-kc",
+            float(at_102["key characteristic / tolerance"]),
+            f"Over 6σ, which is small here beside the tolerance, it is {at_102['key characteristic / 6σ']:.2g}; σ itself changes by "
+            f"{at_102['σ of key characteristic']:.2g}.",
+        ),
+        Finding(
+            "patch",
+            float(patches.iloc[-1]["zone slip"]),
+            f"The same pairs on meshes of {size:g} and {size / 1.5:g} mm: what changes is the mesh, most where "
+            "the functional has no limit (radius 0).",
+            table=patches,
+        ),
         Finding("surfaces", stiffness.iloc[0]["over one beam"], table=stiffness),
-        Finding("mid-surface", stiffness.iloc[1]["over one beam"], "On the wheelhouse, pairs on the mid-surfaces change the zone slip by "
-                f"{middle['zone slip']:.2g} and key characteristics by {middle['key characteristic / tolerance']:.2g} of the tolerance."),
+        Finding(
+            "mid-surface",
+            stiffness.iloc[1]["over one beam"],
+            "On the wheelhouse, pairs on the mid-surfaces change the zone slip by "
+            f"{middle['zone slip']:.2g} and key characteristics by {middle['key characteristic / tolerance']:.2g} of the tolerance.",
+        ),
     ]
 
 
@@ -87,7 +131,14 @@ def cantilever(context):
     rows = []
     for name, mid_surface in (("facing surfaces", False), ("mid-surfaces", True)):
         load = 0.5 * leaves.slip_load
-        rows.append({"pairs read": name, "over one beam": deflections(leaves, context, [load], mid_surface=mid_surface)[0] / load / leaves.stuck_compliance})
+        rows.append(
+            {
+                "pairs read": name,
+                "over one beam": deflections(leaves, context, [load], mid_surface=mid_surface)[0]
+                / load
+                / leaves.stuck_compliance,
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -98,10 +149,25 @@ STUDY = Study(
     reference="The same wheelhouse with ever more pairs; the same pairs on a finer mesh; beam theory for the surfaces.",
     acceptance=(
         Acceptance("density", "Zone slip with 102 pairs against the densest interface: relative difference.", 0.1),
-        Acceptance("density-kc", "Key characteristics with 102 pairs against the densest interface: difference of the means over the tolerance.", 0.04),
-        Acceptance("patch", "With tributary patches, a finer mesh changes the zone slip by little: relative difference.", 0.1),
-        Acceptance("surfaces", "Read on the facing surfaces, two stuck leaves are as stiff as one beam of double depth: compliance over that beam's.", 1.01),
-        Acceptance("mid-surface", "Read on the mid-surfaces they are not: compliance over that of one beam, four where friction does not couple the leaves at all.", 3.9, bound="at least"),
+        Acceptance(
+            "density-kc",
+            "Key characteristics with 102 pairs against the densest interface: difference of the means over the tolerance.",
+            0.04,
+        ),
+        Acceptance(
+            "patch", "With tributary patches, a finer mesh changes the zone slip by little: relative difference.", 0.1
+        ),
+        Acceptance(
+            "surfaces",
+            "Read on the facing surfaces, two stuck leaves are as stiff as one beam of double depth: compliance over that beam's.",
+            1.01,
+        ),
+        Acceptance(
+            "mid-surface",
+            "Read on the mid-surfaces they are not: compliance over that of one beam, four where friction does not couple the leaves at all.",
+            3.9,
+            bound="at least",
+        ),
     ),
     seconds=(380, 70),
     run=run,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mic import statistics
-from mic.variation import draw
+from mic.results import statistics
+from mic.sampling.draw import draw
 from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
@@ -25,7 +25,12 @@ def estimate(name, x, limits):
 
 def truth(mean, sigma, limits):
     """The population's own values."""
-    return {"mean": mean, "sigma": sigma, "six_sigma": 6 * sigma, "cpk": min(limits[1] - mean, mean - limits[0]) / (3 * sigma)}
+    return {
+        "mean": mean,
+        "sigma": sigma,
+        "six_sigma": 6 * sigma,
+        "cpk": min(limits[1] - mean, mean - limits[0]) / (3 * sigma),
+    }
 
 
 def repeat(draw_samples, known, limits, count, repetitions, block=500):
@@ -37,7 +42,9 @@ def repeat(draw_samples, known, limits, count, repetitions, block=500):
             found = estimate(name, x, limits)
             errors[name].append(found.value - known[name])
             covered[name] += int(((found.low <= known[name]) & (known[name] <= found.high)).sum())
-    return {name: np.concatenate(e) for name, e in errors.items()}, {name: c / repetitions for name, c in covered.items()}
+    return {name: np.concatenate(e) for name, e in errors.items()}, {
+        name: c / repetitions for name, c in covered.items()
+    }
 
 
 def normal_population(context, repetitions):
@@ -61,7 +68,9 @@ def scene_population(context, samples, repetitions, count):
         series[item.name] = (np.concatenate([e.measurements[:, j] for e in blocks]), (item.lower, item.upper))
     for z, zone in enumerate(scene.zones):
         own = model.contacts.zone == z
-        slip = np.concatenate([np.sqrt((e.resolutions["clamp"].displacement[:, own, 1:] ** 2).sum(-1).mean(1)) for e in blocks])
+        slip = np.concatenate(
+            [np.sqrt((e.resolutions["clamp"].displacement[:, own, 1:] ** 2).sum(-1).mean(1)) for e in blocks]
+        )
         series[f"slip {zone.name}"] = (slip, (0.0, slip.mean() + 4 * slip.std()))
     ok = ~np.concatenate([e.failed for e in blocks])
 
@@ -80,8 +89,18 @@ def scene_population(context, samples, repetitions, count):
 def run(context):
     repetitions = 2000 if context.quick else 20000
     known, cells = normal_population(context, repetitions)
-    errors = pd.DataFrame([{"samples": count} | {name: np.sqrt((e[name] ** 2).mean()) / abs(known[name]) if known[name] else np.sqrt((e[name] ** 2).mean())
-                                                for name in ESTIMATES} for count, (e, _) in zip(COUNTS, cells)])
+    errors = pd.DataFrame(
+        [
+            {"samples": count}
+            | {
+                name: np.sqrt((e[name] ** 2).mean()) / abs(known[name])
+                if known[name]
+                else np.sqrt((e[name] ** 2).mean())
+                for name in ESTIMATES
+            }
+            for count, (e, _) in zip(COUNTS, cells)
+        ]
+    )
     coverage = pd.DataFrame([{"samples": count} | c for count, (_, c) in zip(COUNTS, cells)])
     rates = {name: np.polyfit(np.log(errors["samples"]), np.log(errors[name]), 1)[0] for name in ESTIMATES}
 
@@ -97,7 +116,12 @@ def run(context):
     for name in ESTIMATES:
         axis.semilogx(coverage["samples"], coverage[name], "o-", label=name)
     noise = 3 * np.sqrt(statistics.LEVEL * (1 - statistics.LEVEL) / repetitions)
-    axis.axhspan(statistics.LEVEL - noise, statistics.LEVEL + noise, color="0.9", label=f"3 standard errors of {repetitions} repetitions")
+    axis.axhspan(
+        statistics.LEVEL - noise,
+        statistics.LEVEL + noise,
+        color="0.9",
+        label=f"3 standard errors of {repetitions} repetitions",
+    )
     axis.axhline(statistics.LEVEL, color="k", lw=0.8)
     axis.set(xlabel="samples", ylabel="share of intervals that hold the truth")
     axis.legend()
@@ -111,13 +135,33 @@ def run(context):
     table = scene_population(context, samples, draws, 500)
     lowest = float(table[list(ESTIMATES)].min().min())
     return [
-        Finding("rate", worst_rate, "Rates by least squares over all counts: " + ", ".join(f"{n} {r:.4f}" for n, r in rates.items()) + ".",
-                rate_figure, errors),
-        Finding("coverage", off, f"{repetitions} repetitions for each number of samples, normal population.", coverage_figure, coverage),
-        Finding("sigma-500", abs(half / expected - 1), f"With 500 samples σ is known to ±{half:.2%} (95 % of the repetitions); the theory of normal "
-                f"samples says ±{expected:.2%}. A solver error below that changes no decision about σ."),
-        Finding("scene-coverage", lowest, f"{samples} samples of the coarse wheelhouse under Coulomb's law are the population; {draws} "
-                "times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess kurtosis above 0); the intervals take that from the samples.", table=table),
+        Finding(
+            "rate",
+            worst_rate,
+            "Rates by least squares over all counts: " + ", ".join(f"{n} {r:.4f}" for n, r in rates.items()) + ".",
+            rate_figure,
+            errors,
+        ),
+        Finding(
+            "coverage",
+            off,
+            f"{repetitions} repetitions for each number of samples, normal population.",
+            coverage_figure,
+            coverage,
+        ),
+        Finding(
+            "sigma-500",
+            abs(half / expected - 1),
+            f"With 500 samples σ is known to ±{half:.2%} (95 % of the repetitions); the theory of normal "
+            f"samples says ±{expected:.2%}. A solver error below that changes no decision about σ.",
+        ),
+        Finding(
+            "scene-coverage",
+            lowest,
+            f"{samples} samples of the coarse wheelhouse under Coulomb's law are the population; {draws} "
+            "times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess kurtosis above 0); the intervals take that from the samples.",
+            table=table,
+        ),
     ]
 
 
@@ -127,13 +171,30 @@ STUDY = Study(
     claim="Mean, σ, 6σ and Cpk come with intervals that hold the truth as often as they say, and their error falls as the theory says.",
     reference="Populations whose values are known exactly: the normal distribution, and a large set of wheelhouse samples taken as the whole population.",
     acceptance=(
-        Acceptance("rate", "The error of each estimate falls with the square root of the number of samples: largest departure of the fitted rate from -1/2.",
-                   0.02, quick=0.05),
-        Acceptance("coverage", "Intervals said to hold at 95 % do, on normal samples: largest departure of the share that held, over all counts and estimates.",
-                   0.012, quick=0.02),
-        Acceptance("sigma-500", "What 500 samples leave unknown of σ is what normal theory says: relative difference.", 0.03, quick=0.06),
-        Acceptance("scene-coverage", "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: lowest share.",
-                   0.92, bound="at least"),
+        Acceptance(
+            "rate",
+            "The error of each estimate falls with the square root of the number of samples: largest departure of the fitted rate from -1/2.",
+            0.02,
+            quick=0.05,
+        ),
+        Acceptance(
+            "coverage",
+            "Intervals said to hold at 95 % do, on normal samples: largest departure of the share that held, over all counts and estimates.",
+            0.012,
+            quick=0.02,
+        ),
+        Acceptance(
+            "sigma-500",
+            "What 500 samples leave unknown of σ is what normal theory says: relative difference.",
+            0.03,
+            quick=0.06,
+        ),
+        Acceptance(
+            "scene-coverage",
+            "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: lowest share.",
+            0.92,
+            bound="at least",
+        ),
     ),
     seconds=(90, 10),
     run=run,

@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 from mpi4py import MPI
 
-from fem_reference.contact import FullModel
-from mic import statistics
+from fem_reference.full.model import FullModel
+from mic.results import statistics
+from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
-from mic.variation import draw
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
@@ -26,15 +26,36 @@ LAWS = ("coulomb", "associated", "frictionless")
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
 SEED = 17
-ADVISED = ("setting", "element size, mm", "pairs per zone", "increments")  # knobs that converge; elsewhere a small error may be two that cancel
+ADVISED = (
+    "setting",
+    "element size, mm",
+    "pairs per zone",
+    "increments",
+)  # knobs that converge; elsewhere a small error may be two that cancel
 COINCIDENT = ("law", "solver tolerance")  # their versions fall on the standard setting: one label is enough
 ERRORS = ("error of 6σ", "error of slip 6σ", "error of mean slip", "error of the mean, σ")
 
 # Finer than every setting; what the base's knobs are turned to, one at a time.
-FULL = {"truth": {"size": 4.0, "pairs": 68, "increments": 64}, "sizes": {"coarse": 17.5, "medium": 9.5, "fine": 5.0}, "more sizes": (7.0,),
-        "pairs": {17: 17, 34: 34, 68: 68}, "patches": (0.0, 3.0, 6.0), "samples": 60, "penalties": (1e2, 1e4), "full size": 17.5}
-QUICK = {"truth": {"size": 15.0, "pairs": 24, "increments": 64}, "sizes": {"coarse": 30.0, "medium": 24.0, "fine": 19.0}, "more sizes": (),
-         "pairs": {17: 8, 34: 12, 68: 20}, "patches": (0.0,), "samples": 60, "penalties": (1e3,), "full size": 30.0}
+FULL = {
+    "truth": {"size": 4.0, "pairs": 68, "increments": 64},
+    "sizes": {"coarse": 17.5, "medium": 9.5, "fine": 5.0},
+    "more sizes": (7.0,),
+    "pairs": {17: 17, 34: 34, 68: 68},
+    "patches": (0.0, 3.0, 6.0),
+    "samples": 60,
+    "penalties": (1e2, 1e4),
+    "full size": 17.5,
+}
+QUICK = {
+    "truth": {"size": 15.0, "pairs": 24, "increments": 64},
+    "sizes": {"coarse": 30.0, "medium": 24.0, "fine": 19.0},
+    "more sizes": (),
+    "pairs": {17: 8, 34: 12, 68: 20},
+    "patches": (0.0,),
+    "samples": 60,
+    "penalties": (1e3,),
+    "full size": 30.0,
+}
 
 
 def version(size, pairs, increments=1, element="dkt-opt", patch="tributary") -> Scene:
@@ -46,7 +67,9 @@ def version(size, pairs, increments=1, element="dkt-opt", patch="tributary") -> 
 
 def with_increments(scene, increments):
     """The scene with as many load increments in every stage."""
-    return scene.model_copy(update={"stages": [stage.model_copy(update={"increments": increments}) for stage in scene.stages]})
+    return scene.model_copy(
+        update={"stages": [stage.model_copy(update={"increments": increments}) for stage in scene.stages]}
+    )
 
 
 def opened(setting) -> Scene:
@@ -63,8 +86,11 @@ def opened(setting) -> Scene:
 def as_set(setting, plan) -> tuple[int, dict]:
     """Samples, and the knobs of :func:`version`, that a setting gives."""
     scene = opened(setting)
-    return scene.monte_carlo.samples, {"size": plan["sizes"][scene.parts[0].size], "pairs": plan["pairs"][scene.zones[0].pairs],
-                                       "increments": scene.stages[1].increments}
+    return scene.monte_carlo.samples, {
+        "size": plan["sizes"][scene.parts[0].size],
+        "pairs": plan["pairs"][scene.zones[0].pairs],
+        "increments": scene.stages[1].increments,
+    }
 
 
 def prepare(scene):
@@ -88,15 +114,26 @@ def measure(prepared, deviations, law="coulomb", tol=1e-10) -> dict:
     each = (time.perf_counter() - start) / len(deviations)
     ok = ~found.failed
     slip = zone_slip(found.resolutions["clamp"].displacement[ok], model.contacts, len(model.scene.zones))
-    return {"sigma": found.measurements[ok].std(axis=0, ddof=1), "mean": found.measurements[ok].mean(axis=0), "slip sigma": slip.std(axis=0, ddof=1),
-            "mean slip": slip.mean(axis=0), "preparation, s": seconds, "per sample, ms": 1e3 * each, "failed": int((~ok).sum())}
+    return {
+        "sigma": found.measurements[ok].std(axis=0, ddof=1),
+        "mean": found.measurements[ok].mean(axis=0),
+        "slip sigma": slip.std(axis=0, ddof=1),
+        "mean slip": slip.mean(axis=0),
+        "preparation, s": seconds,
+        "per sample, ms": 1e3 * each,
+        "failed": int((~ok).sum()),
+    }
 
 
 def row(knob, value, found, truth) -> dict:
     """One line of the table: errors are the largest over the key characteristics, or the zones."""
     errors = [np.abs(found[key] / truth[key] - 1).max() for key in ("sigma", "slip sigma", "mean slip")]
     errors.append((np.abs(found["mean"] - truth["mean"]) / truth["sigma"]).max())
-    return {"knob": knob, "value": str(value)} | dict(zip(ERRORS, map(float, errors))) | {key: found[key] for key in ("preparation, s", "per sample, ms", "failed")}
+    return (
+        {"knob": knob, "value": str(value)}
+        | dict(zip(ERRORS, map(float, errors)))
+        | {key: found[key] for key in ("preparation, s", "per sample, ms", "failed")}
+    )
 
 
 def sampling_error(samples) -> float:
@@ -114,8 +151,12 @@ def cost(line, samples) -> float:
 
 def cheapest(lines, target):
     """The cheapest version and number of samples whose error and sampling error together keep the target; None if there is none."""
-    fitting = [(cost(line, count), line, count) for _, line in lines.iterrows() for count in COUNTS
-               if line["error of 6σ"] + sampling_error(count) <= target]
+    fitting = [
+        (cost(line, count), line, count)
+        for _, line in lines.iterrows()
+        for count in COUNTS
+        if line["error of 6σ"] + sampling_error(count) <= target
+    ]
     return min(fitting, key=lambda item: item[0]) if fitting else None
 
 
@@ -138,18 +179,29 @@ def turn_knobs(plan, deviations):
         prepared = prepare(version(**knobs))
         line = row("setting", setting, measure(prepared, deviations), truth)
         lines.append(line)
-        settings.append(line | {"samples": samples, "sampling error": sampling_error(samples), "cost, s": cost(line, samples)} | knobs)
+        settings.append(
+            line
+            | {"samples": samples, "sampling error": sampling_error(samples), "cost, s": cost(line, samples)}
+            | knobs
+        )
         if setting == "standard":
             base, given = prepared, knobs
     lines += [row("law", law, measure(base, deviations, law), truth) for law in LAWS]
-    lines += [row("solver tolerance", f"{tol:.0e}", measure(base, deviations, tol=tol), truth) for tol in (1e-3, 1e-6, 1e-12)]
+    lines += [
+        row("solver tolerance", f"{tol:.0e}", measure(base, deviations, tol=tol), truth) for tol in (1e-3, 1e-6, 1e-12)
+    ]
     for increments in (1, 4, 64):
         model = replace(base[0], scene=with_increments(base[0].scene, increments))
         lines.append(row("increments", increments, measure((model, base[1]), deviations), truth))
-    for knob, changes in [("element size, mm", {"size": size}) for size in (plan["sizes"]["coarse"], *plan["more sizes"], plan["sizes"]["fine"])] \
-            + [("pairs per zone", {"pairs": pairs}) for pairs in (plan["pairs"][17], plan["pairs"][68])] \
-            + [("patch radius, mm", {"patch": radius}) for radius in plan["patches"]] \
-            + [("element type", {"element": "p2-cr", "size": plan["sizes"]["coarse"]})]:
+    for knob, changes in (
+        [
+            ("element size, mm", {"size": size})
+            for size in (plan["sizes"]["coarse"], *plan["more sizes"], plan["sizes"]["fine"])
+        ]
+        + [("pairs per zone", {"pairs": pairs}) for pairs in (plan["pairs"][17], plan["pairs"][68])]
+        + [("patch radius, mm", {"patch": radius}) for radius in plan["patches"]]
+        + [("element type", {"element": "p2-cr", "size": plan["sizes"]["coarse"]})]
+    ):
         value = "p2-cr, coarse" if "element" in changes else next(iter(changes.values()))
         lines.append(row(knob, value, measure(prepare(version(**given | changes)), deviations), truth))
     return pd.DataFrame(lines), pd.DataFrame(settings)
@@ -165,8 +217,12 @@ def full_solves(plan, context) -> pd.DataFrame:
         start = time.perf_counter()
         options = {"augmented": True} if penalty is None else {"augmented": False, "penalty": penalty}
         found = FullModel(assembly, comm=MPI.COMM_SELF, **options).evaluate(deviations[0])
-        return {"penalty ε/k": "augmented" if penalty is None else f"{penalty:.0e}", "element size, mm": plan["full size"],
-                "error of measurements": relative(found.measurements, exact), "per sample, s": time.perf_counter() - start}
+        return {
+            "penalty ε/k": "augmented" if penalty is None else f"{penalty:.0e}",
+            "element size, mm": plan["full size"],
+            "error of measurements": relative(found.measurements, exact),
+            "per sample, s": time.perf_counter() - start,
+        }
 
     return pd.DataFrame([solve(penalty) for penalty in (*plan["penalties"], None)])
 
@@ -177,21 +233,46 @@ def advice(lines, full) -> pd.DataFrame:
     for target in TARGETS:
         found = cheapest(lines, target)
         if found is None:
-            rows.append({"6σ to": f"{target:.0%}", "run": f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} before any sampling error",
-                         "samples": float("nan"), "cost, s": float("nan"), "full solves would take, s": float("nan"), "times cheaper": float("nan")})
+            rows.append(
+                {
+                    "6σ to": f"{target:.0%}",
+                    "run": f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} before any sampling error",
+                    "samples": float("nan"),
+                    "cost, s": float("nan"),
+                    "full solves would take, s": float("nan"),
+                    "times cheaper": float("nan"),
+                }
+            )
             continue
         seconds, line, count = found
         dear = count * full.iloc[-1]["per sample, s"]
-        rows.append({"6σ to": f"{target:.0%}", "run": f"{line['knob']} {line['value']}", "samples": count, "error of 6σ": line["error of 6σ"],
-                     "sampling error": sampling_error(count), "cost, s": seconds, "full solves would take, s": dear, "times cheaper": dear / seconds})
+        rows.append(
+            {
+                "6σ to": f"{target:.0%}",
+                "run": f"{line['knob']} {line['value']}",
+                "samples": count,
+                "error of 6σ": line["error of 6σ"],
+                "sampling error": sampling_error(count),
+                "cost, s": seconds,
+                "full solves would take, s": dear,
+                "times cheaper": dear / seconds,
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def in_words(table) -> str:
     """The table of advice as sentences."""
-    return " ".join(f"6σ to {line['6σ to']}: " + (f"{line['run']}." if not line["samples"] > 0 else
-                    f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would take {line['full solves would take, s'] / 3600:.1f} h, "
-                    f"{line['times cheaper']:.0f} times as much.") for _, line in table.iterrows())
+    return " ".join(
+        f"6σ to {line['6σ to']}: "
+        + (
+            f"{line['run']}."
+            if not line["samples"] > 0
+            else f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would take {line['full solves would take, s'] / 3600:.1f} h, "
+            f"{line['times cheaper']:.0f} times as much."
+        )
+        for _, line in table.iterrows()
+    )
 
 
 def picture(lines, kept, samples):
@@ -199,12 +280,31 @@ def picture(lines, kept, samples):
     figure, (axis,) = panels(1, 8.0, 5.2)
     for knob, own in lines.groupby("knob", sort=False):
         x = [cost(line, samples) for _, line in own.iterrows()]
-        axis.loglog(x, own["error of 6σ"], "*" if knob == "setting" else "o", ms=14 if knob == "setting" else 6, label=knob, zorder=3 if knob == "setting" else 2)
+        axis.loglog(
+            x,
+            own["error of 6σ"],
+            "*" if knob == "setting" else "o",
+            ms=14 if knob == "setting" else 6,
+            label=knob,
+            zorder=3 if knob == "setting" else 2,
+        )
         for place, (_, line) in zip(x, own.iterrows()) if knob not in COINCIDENT else ():
-            axis.annotate(line["value"], (place, line["error of 6σ"]), textcoords="offset points", xytext=(6, 4), fontsize=7.5)
-    axis.loglog([cost(lines.loc[i], samples) for i in kept], lines.loc[kept, "error of 6σ"], "k-", lw=1, zorder=1, label="Pareto front")
+            axis.annotate(
+                line["value"], (place, line["error of 6σ"]), textcoords="offset points", xytext=(6, 4), fontsize=7.5
+            )
+    axis.loglog(
+        [cost(lines.loc[i], samples) for i in kept],
+        lines.loc[kept, "error of 6σ"],
+        "k-",
+        lw=1,
+        zorder=1,
+        label="Pareto front",
+    )
     axis.axhline(sampling_error(samples), color="0.5", ls=":", lw=1, label=f"sampling error of {samples} samples")
-    axis.set(xlabel=f"wall time from nothing with {samples} samples, s", ylabel="error of 6σ, largest over the key characteristics")
+    axis.set(
+        xlabel=f"wall time from nothing with {samples} samples, s",
+        ylabel="error of 6σ, largest over the key characteristics",
+    )
     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
@@ -226,17 +326,53 @@ def run(context):
     spread = abs(tolerances.loc["1e-06", "error of 6σ"] - tolerances.loc["1e-12", "error of 6σ"])
     truth = plan["truth"]
     shown = settings.reset_index().rename(columns={"value": "setting"}).drop(columns=["knob", "failed"])
-    counted = pd.DataFrame([{"samples": n, "sampling error of 6σ": sampling_error(n), "standard setting, s": cost(settings.loc["standard"], n)} for n in COUNTS])
-    findings = [Finding("draft", settings.loc["draft", "error of 6σ"], f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} increments; "
-                        f"the same {plan['samples']} samples for all versions, so that sampling errors cancel. " + (
-                            "Quick version: the named sizes are replaced by coarser ones." if context.quick else ""), picture(coulomb, kept, samples), lines),
-                Finding("standard", settings.loc["standard", "error of 6σ"], "The settings, each with its error, its samples' own uncertainty (95 %) and its cost from nothing.",
-                        table=shown),
-                Finding("reference", settings.loc["reference", "error of 6σ"], "6σ of the key characteristics against the number of samples (95 % half-width).", table=counted),
-                Finding("saving", told["times cheaper"].max(), in_words(told), table=told),
-                Finding("tolerance", spread, "A looser tolerance saves nothing worth having, which is why the settings leave it alone: "
-                        + ", ".join(f"{tol}: {line['per sample, ms']:.2f} ms per sample" for tol, line in tolerances.iterrows()) + "."),
-                Finding("penalty", float(full.iloc[-1]["error of measurements"]), "The penalty is a knob of the full solve alone.", table=full)]
+    counted = pd.DataFrame(
+        [
+            {
+                "samples": n,
+                "sampling error of 6σ": sampling_error(n),
+                "standard setting, s": cost(settings.loc["standard"], n),
+            }
+            for n in COUNTS
+        ]
+    )
+    findings = [
+        Finding(
+            "draft",
+            settings.loc["draft", "error of 6σ"],
+            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} increments; "
+            f"the same {plan['samples']} samples for all versions, so that sampling errors cancel. "
+            + ("Quick version: the named sizes are replaced by coarser ones." if context.quick else ""),
+            picture(coulomb, kept, samples),
+            lines,
+        ),
+        Finding(
+            "standard",
+            settings.loc["standard", "error of 6σ"],
+            "The settings, each with its error, its samples' own uncertainty (95 %) and its cost from nothing.",
+            table=shown,
+        ),
+        Finding(
+            "reference",
+            settings.loc["reference", "error of 6σ"],
+            "6σ of the key characteristics against the number of samples (95 % half-width).",
+            table=counted,
+        ),
+        Finding("saving", told["times cheaper"].max(), in_words(told), table=told),
+        Finding(
+            "tolerance",
+            spread,
+            "A looser tolerance saves nothing worth having, which is why the settings leave it alone: "
+            + ", ".join(f"{tol}: {line['per sample, ms']:.2f} ms per sample" for tol, line in tolerances.iterrows())
+            + ".",
+        ),
+        Finding(
+            "penalty",
+            float(full.iloc[-1]["error of measurements"]),
+            "The penalty is a knob of the full solve alone.",
+            table=full,
+        ),
+    ]
     return findings
 
 
@@ -245,14 +381,25 @@ STUDY = Study(
     title="The trade",
     claim="Accuracy can be bought knob by knob; three named settings buy it well, and anyone can read off what 6σ to 1, 2, 5 or 10 % takes.",
     reference="The wheelhouse, finer in every knob than any setting, on the same samples. All errors include the settings' meshes; those of the truth are the "
-              "mesh study's. One machine, one run, every version from nothing.",
+    "mesh study's. One machine, one run, every version from nothing.",
     acceptance=(
-        Acceptance("draft", "Setting draft: largest error of 6σ over the key characteristics, sampling left out.", 0.25, quick=0.7),
+        Acceptance(
+            "draft",
+            "Setting draft: largest error of 6σ over the key characteristics, sampling left out.",
+            0.25,
+            quick=0.7,
+        ),
         Acceptance("standard", "Setting standard: the same.", 0.12, quick=0.4),
         Acceptance("reference", "Setting reference: the same.", 0.075, quick=0.3),
-        Acceptance("saving", "Full solves instead cost many times as much: the largest ratio.", 50, bound="at least", quick=1),
+        Acceptance(
+            "saving", "Full solves instead cost many times as much: the largest ratio.", 50, bound="at least", quick=1
+        ),
         Acceptance("tolerance", "Between tolerances of 1e-6 and 1e-12 no 6σ changes by more than this share.", 1e-4),
-        Acceptance("penalty", "The augmented full solve and the reduced model on the same mesh: relative difference of the measurements.", 1e-7),
+        Acceptance(
+            "penalty",
+            "The augmented full solve and the reduced model on the same mesh: relative difference of the measurements.",
+            1e-7,
+        ),
     ),
     seconds=(900, 90),
     run=run,

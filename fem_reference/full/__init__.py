@@ -1,0 +1,1 @@
+"""The full frictional contact solve of an assembly, no reduction."""

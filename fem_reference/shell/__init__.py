@@ -1,0 +1,1 @@
+"""One part as a finite-element shell: elements, stiffness, factorisation, influence coefficients."""

@@ -1,0 +1,237 @@
+"""Linear shell elements on flat triangles in space, written as their theory is printed.
+
+The shell carries displacements u and rotations θ (three components each). In the frame (e1, e2, e3) of a
+triangle, e3 normal, u = (u1, u2, w); the normal fibre tilts by β = e3 × θ, so that γ = ∇w − β is the transverse shear
+and ω = θ·e3 is the rotation about the normal (the drilling freedom). The strain energy per unit area is
+
+    W = t/2 ε : C ε + t³/24 κ : C κ + (shear and drilling terms of the element, if any),               (1)
+
+with ε the membrane strain, κ = sym ∇β the curvature and C plane stress,
+
+    C ε = E/(1−ν²) ((1−ν) ε + ν tr(ε) I).                                                              (2)
+
+Two elements, chosen because they share nothing but (1) and (2):
+
+`dkt_opt`
+    (u, θ) linear, six freedoms per vertex. Kirchhoff plate theory held at discrete points (DKT: Batoz, Bathe and Ho 1980) and
+    Felippa's optimal membrane triangle with drilling freedoms (OPT: Felippa 2003). No shear strain, no penalty.
+
+`p2_cr`
+    u quadratic, θ Crouzeix–Raviart (Campello, Pimenta and Wriggers 2003; Bleyer, Numerical Tours of Computational Mechanics
+    with FEniCS). Reissner–Mindlin theory with a drilling penalty.
+
+All integrands are of degree two at most and one quadrature degree is used throughout: FFCx 0.5 generates
+wrong matrices where one integral mixes degrees.
+
+References
+----------
+Batoz, Bathe, Ho (1980), A study of three-node triangular plate bending elements, Int. J. Numer. Meth. Engng 15, 1771–1812.
+Felippa (2003), A study of optimal membrane triangles with drilling freedoms, Comput. Methods Appl. Mech. Engrg 192,
+2125–2168.
+Allman (1984), A compatible triangular element including vertex rotations for plane elasticity analysis, Comput. Struct. 19, 1–8.
+Campello, Pimenta, Wriggers (2003), A triangular finite shell element based on a fully nonlinear shell formulation,
+Comput. Mech. 31, 505–518.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import ufl
+from ufl import as_matrix, as_vector, cross, dot, grad, inner, outer, sqrt, sym, tr
+
+QUADRATURE_DEGREE = 2
+
+SHEAR_FACTOR = 5 / 6  # Reissner's, of the transverse shear energy
+DRILLING_PENALTY = 1.0  # times E t³/h²: Bleyer's choice
+
+
+class Material(NamedTuple):
+    """Isotropic sheet; the members are `fem.Constant`s so that a form is compiled once for all values."""
+
+    young: ufl.Coefficient  #: E, MPa
+    poisson: ufl.Coefficient  #: ν
+    thickness: ufl.Coefficient  #: t, mm
+    beta0: ufl.Coefficient  #: β0 of OPT's higher-order stiffness, see `opt_beta0`
+
+
+class Triangle(NamedTuple):
+    """Geometry of one flat triangle in its own frame. Vertices, edges and barycentric coordinates are cyclic: 0, 1, 2."""
+
+    frame: ufl.core.expr.Expr  #: P = [e1 e2] (3, 2): columns in the plane, e1 along the edge 0→1
+    normal: ufl.core.expr.Expr  #: e3
+    vertex: list  #: three plane vectors; vertex 0 is the origin
+    position: ufl.core.expr.Expr  #: plane vector of the point of integration
+    area: ufl.core.expr.Expr  #: A
+    barycentric: list  #: λ0, λ1, λ2
+    gradient: list  #: ∇λ0, ∇λ1, ∇λ2, plane vectors
+
+    #: (i, j, k): the edge from i to j lies opposite vertex k
+    edges = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+
+
+def triangle(mesh) -> Triangle:
+    """The `Triangle` of each cell of a mesh, as UFL expressions."""
+    jacobian = ufl.Jacobian(mesh)  # columns: edges 0→1 and 0→2
+    side1, side2 = (as_vector([jacobian[i, c] for i in range(3)]) for c in (0, 1))
+    origin = as_vector([ufl.geometry.CellVertices(mesh)[0, i] for i in range(3)])
+    unit = lambda a: a / sqrt(dot(a, a))
+    e1, e3 = unit(side1), unit(cross(side1, side2))
+    e2 = cross(e3, e1)
+    length, (b, height) = sqrt(dot(side1, side1)), (dot(side2, e1), dot(side2, e2))
+    # vertices (0, 0), (length, 0), (b, height)
+    gradient = [
+        as_vector([-1 / length, (b - length) / (length * height)]),
+        as_vector([1 / length, -b / (length * height)]),
+        as_vector([0, 1 / height]),
+    ]
+    frame = as_matrix([[e1[i], e2[i]] for i in range(3)])
+    position = dot(frame.T, ufl.SpatialCoordinate(mesh) - origin)
+    return Triangle(
+        frame=frame,
+        normal=e3,
+        vertex=[as_vector([0, 0]), as_vector([length, 0]), as_vector([b, height])],
+        position=position,
+        area=length * height / 2,
+        barycentric=[1 + dot(gradient[0], position), dot(gradient[1], position), dot(gradient[2], position)],
+        gradient=gradient,
+    )
+
+
+def plane_stress(strain, material: Material):
+    """C ε of (2)."""
+    E, ν = material.young, material.poisson
+    return E / (1 - ν**2) * ((1 - ν) * strain + ν * tr(strain) * ufl.Identity(2))
+
+
+def opt_beta0(poisson: float) -> float:
+    """β0 = max(½(1 − 4ν²), 0.01): Felippa (2003), the optimum for in-plane bending at any aspect ratio."""
+    return max(0.5 * (1 - 4 * poisson**2), 0.01)
+
+
+# ---------------------------------------------------------------------------------------------- kinematics
+
+
+class Kinematics(NamedTuple):
+    """What both elements read off (u, θ): components in the triangle's plane, and their plane gradients."""
+
+    grad_u: ufl.core.expr.Expr  #: ∂u_α/∂x_β, (2, 2)
+    grad_w: ufl.core.expr.Expr  #: ∇w, (2,)
+    beta: ufl.core.expr.Expr  #: β = e3 × θ in the plane, (2,): where there is no shear, β = ∇w
+    grad_beta: ufl.core.expr.Expr  #: (2, 2)
+    omega: ufl.core.expr.Expr  #: ω = θ·e3, the drilling rotation
+    grad_omega: ufl.core.expr.Expr  #: (2,)
+
+    @property
+    def rotation_of_u(self):
+        """½(∂u2/∂x1 − ∂u1/∂x2): what ω must equal in a continuum."""
+        return (self.grad_u[1, 0] - self.grad_u[0, 1]) / 2
+
+
+def kinematics(T: Triangle, u, θ) -> Kinematics:
+    P, e3 = T.frame, T.normal
+    plane_gradient_u = dot(grad(u), P)  # (3, 2)
+    plane_gradient_θ = dot(grad(θ), P)
+    tilt = as_matrix([[-P[i, 1], P[i, 0]] for i in range(3)])  # (e3 × θ)·e1 = −θ·e2, (e3 × θ)·e2 = θ·e1
+    return Kinematics(
+        grad_u=dot(P.T, plane_gradient_u),
+        grad_w=dot(e3, plane_gradient_u),
+        beta=dot(tilt.T, θ),
+        grad_beta=dot(tilt.T, plane_gradient_θ),
+        omega=dot(e3, θ),
+        grad_omega=dot(e3, plane_gradient_θ),
+    )
+
+
+# ---------------------------------------------------------------------------------------------- DKT + OPT
+
+
+def dkt_curvature(T: Triangle, v: Kinematics):
+    """Curvature of the discrete Kirchhoff triangle.
+
+    β is linear plus one quadratic bubble per edge, directed along the edge's tangent s, whose amplitude makes
+    the shear along the edge vanish in the mean and at both ends (Batoz et al. 1980):
+
+        β = Σ λi βi + Σ_edges 3/2 γ_s s 4 λi λj,      γ_s = (wj − wi)/l − ½(βi + βj)·s
+        κ = sym ∇β
+    """
+    curvature = sym(v.grad_beta)
+    λ, dλ = T.barycentric, T.gradient
+    for i, j, _ in T.edges:
+        edge = T.vertex[j] - T.vertex[i]  # l s
+        middle = (T.vertex[i] + T.vertex[j]) / 2
+        beta_middle = v.beta + dot(v.grad_beta, middle - T.position)  # ½(βi + βj): β is linear
+        shear = dot(v.grad_w - beta_middle, edge) / dot(edge, edge)  # γ_s/l; ∇w is constant
+        bubble_gradient = 4 * (λ[i] * dλ[j] + λ[j] * dλ[i])
+        curvature += 3 / 2 * shear * sym(outer(edge, bubble_gradient))
+    return curvature
+
+
+def opt_strain(T: Triangle, v: Kinematics, material: Material):
+    """Membrane strain of the optimal ANDES triangle with drilling freedoms ω.
+
+    Basic part: the mean of the strain whose edges bow out by the difference of their end rotations (α_b = 1
+    would be Allman's triangle; OPT takes 3/2). With the edge i→j opposite vertex k and the area A,
+
+        ε_b = sym ∇u + α_b A/3 Σ_k (ωj − ωi) ∇λk ⊗ ∇λk
+
+    Higher-order part, of zero mean: linear in the deviatoric rotations ω̃i = ωi − ½(∂u2/∂x1 − ∂u1/∂x2) and set by the strain along
+    each edge, of which −sym ∇λi ⊗ ∇λj is the tensor that the other two edges do not feel,
+
+        ε_h = −√β0 A Σ_k s_k sym(∇λi ⊗ ∇λj),     s_k = (1 − 3λj) ω̃i − (1 − 3λi) ω̃j + (λi − λj) ω̃k
+
+    This is the ANDES template of Felippa (2003) with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2), in a form free of coordinates:
+    his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on integration, and ε_b, ε_h do not couple.
+    """
+    α_b = 3 / 2
+    λ, dλ, A = T.barycentric, T.gradient, T.area
+    at_vertex = lambda i: v.omega + dot(v.grad_omega, T.vertex[i] - T.position)  # ω is linear
+    ω_dev = [at_vertex(i) - v.rotation_of_u for i in range(3)]
+    basic, higher = sym(v.grad_u), ufl.zero(2, 2)
+    for i, j, k in T.edges:
+        basic += α_b * A / 3 * (ω_dev[j] - ω_dev[i]) * outer(dλ[k], dλ[k])
+        s_k = (1 - 3 * λ[j]) * ω_dev[i] - (1 - 3 * λ[i]) * ω_dev[j] + (λ[i] - λ[j]) * ω_dev[k]
+        higher -= A * s_k * sym(outer(dλ[i], dλ[j]))
+    return basic + sqrt(material.beta0) * higher
+
+
+def dkt_opt(V, material: Material):
+    """Bilinear form of (1) for the six-freedom element on V = [P1]⁶."""
+    T, t = triangle(V.mesh), material.thickness
+
+    def strains(v):
+        v = kinematics(T, as_vector([v[i] for i in range(3)]), as_vector([v[i] for i in range(3, 6)]))
+        return opt_strain(T, v, material), dkt_curvature(T, v)
+
+    ε, κ = strains(ufl.TrialFunction(V))
+    ε_, κ_ = strains(ufl.TestFunction(V))
+    return (t * inner(plane_stress(ε, material), ε_) + t**3 / 12 * inner(plane_stress(κ, material), κ_)) * ufl.dx(
+        metadata={"quadrature_degree": QUADRATURE_DEGREE}
+    )
+
+
+# ---------------------------------------------------------------------------------------------- P2 × CR
+
+
+def p2_cr(V, material: Material):
+    """Bilinear form of (1) for quadratic u and Crouzeix–Raviart θ, V = [P2]³ × [CR]³.
+
+    Transverse shear energy ½ · 5/6 G t |∇w − β|² and drilling energy ½ E t³/h² (½ curl u − ω)², h the cell's diameter.
+    Crouzeix–Raviart rotations contain the gradients of quadratics edge by edge, hence no shear locking.
+    """
+    T, t, E = triangle(V.mesh), material.thickness, material.young
+    G = E / (2 * (1 + material.poisson))
+    h = ufl.CellDiameter(V.mesh)
+
+    def strains(function):
+        v = kinematics(T, *ufl.split(function))
+        return sym(v.grad_u), sym(v.grad_beta), v.grad_w - v.beta, v.rotation_of_u - v.omega
+
+    ε, κ, γ, drill = strains(ufl.TrialFunction(V))
+    ε_, κ_, γ_, drill_ = strains(ufl.TestFunction(V))
+    return (
+        t * inner(plane_stress(ε, material), ε_)
+        + t**3 / 12 * inner(plane_stress(κ, material), κ_)
+        + SHEAR_FACTOR * G * t * dot(γ, γ_)
+        + DRILLING_PENALTY * E * t**3 / h**2 * drill * drill_
+    ) * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})

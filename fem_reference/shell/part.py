@@ -1,0 +1,399 @@
+"""One sheet-metal part as a finite-element body: stiffness, functionals, rigid modes, pinned solves.
+
+Units mm, N, MPa, radians. A part is free: it has no supports of its own. Where a solve needs one, six nodal displacement
+components that suppress exactly the rigid motions are *pinned*. The reactions of such a statically determinate
+support vanish under self-equilibrated loads, so that nothing but a rigid motion depends on the choice.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.sparse import coo_matrix, csr_matrix, vstack
+from scipy.sparse.csgraph import connected_components
+
+from fem_reference.shell import compat, element
+from fem_reference.shell.factorisation import Factorisation, FactorisationError, influence_matrix
+from mic.compliance.functional import Functionals
+from mic.geometry.surface import Surface
+
+ELEMENTS = ("dkt-opt", "p2-cr")
+RIGID_MOTION_TOLERANCE = 1e-2  # reached where t/L ~ 1e-5 on curved shells
+
+
+def _p1(barycentric: np.ndarray) -> np.ndarray:
+    """Linear shape functions (q, 3), one per vertex."""
+    return barycentric
+
+
+def _p2(barycentric: np.ndarray) -> np.ndarray:
+    """Quadratic shape functions (q, 6): three vertices, then the midpoints opposite to each vertex."""
+    opposite = barycentric[:, [1, 2, 0]] * barycentric[:, [2, 0, 1]]
+    return np.hstack([barycentric * (2 * barycentric - 1), 4 * opposite])
+
+
+def _crouzeix_raviart(barycentric: np.ndarray) -> np.ndarray:
+    """Linear shape functions (q, 3), one per edge midpoint opposite to each vertex."""
+    return 1 - 2 * barycentric
+
+
+def _pieces(triangles: np.ndarray) -> int:
+    """Number of sets of triangles that hang together by edges."""
+    edges = np.sort(np.concatenate([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]]), axis=1)
+    edge = np.unique(edges, axis=0, return_inverse=True)[1].ravel()
+    triangle = np.tile(np.arange(len(triangles)), 3)
+    incidence = csr_matrix((np.ones(len(edge)), (triangle, edge)))
+    return connected_components(incidence @ incidence.T, directed=False)[0]
+
+
+class ShellPart:
+    """A free elastic sheet on the triangles of a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        Mid-surface, mm; every point belongs to a triangle, all triangles hang together.
+    thickness : float
+        t, mm, > 0.
+    young : float
+        E, MPa, > 0.
+    poisson : float
+        ν, −1 < ν < ½.
+    element : {"dkt-opt", "p2-cr"}
+        The six-freedom production element, or its independent check (see `fem_reference.shell.element`).
+    comm : MPI.Comm
+        Processes that share the assembled stiffness. The tables (`functional_matrix`, `rigid_modes`, …) are whole on
+        each of them, in the same global order of freedoms; that order depends on the number of processes.
+
+    Raises
+    ------
+    ValueError
+        For a material, thickness or surface that does not describe a sheet.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        thickness: float,
+        young: float,
+        poisson: float,
+        element: str = "dkt-opt",
+        comm: MPI.Comm = MPI.COMM_SELF,
+    ):
+        if element not in ELEMENTS:
+            raise ValueError(f"element {element!r}: choose one of {', '.join(ELEMENTS)}")
+        if not (np.isfinite(thickness) and thickness > 0):
+            raise ValueError(f"thickness must be positive, not {thickness} mm")
+        if not (np.isfinite(young) and young > 0):
+            raise ValueError(f"Young's modulus must be positive, not {young} MPa")
+        if not -1 < poisson < 0.5:
+            raise ValueError(f"Poisson's ratio must lie between -1 and 0.5, not {poisson}")
+        unused = np.setdiff1d(np.arange(len(surface.points)), surface.triangles)
+        if len(unused):
+            raise ValueError(
+                f"point {unused[0]} belongs to no triangle ({len(unused)} such points): mic.geometry.repair.repair drops them"
+            )
+        pieces = _pieces(surface.triangles)
+        if pieces > 1:
+            raise ValueError(
+                f"the surface is in {pieces} pieces that share no edge: make each a part of its own, or join them"
+            )
+        self.surface, self.element, self.comm = surface, element, comm
+        self.thickness, self.young, self.poisson = float(thickness), float(young), float(poisson)
+        self._build_tables()
+
+    # ------------------------------------------------------------------------------------------ freedoms
+
+    def _build_tables(self):
+        """Global freedoms of every triangle of the surface, in the surface's own order.
+
+        `_displacement_dofs` (k, nodes, 3) and `_rotation_dofs` (k, nodes, 3); dolfinx renumbers cells and vertices.
+        """
+        surface = self.surface
+        self._mesh = compat.shell_mesh(self.comm, surface.points, surface.triangles)
+        topology, geometry = self._mesh.topology, self._mesh.geometry
+        cells = np.arange(topology.index_map(2).size_local)
+        if self.element == "dkt-opt":
+            self._space = compat.lagrange_6(self._mesh)
+            nodes = compat.cell_dofs(self._space.dofmap)[cells]
+            nodes = self._space.dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
+            both = 6 * nodes[:, :, None] + np.arange(6)
+            displacement, rotation = both[:, :, :3], both[:, :, 3:]
+        else:
+            self._space = compat.p2_crouzeix_raviart(self._mesh)
+            displacement, rotation = (
+                np.stack([self._component_dofs(field, component)[cells] for component in range(3)], axis=2)
+                for field in (0, 1)
+            )
+        # the surface's triangle of each cell, and which of its corners each corner of the cell is
+        triangle = np.asarray(topology.original_cell_index)[cells]
+        vertex = np.asarray(geometry.input_global_indices)[compat.cell_dofs(geometry.dofmap)[cells]]
+        triangle, vertex, displacement, rotation = (
+            np.concatenate(self.comm.allgather(table)) for table in (triangle, vertex, displacement, rotation)
+        )
+        corner = np.argmax(surface.triangles[triangle][:, :, None] == vertex[:, None, :], axis=2)
+        assert (np.take_along_axis(vertex, corner, 1) == surface.triangles[triangle]).all()
+        order = np.argsort(triangle)
+
+        def in_surface_order(table):  # nodes come in threes, each three ordered like the vertices
+            threes = [
+                np.take_along_axis(table[:, s : s + 3], corner[:, :, None], 1) for s in range(0, table.shape[1], 3)
+            ]
+            return np.concatenate(threes, axis=1)[order]
+
+        self._displacement_dofs = in_surface_order(displacement)
+        self._rotation_dofs = in_surface_order(rotation)
+        if self.element == "dkt-opt":
+            self._displacement_shape, self._rotation_shape = _p1, _p1
+        else:
+            self._displacement_shape, self._rotation_shape = _p2, _crouzeix_raviart
+        index_map = self._space.dofmap.index_map
+        self.ndof = index_map.size_global * self._space.dofmap.index_map_bs
+
+    def _component_dofs(self, field: int, component: int) -> np.ndarray:
+        """Global freedoms (cells, nodes) of one component of one field of a mixed space."""
+        local = compat.cell_dofs(self._space.sub(field).sub(component).dofmap)
+        return self._space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
+
+    @cached_property
+    def vertex_displacement_dofs(self) -> np.ndarray:
+        """(n_points, 3) global freedoms of the displacement of each vertex, in the surface's order."""
+        dofs = np.empty((len(self.surface.points), 3), dtype=np.int64)
+        dofs[self.surface.triangles] = self._displacement_dofs[:, :3]
+        return dofs
+
+    @cached_property
+    def vertex_values(self) -> csr_matrix:
+        """(6 n_points, ndof): the vector of freedoms to (u1, u2, u3, θ1, θ2, θ3) at each vertex in turn.
+
+        Crouzeix–Raviart rotations jump at vertices: the mean over the triangles around a vertex is taken.
+        """
+        triangles, n = self.surface.triangles, len(self.surface.points)
+        corners = np.eye(3)
+        share = 1 / np.bincount(triangles.ravel(), minlength=n)[triangles]  # (k, 3)
+        rows, columns, values = [], [], []
+        for first, dofs, shape in (
+            (0, self._displacement_dofs, self._displacement_shape(corners)),
+            (3, self._rotation_dofs, self._rotation_shape(corners)),
+        ):
+            row = 6 * triangles[:, :, None, None] + first + np.arange(3)  # (k, corner, node, component)
+            column = dofs[:, None, :, :]
+            value = share[:, :, None, None] * shape[None, :, :, None]
+            row, column, value = np.broadcast_arrays(row, column, value)
+            keep = value != 0
+            rows.append(row[keep]), columns.append(column[keep]), values.append(value[keep])
+        return self._sparse(rows, columns, values, 6 * n)
+
+    def _sparse(self, rows, columns, values, n_rows) -> csr_matrix:
+        if not rows:
+            return csr_matrix((n_rows, self.ndof))
+        rows, columns, values = (np.concatenate([np.ravel(a) for a in arrays]) for arrays in (rows, columns, values))
+        return coo_matrix((values, (rows, columns)), shape=(n_rows, self.ndof)).tocsr()
+
+    # ------------------------------------------------------------------------------------------ operators
+
+    @cached_property
+    def stiffness(self) -> PETSc.Mat:
+        """K, N/mm and N mm/rad: symmetric positive semidefinite with the six rigid motions as null space.
+
+        It lives as long as the part.
+        """
+        return self._assemble()
+
+    def __del__(self):  # petsc4py would keep it to the end of the process
+        if "stiffness" in self.__dict__:
+            self.stiffness.destroy()
+
+    def _assemble(self) -> PETSc.Mat:
+        constant = lambda value: fem.Constant(self._mesh, PETSc.ScalarType(value))
+        material = element.Material(
+            young=constant(self.young),
+            poisson=constant(self.poisson),
+            thickness=constant(self.thickness),
+            beta0=constant(element.opt_beta0(self.poisson)),
+        )
+        form = {"dkt-opt": element.dkt_opt, "p2-cr": element.p2_cr}[self.element]
+        matrix = compat.assemble_matrix(form(self._space, material))
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        return matrix
+
+    def stiffness_csr(self) -> csr_matrix:
+        """K as a scipy matrix, whole on each process; symmetric to rounding. The caller may change it."""
+        return self._stiffness_csr.copy()
+
+    @cached_property
+    def _stiffness_csr(self) -> csr_matrix:
+        matrix = self._assemble()
+        pieces = self.comm.allgather(matrix.getValuesCSR())  # consecutive rows from each process
+        matrix.destroy()  # petsc4py would keep it to the end of the process
+        return vstack(
+            [
+                csr_matrix((data, indices, indptr), shape=(len(indptr) - 1, self.ndof))
+                for indptr, indices, data in pieces
+            ]
+        )
+
+    @cached_property
+    def dof_component(self) -> np.ndarray:
+        """(ndof,) what each freedom is: 0, 1, 2 for u along x, y, z and 3, 4, 5 for θ about them."""
+        component = np.empty(self.ndof, dtype=int)
+        component[self._displacement_dofs] = np.arange(3)
+        component[self._rotation_dofs] = np.arange(3, 6)
+        return component
+
+    @cached_property
+    def dof_position(self) -> np.ndarray:
+        """(ndof, 3) where each freedom sits, mm: at a vertex or at the midpoint of an edge."""
+        corners = self.surface.corners
+        midpoints = (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]]) / 2
+        quadratic = np.concatenate([corners, midpoints], axis=1)
+        position = np.empty((self.ndof, 3))
+        position[self._displacement_dofs] = quadratic[:, : self._displacement_dofs.shape[1], None]
+        position[self._rotation_dofs] = (corners if self.element == "dkt-opt" else midpoints)[:, :, None]
+        return position
+
+    @cached_property
+    def rigid_modes(self) -> np.ndarray:
+        """(ndof, 6): unit translations along x, y, z, then unit rotations about x, y, z through `centroid`.
+
+        u = a + ω × (x − c), θ = ω.
+        """
+        modes = np.zeros((self.ndof, 6))
+        translation = self.dof_component < 3
+        modes[np.arange(self.ndof), self.dof_component] = 1.0
+        for axis in range(3):
+            velocity = np.cross(np.eye(3)[axis], self.dof_position - self.centroid)
+            modes[translation, 3 + axis] = velocity[translation, self.dof_component[translation]]
+        return modes
+
+    @cached_property
+    def centroid(self) -> np.ndarray:
+        """(3,) mean of the surface, mm: the point about which the rigid rotations turn."""
+        surface = self.surface
+        return np.average(surface.points[surface.triangles].mean(axis=1), axis=0, weights=surface.areas)
+
+    def functional_matrix(self, functionals: Functionals) -> csr_matrix:
+        """L (n, ndof): row i reads functional i off the vector of freedoms; its transpose spreads the unit load.
+
+        With the patch's quadrature points q (weights c_q, shape functions N) and s = side · t/2,
+
+            displacement:  Σ_q c_q d·(u_q + θ_q × s n_q) = Σ_q c_q (N_u d·u + N_θ (s n_q × d)·θ)
+            rotation:      Σ_q c_q d·θ_q
+        """
+        rows, columns, values = [], [], []
+        for row in range(len(functionals)):
+            patch = functionals.patches[functionals.patch[row]]
+            direction = functionals.direction[row]
+            if functionals.rotation[row]:
+                lever = np.broadcast_to(direction, (len(patch.weight), 3))
+            else:
+                N = patch.weight[:, None] * self._displacement_shape(patch.barycentric)
+                dofs = self._displacement_dofs[patch.triangle]  # (q, nodes, 3)
+                rows.append(np.full(dofs.size, row)), columns.append(dofs)
+                values.append(N[:, :, None] * direction)
+                if functionals.side[row] == 0:
+                    continue
+                offset = functionals.side[row] * self.thickness / 2
+                lever = np.cross(offset * self.surface.normals[patch.triangle], direction)
+            N = patch.weight[:, None] * self._rotation_shape(patch.barycentric)
+            dofs = self._rotation_dofs[patch.triangle]
+            rows.append(np.full(dofs.size, row)), columns.append(dofs)
+            values.append(N[:, :, None] * lever[:, None, :])
+        matrix = self._sparse(rows, columns, values, len(functionals))
+        matrix.eliminate_zeros()
+        return matrix
+
+    def gravity(self, acceleration: np.ndarray, density: float) -> np.ndarray:
+        """(ndof,) weight of the sheet, N: ∫ ρ t a·u dA for the acceleration a (3,) in mm/s² and ρ in t/mm³.
+
+        Steel has ρ = 7.85e-9 t/mm³; the earth's gravity is 9806.65 mm/s².
+        """
+        if not density > 0:
+            raise ValueError(f"density must be positive, not {density} t/mm³")
+        per_triangle = density * self.thickness * self.surface.areas
+        nodes = self._displacement_dofs.shape[1]
+        share = np.full(3, 1 / 3) if nodes == 3 else np.array([0, 0, 0, 1, 1, 1]) / 3  # ∫N dA / A
+        load = np.zeros(self.ndof)
+        np.add.at(
+            load,
+            self._displacement_dofs,
+            per_triangle[:, None, None] * share[:, None] * np.asarray(acceleration, dtype=float),
+        )
+        return load
+
+    # ------------------------------------------------------------------------------------------ pinned solves
+
+    @cached_property
+    def pins(self) -> np.ndarray:
+        """(6,) freedoms held in pinned solves: vertex displacements chosen by pivoted QR of the rigid modes.
+
+        Rotations are scaled by the largest distance from the centroid, so that all six modes count alike.
+        """
+        candidates = self.vertex_displacement_dofs.ravel()
+        size = np.linalg.norm(self.surface.points - self.centroid, axis=1).max()
+        modes = self.rigid_modes[candidates] / np.array([1, 1, 1, size, size, size])
+        _, r, pivots = scipy.linalg.qr(modes.T, mode="economic", pivoting=True)
+        assert abs(r[5, 5]) > 1e-6 * abs(r[0, 0]), "vertices on a line cannot pin a part"
+        return np.sort(candidates[pivots[:6]])
+
+    @cached_property
+    def _free(self) -> np.ndarray:
+        return np.setdiff1d(np.arange(self.ndof), self.pins)
+
+    @cached_property
+    def _factorisation(self) -> Factorisation:
+        factorisation = Factorisation(self._stiffness_csr[self._free][:, self._free])
+        self._check_conditioning(factorisation)
+        return factorisation
+
+    def _check_conditioning(self, factorisation: Factorisation) -> None:
+        """Move the pins rigidly and see whether the part follows: the exact answer to six solves is known.
+
+        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. The smooth rigid motions show the loss of digits at its worst,
+        and a part that holds a mechanism does not follow at all.
+        """
+        exact = self.rigid_modes[self._free]
+        followed = factorisation.solve(-self._stiffness_csr[self._free][:, self.pins] @ self.rigid_modes[self.pins])
+        error = (abs(followed - exact).max(axis=0) / abs(exact).max(axis=0)).max()
+        if not error < RIGID_MOTION_TOLERANCE:
+            raise FactorisationError(
+                f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed {RIGID_MOTION_TOLERANCE:.0e}): the part "
+                "holds a mechanism, or is too thin for its size in double precision"
+            )
+
+    def solve(self, nodal_forces: np.ndarray) -> np.ndarray:
+        """Freedoms (ndof, r) of the pinned part under the load vectors (ndof, r); one factorisation serves all calls.
+
+        N and N mm in, mm and rad out.
+        """
+        nodal_forces = np.asarray(nodal_forces, dtype=float)
+        freedoms = np.zeros_like(nodal_forces)
+        freedoms[self._free] = self._factorisation.solve(nodal_forces[self._free])
+        return freedoms
+
+    def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
+        """Compliance H (n, n) of the pinned part at the functionals, and their readings G (n, 6) of the rigid modes.
+
+        Forces f (n,) on the functionals move them by H f + G q, q (6,) being the rigid motion, once Gᵀ f = 0.
+        """
+        L = self.functional_matrix(functionals)
+        H, self._factorisation = influence_matrix(self._stiffness_csr[self._free][:, self._free], L[:, self._free])
+        self._check_conditioning(self._factorisation)
+        return H, L @ self.rigid_modes
+
+    def field(self, functionals: Functionals, forces: np.ndarray) -> np.ndarray:
+        """Displacements and rotations (n_points, 6, r) at the vertices of the pinned part.
+
+        `forces` (n, r) act on the functionals; the caller adds `rigid_field() @ q`.
+        """
+        freedoms = self.solve(self.functional_matrix(functionals).T @ np.asarray(forces, dtype=float))
+        return (self.vertex_values @ freedoms).reshape(len(self.surface.points), 6, -1)
+
+    def rigid_field(self) -> np.ndarray:
+        """(n_points, 6, 6): the field of each of the `rigid_modes`, mode last."""
+        return (self.vertex_values @ self.rigid_modes).reshape(len(self.surface.points), 6, 6)

@@ -1,0 +1,175 @@
+"""One process stage: bilateral rows eliminated, contact rows left.
+
+Notation, with rows D over the stacked functionals, free-body compliance H and rigid-body readings G (block-diagonal over
+the parts): under functional forces f and rigid motions q the readings are ``y = H f + G q`` with ``Gᵀ f = 0``.
+
+1. Choose 6P bilateral rows A, as many as the P parts have rigid motions, so that ``A G`` is well conditioned.
+   With ``Q = G (A G)⁻¹`` and ``Π = I - Q A``, ``H_s = Π H Πᵀ`` is the compliance supported on A, and
+   ``y = H_s f + Q v_A`` for any f, the reactions on A included implicitly.
+2. Eliminate the remaining bilateral rows R densely: ``λ_R = (R H_s Rᵀ)⁻¹ (v_R - R Q v_A - R H_s f)``. For rows C this
+   leaves equation (7) of the paper, ``δ = S f_C + T v``, with ``S = H_CC - H_CR H_RR⁻¹ H_RC``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, lapack, qr
+from scipy.sparse import csr_matrix, vstack
+
+__all__ = ["EliminatedStage", "eliminate", "statically_determinate"]
+
+REDUNDANT = 1e-9  # a row whose compliance falls below this share of its own when the others hold is redundant
+
+
+@dataclass(frozen=True)
+class EliminatedStage:
+    """Linear response of one stage at chosen rows.
+
+    Bilateral rows carry prescribed values ``v``; contact rows and load rows carry forces.
+
+    Attributes
+    ----------
+    S : (c, c) array
+        Contact compliance, equation (7); symmetric positive semidefinite.
+    T : (c, b) array
+        Motion of the contact rows per prescribed value.
+    L : (c, l) array
+        Motion of the contact rows per load.
+    S_out, T_out, L_out : arrays with (o, ...) rows
+        The same for the output rows.
+    reaction_S, reaction_T, reaction_L : arrays with (b, ...) rows
+        Force that each bilateral row exerts on the parts (positive along the row), per contact force, value and load.
+    redundant : tuple of int
+        Bilateral rows that the others already hold; they carry no force and their value has no effect.
+    """
+
+    S: np.ndarray
+    T: np.ndarray
+    L: np.ndarray
+    S_out: np.ndarray
+    T_out: np.ndarray
+    L_out: np.ndarray
+    reaction_S: np.ndarray
+    reaction_T: np.ndarray
+    reaction_L: np.ndarray
+    redundant: tuple[int, ...]
+
+
+def statically_determinate(rows: csr_matrix, G: np.ndarray) -> np.ndarray:
+    """Choose as many rows as there are rigid motions, so that they hold them best.
+
+    Parameters
+    ----------
+    rows : (b, F) csr_matrix
+    G : (F, r) array
+
+    Returns
+    -------
+    (r,) int array
+        Chosen rows, ascending.
+
+    Raises
+    ------
+    ValueError
+        If the rows leave a rigid motion free; ``error.free`` holds the (r,) motions, in columns.
+    """
+    r = G.shape[1]
+    column = np.linalg.norm(G, axis=0) / np.sqrt(max(1, len(G)))
+    reading = (rows @ G) / np.where(column > 0, column, 1)
+    length = np.linalg.norm(reading, axis=1)
+    reading = reading / np.where(length > 0, length, 1)[:, None]
+    rank = np.linalg.matrix_rank(reading, tol=1e-6) if rows.shape[0] else 0
+    if rank < r:
+        free = np.linalg.svd(reading, full_matrices=True)[2][rank:].T if rows.shape[0] else np.eye(r)
+        error = ValueError(f"{r - rank} rigid-body motions are free")
+        error.free = free
+        raise error
+    pivots = qr(reading.T, mode="economic", pivoting=True)[2]
+    return np.sort(pivots[:r])
+
+
+def eliminate(
+    H, G, bilateral: csr_matrix, contact: csr_matrix, load: csr_matrix, output: csr_matrix
+) -> EliminatedStage:
+    """Eliminate the bilateral rows of a stage.
+
+    Parameters
+    ----------
+    H : (F, F) array
+        Compliance of the free parts, block-diagonal.
+    G : (F, 6P) array
+        Rigid-body readings.
+    bilateral, contact, load, output : (b|c|l|o, F) csr_matrix
+        Rows of the stage.
+
+    Raises
+    ------
+    ValueError
+        As :func:`statically_determinate`.
+    """
+    b, c, l, o = (rows.shape[0] for rows in (bilateral, contact, load, output))
+    support = statically_determinate(bilateral, G)
+    rest = np.setdiff1d(np.arange(b), support)
+    A = bilateral[support]
+    AG = A @ G
+    # All rows that are looked at, projected once: J Π = J - (J Q) A, so H_s restricted to them is (J Π) H (J Π)ᵀ.
+    J = vstack([bilateral[rest], contact, load, output], format="csr")
+    JQ = np.linalg.solve(AG.T, (J @ G).T).T
+    projected = np.asarray(J.todense()) - JQ @ A.toarray() if J.shape[0] else np.zeros((0, H.shape[0]))
+    compliance = projected @ H @ projected.T
+    compliance = 0.5 * (compliance + compliance.T)
+    R = slice(0, len(rest))
+    kept = _independent(compliance[R, R], np.asarray((bilateral[rest] @ H @ bilateral[rest].T).diagonal()))
+    free = np.arange(len(rest), J.shape[0])
+    # X = H_RR⁻¹ [H_RF, -R Q, I]: forces of the eliminated rows per unit of everything else.
+    H_RF = compliance[np.ix_(kept, free)]
+    values = np.zeros((len(kept), b))
+    values[:, support] = -JQ[kept]
+    values[np.arange(len(kept)), rest[kept]] = 1.0
+    solve = _cholesky_solver(compliance[np.ix_(kept, kept)])
+    X_F, X_v = solve(H_RF), solve(values)
+    direct = np.zeros((len(free), b))
+    direct[:, support] = JQ[free]
+    response_F = compliance[np.ix_(free, free)] - H_RF.T @ X_F
+    response_v = direct + H_RF.T @ X_v
+    # Reactions: R from the elimination, A from the balance Gᵀ(Aᵀ λ_A + Jᵀ f) = 0, that is λ_A = -(J Q)ᵀ f.
+    reaction_F, reaction_v = np.zeros((b, len(free))), np.zeros((b, b))
+    reaction_F[rest[kept]], reaction_v[rest[kept]] = -X_F, X_v
+    reaction_F[support] = JQ[kept].T @ X_F - JQ[free].T
+    reaction_v[support] = -JQ[kept].T @ X_v
+    C, L, O = slice(0, c), slice(c, c + l), slice(c + l, c + l + o)
+    S = response_F[C, C]
+    return EliminatedStage(
+        S=0.5 * (S + S.T),
+        T=response_v[C],
+        L=response_F[C, L],
+        S_out=response_F[O, C],
+        T_out=response_v[O],
+        L_out=response_F[O, L],
+        reaction_S=reaction_F[:, C],
+        reaction_T=reaction_v,
+        reaction_L=reaction_F[:, L],
+        redundant=tuple(int(i) for i in np.delete(rest, kept)),
+    )
+
+
+def _independent(matrix, reference):
+    """Rows of a compliance block that do not follow from each other, ascending; each is measured against its own `reference`."""
+    if len(matrix) == 0:
+        return np.zeros(0, dtype=int)
+    d = 1 / np.sqrt(np.maximum(reference, np.diag(matrix)).clip(1e-300))
+    scaled = matrix * np.outer(d, d)
+    _, pivot, rank, _ = lapack.dpstrf(scaled, tol=REDUNDANT, lower=1)
+    if scaled.diagonal().max() <= REDUNDANT:  # LAPACK takes the first pivot without looking at the tolerance
+        rank = 0
+    return np.sort(pivot[:rank] - 1)
+
+
+def _cholesky_solver(matrix):
+    if len(matrix) == 0:
+        return lambda rhs: np.zeros((0, rhs.shape[1]))
+    d = 1 / np.sqrt(np.diag(matrix))
+    factor = np.linalg.cholesky(matrix * np.outer(d, d))
+    return lambda rhs: d[:, None] * cho_solve((factor, True), d[:, None] * rhs)

@@ -1,0 +1,41 @@
+"""What can go wrong that a user can mend: one base, so that a caller may catch all of it at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["FormatError", "FreeMotion", "MicError", "MissingProvider", "RunError", "SceneError"]
+
+
+class MicError(Exception):
+    """Base of every error whose message tells the user what to mend."""
+
+
+class SceneError(MicError, ValueError):
+    """A scene that cannot be run; the message names the file, the key and the remedy."""
+
+
+class FormatError(MicError, ValueError):
+    """A file that is not what it should be: another kind, another version, cut short, altered."""
+
+
+class RunError(MicError):
+    """A results folder that cannot be used as asked; the message says why and what to do instead."""
+
+
+class MissingProvider(MicError, ImportError):
+    """Something must be computed by finite elements, and no provider of them is installed."""
+
+
+class FreeMotion(MicError, ValueError):
+    """Bilateral rows that leave rigid-body motions free.
+
+    Attributes
+    ----------
+    motions : (r, k) array
+        The k free motions in columns, in terms of the r motions that were to be held.
+    """
+
+    def __init__(self, motions: np.ndarray):
+        super().__init__(f"{motions.shape[1]} rigid-body motions are free")
+        self.motions = motions

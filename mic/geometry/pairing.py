@@ -1,0 +1,323 @@
+"""Contact pairs: where two nominal surfaces face each other, and over which patches.
+
+The candidate points are a fine sampling of the first surface. A candidate belongs to the zone when it lies in the zone's
+region and its closest point on the other surface faces it: normals within an angle, the joining line along the normal,
+the gap between the *facing* surfaces (both half-thicknesses taken off) within a limit. The candidates are then gathered
+into cells of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the projections
+on the other, so that a pair's two forces act on one line and leave no couple behind.
+
+`node_pairs` takes the mesh's own sampling instead: every vertex of the first surface in the zone against its closest point on
+the other, as node-to-surface contact does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mic.geometry.surface import Patch, Surface
+
+__all__ = ["ContactPair", "Side", "find_pairs", "node_pairs", "pair_at"]
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two bodies that may touch: its surface and its thickness (zero for a rigid fixture), mm."""
+
+    surface: Surface
+    thickness: float
+
+
+@dataclass(frozen=True)
+class ContactPair:
+    """One candidate contact.
+
+    Attributes
+    ----------
+    point : (3,) array
+        Centre of the patch on the first body's mid-surface, mm.
+    frame : (3, 3) array
+        Columns ``n, t1, t2``; n points from the first body to the second.
+    gap : float
+        Nominal gap between the facing surfaces, positive when apart, mm.
+    area : float
+        Area that the pair stands for, mm².
+    patches : tuple of two Patch
+        Where the pair reads the first and the second body.
+    sides : tuple of two int
+        Which surface of each body faces the other (+1: along its triangle normals).
+    """
+
+    point: np.ndarray
+    frame: np.ndarray
+    gap: float
+    area: float
+    patches: tuple[Patch, Patch]
+    sides: tuple[int, int]
+
+
+def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
+    """Find the contact pairs of a zone.
+
+    Parameters
+    ----------
+    zone : mic.scene.schema.Zone
+    first, second : Side
+        The bodies in the order of ``zone.parts``.
+
+    Raises
+    ------
+    ValueError
+        If the zone is empty, has fewer candidates than pairs, or a given point faces nothing.
+    """
+    swap = first.thickness == 0  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
+    sampled, other = (second, first) if swap else (first, second)
+    cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
+    area = cloud.area.sum()
+    count = len(zone.points) if zone.points else zone.pairs or max(1, round(area / zone.spacing**2))
+    cloud = _facing(zone, sampled, other, np.sqrt(area / count) / 6)
+    if count > len(cloud.area):
+        raise ValueError(
+            f"{count} pairs do not fit into the {area:.3g} mm² where the parts face each other; ask for fewer pairs"
+        )
+    if zone.points:
+        centres = np.array(zone.points)
+        lost = np.flatnonzero(cKDTree(cloud.point).query(centres)[0] > np.sqrt(area / count))
+        if len(lost):
+            raise ValueError(
+                f"points[{lost[0]}] lies where the parts do not face each other; move it, or widen max_gap or the region"
+            )
+    else:
+        centres = _centres(cloud.point, cloud.area, count)
+    cell = cKDTree(centres).query(cloud.point)[1]
+    pairs = []
+    for k, centre in enumerate(centres):
+        member = np.flatnonzero(cell == k)
+        if not len(member):
+            raise ValueError(f"pair {k} has no area of its own: its point coincides with another's; remove one of them")
+        own = cloud.take(member)
+        if zone.patch == "tributary":
+            reading = own
+        else:
+            seed = own.point[np.argmin(np.linalg.norm(own.point - centre, axis=1))]
+            disc = sampled.surface.patch(seed, float(zone.patch), own.normal.mean(0))
+            reading = _project(
+                sampled,
+                other,
+                zone.max_gap,
+                np.radians(zone.max_angle_deg),
+                disc.triangle,
+                disc.barycentric,
+                disc.weight,
+            )
+            if not len(reading.area):
+                reading = own.take([np.argmin(np.linalg.norm(own.point - centre, axis=1))])
+        pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
+    _set_tangents(pairs)
+    return pairs
+
+
+def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
+    """A pair at every vertex of the first surface that lies in the zone and faces the second; its patches are points.
+
+    The zone's own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it, and
+    looks along the mean normal of its triangles. (A rigid first body is looked at from the second, as in `find_pairs`.)
+
+    Raises
+    ------
+    ValueError
+        If the zone is empty.
+    """
+    swap = first.thickness == 0
+    sampled, other = (second, first) if swap else (first, second)
+    surface = sampled.surface
+    vertex, first_use = np.unique(surface.triangles, return_index=True)
+    inside = _in_region(zone, surface.points[vertex])
+    vertex, (triangle, corner) = vertex[inside], np.divmod(first_use[inside], 3)
+    area = np.bincount(surface.triangles.ravel(), np.repeat(surface.areas / 3, 3))
+    cloud = _project(
+        sampled,
+        other,
+        zone.max_gap,
+        np.radians(zone.max_angle_deg),
+        triangle,
+        np.eye(3)[corner],
+        area[vertex],
+        surface.vertex_normals[vertex],
+    )
+    if not len(cloud.area):
+        raise ValueError(
+            "no vertex of the mesh faces the other surface there; refine the mesh, move the region, or widen max_gap"
+        )
+    pairs = [_pair(cloud.take([i]), cloud.area[i], sampled, other, swap) for i in range(len(cloud.area))]
+    _set_tangents(pairs)
+    return pairs
+
+
+def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
+    """The pair at one given point, over a disc of the first surface: where a weld joins two sheets.
+
+    Parameters
+    ----------
+    point : (3,) array
+        mm; projected onto the first surface.
+    radius : float
+        mm.
+    first, second : Side
+
+    Raises
+    ------
+    ValueError
+        If no part of the disc faces the second surface.
+    """
+    disc = first.surface.patch(point, radius)
+    reach = float(second.surface.project(point).distance[0] + first.surface.project(point).distance[0]) + radius
+    reading = _project(first, second, reach, np.pi / 3, disc.triangle, disc.barycentric, disc.weight)
+    if not len(reading.area):
+        raise ValueError("the two parts do not face each other there")
+    pair = _pair(reading, np.pi * radius**2, first, second, swap=False)
+    _set_tangents([pair])
+    return pair
+
+
+def _set_tangents(pairs):
+    """t1 along the global axis that stays farthest from all normals, so that it varies smoothly over a zone."""
+    axis = np.eye(3)[np.argmin(np.abs([pair.frame[:, 0] for pair in pairs]).max(0))]
+    for pair in pairs:
+        n = pair.frame[:, 0]
+        t1 = axis - (axis @ n) * n
+        t1 /= np.linalg.norm(t1)
+        pair.frame[:, 1:] = np.column_stack([t1, np.cross(n, t1)])
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """Sampling points of one surface that face the other."""
+
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray  # of the sampled surface, turned towards the other
+    area: np.ndarray
+    distance: np.ndarray  # along the normal, between mid-surfaces
+    other_triangle: np.ndarray
+    other_barycentric: np.ndarray
+
+    def take(self, index):
+        return _Cloud(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def _first_spacing(surface):
+    return float(np.median(surface.edge_lengths))
+
+
+def _facing(zone, sampled, other, spacing):
+    surface = sampled.surface
+    triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface._reach))
+    triangle, barycentric, area = surface.sample(triangles, spacing)
+    inside = _in_region(zone, surface.at(triangle, barycentric))
+    cloud = _project(
+        sampled,
+        other,
+        zone.max_gap,
+        np.radians(zone.max_angle_deg),
+        triangle[inside],
+        barycentric[inside],
+        area[inside],
+    )
+    if not len(cloud.area):
+        raise ValueError(
+            f"no contact pair: within the region the two surfaces nowhere face each other with a gap below "
+            f"max_gap = {zone.max_gap} mm and an angle below max_angle_deg = {zone.max_angle_deg}; "
+            "move the region, or widen these limits"
+        )
+    return cloud
+
+
+def _in_region(zone, x, margin=0.0):
+    if zone.box is not None:
+        low, high = np.array(zone.box)
+        margin = np.reshape(margin, (-1, 1)) if np.ndim(margin) else margin
+        return ((x >= low - margin) & (x <= high + margin)).all(1)
+    if zone.path is not None:
+        path = np.array(zone.path)
+        if len(path) == 1:
+            return np.linalg.norm(x - path[0], axis=1) <= zone.within + margin
+        start, edge = path[:-1], np.diff(path, axis=0)
+        s = np.einsum("nij,ij->ni", x[:, None] - start, edge) / np.einsum("ij,ij->i", edge, edge)
+        foot = start + np.clip(s, 0, 1)[..., None] * edge
+        return np.linalg.norm(x[:, None] - foot, axis=2).min(1) <= zone.within + margin
+    return np.ones(len(x), dtype=bool)
+
+
+def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, normal=None):
+    """Sampling points with their closest points on the other surface, those that face nothing left out."""
+    surface, opposite = sampled.surface, other.surface
+    point = surface.at(triangle, barycentric)
+    normal = surface.normals[triangle] if normal is None else normal
+    foot = opposite.project(point, normal, max_angle)
+    step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
+    along = np.einsum("ij,ij->i", step, normal)
+    # A closest point on the border of the other surface, off the foot of the perpendicular, faces nothing.
+    across = np.linalg.norm(np.cross(step, opposite.normals[foot.triangle]), axis=1)
+    at_border = ((foot.barycentric < 1e-9) & opposite.border[foot.triangle]).any(1)
+    reach = max_gap + (sampled.thickness + other.thickness) / 2
+    with np.errstate(invalid="ignore"):
+        good = (foot.triangle >= 0) & (np.abs(along) <= reach) & ~(at_border & (across > 1e-3 * foot.distance + 1e-9))
+    sign = np.where(along < 0, -1.0, 1.0)
+    return _Cloud(
+        triangle[good],
+        barycentric[good],
+        point[good],
+        (normal * sign[:, None])[good],
+        area[good],
+        (along * sign)[good],
+        foot.triangle[good],
+        foot.barycentric[good],
+    )
+
+
+def _centres(point, weight, count):
+    """Centres of `count` cells of about equal size: farthest-point start, then Lloyd's iteration."""
+    middle = np.average(point, axis=0, weights=weight)
+    chosen = [int(np.argmax(np.linalg.norm(point - middle, axis=1)))]
+    nearest = np.linalg.norm(point - point[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(point - point[chosen[-1]], axis=1))
+    centres = point[chosen]
+    for _ in range(50):
+        cell = cKDTree(centres).query(point)[1]
+        total = np.bincount(cell, weight, count)
+        moved = np.column_stack([np.bincount(cell, weight * point[:, i], count) for i in range(3)]) / total[:, None]
+        if np.abs(moved - centres).max() < 1e-6:
+            break
+        centres = moved
+    return centres
+
+
+def _pair(cloud, area, sampled, other, swap):
+    weight = cloud.area / cloud.area.sum()
+    n = weight @ cloud.normal
+    n /= np.linalg.norm(n)
+    gap = weight @ cloud.distance - (sampled.thickness + other.thickness) / 2
+    sides = [
+        int(np.sign(weight @ np.einsum("ij,j->i", body.surface.normals[triangle], n) * sign))
+        for body, triangle, sign in ((sampled, cloud.triangle, 1), (other, cloud.other_triangle, -1))
+    ]
+    patches = [
+        Patch(cloud.triangle, cloud.barycentric, weight),
+        Patch(cloud.other_triangle, cloud.other_barycentric, weight),
+    ]
+    if swap:
+        n, sides, patches = -n, sides[::-1], patches[::-1]
+    return ContactPair(
+        weight @ cloud.point,
+        np.column_stack([n, np.zeros((3, 2))]),
+        float(gap),
+        float(area),
+        tuple(patches),
+        tuple(sides),
+    )

@@ -1,0 +1,310 @@
+"""Triangle meshes as they come, made fit for a `Surface`: what is wrong is repaired and reported, or refused.
+
+Repaired: quadrilaterals (split), coincident points (merged), triangles without area or given twice (dropped), points of one triangle on
+an edge of another (that triangle split), inconsistent orientation (turned), points without a triangle (dropped).
+Kept and reported: edges where three or more triangles meet, separate pieces.
+Refused: coordinates that are not finite, vertex numbers out of range, no triangle left, one-sided (Möbius) sheets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+__all__ = ["MeshReport", "read_mesh", "repair"]
+
+MERGE = 1e-7  # points closer than this share of the mesh's diagonal are one
+FLAT = 1e-6  # a triangle lower than this share of its longest side has no area
+ON_EDGE = 1e-4  # a point nearer to an edge than this share of its length lies on it
+
+
+@dataclass(frozen=True)
+class MeshReport:
+    """What `repair` found. Counts, except `point_map`.
+
+    Attributes
+    ----------
+    quadrilaterals_split, points_merged, points_dropped : int
+    triangles_without_area, triangles_repeated : int
+        Dropped.
+    triangles_split : int
+        At points of other triangles on their edges.
+    triangles_turned : int
+        Their vertices now run the other way round.
+    junction_edges : int
+        Edges of three or more triangles. Orientation is consistent on each sheet that meets there, not across.
+    pieces : int
+        Sets of triangles that hang together by edges.
+    point_map : (n,) int array
+        New number of each original point, -1 where it was dropped.
+    """
+
+    quadrilaterals_split: int
+    points_merged: int
+    points_dropped: int
+    triangles_without_area: int
+    triangles_repeated: int
+    triangles_split: int
+    triangles_turned: int
+    junction_edges: int
+    pieces: int
+    point_map: np.ndarray
+
+    @property
+    def repaired(self) -> bool:
+        """Whether anything but splitting quadrilaterals was needed."""
+        return any(
+            (
+                self.points_merged,
+                self.points_dropped,
+                self.triangles_without_area,
+                self.triangles_repeated,
+                self.triangles_split,
+                self.triangles_turned,
+            )
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            (self.quadrilaterals_split, "quadrilaterals split along their shorter diagonals"),
+            (self.points_merged, "points merged with coincident ones"),
+            (self.triangles_without_area, "triangles without area dropped"),
+            (self.triangles_repeated, "repeated triangles dropped"),
+            (self.triangles_split, "triangles split at points on their edges"),
+            (self.triangles_turned, "triangles turned to agree with their neighbours"),
+            (self.points_dropped, "points that no triangle uses dropped"),
+            (self.junction_edges, "edges where three or more triangles meet"),
+            (self.pieces if self.pieces > 1 else 0, "separate pieces"),
+        ]
+        return "\n".join(f"{count} {text}" for count, text in lines if count) or "nothing to repair"
+
+
+def read_mesh(path) -> tuple[np.ndarray, np.ndarray, MeshReport]:
+    """Points (n, 3) in mm, triangles (k, 3) and a report, of any surface mesh that meshio reads (Nastran, Abaqus, gmsh, STL, VTK, …).
+
+    Of higher-order elements the corners are taken; beams and points are passed over.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, holds no surface elements or solid elements, or `repair` refuses them.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"mesh file {path} does not exist")
+    try:
+        mesh = meshio.read(path)
+    except (Exception, SystemExit) as problem:  # meshio's readers raise whatever their parsing trips over, some exit
+        raise ValueError(f"mesh file {path} cannot be read: {problem}") from problem
+    kinds = {block.type for block in mesh.cells}
+    solids = sorted(kind for kind in kinds if kind.startswith(("tetra", "hexa", "wedge", "pyramid")))
+    if solids:
+        raise ValueError(f"mesh file {path} holds solid elements ({', '.join(solids)}): give the mid-surface")
+    triangles = [block.data[:, :3] for block in mesh.cells if block.type.startswith("triangle")]
+    quadrilaterals = [block.data[:, :4] for block in mesh.cells if block.type.startswith("quad")]
+    if not triangles and not quadrilaterals:
+        raise ValueError(
+            f"mesh file {path} holds no triangles or quadrilaterals, only {', '.join(sorted(kinds)) or 'nothing'}"
+        )
+    points = np.zeros((len(mesh.points), 3))
+    points[:, : mesh.points.shape[1]] = mesh.points
+    return repair(
+        points,
+        np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64),
+        np.concatenate(quadrilaterals) if quadrilaterals else None,
+    )
+
+
+def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarray, MeshReport]:
+    """Points (n, 3), triangles (k, 3) fit for a `Surface`, and a report of what it took.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        mm.
+    triangles : (k, 3) int array
+    quadrilaterals : (q, 4) int array, optional
+        Each becomes two triangles, divided along its shorter diagonal.
+
+    Raises
+    ------
+    ValueError
+        For arrays that do not describe a mesh, or a sheet with one side only.
+    """
+    points = np.array(points, dtype=float)
+    triangles = np.array(triangles, dtype=np.int64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points must have shape (n, 3), not {points.shape}")
+    if triangles.ndim != 2 or triangles.shape[1] != 3:
+        raise ValueError(f"triangles must have shape (k, 3), not {triangles.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError(
+            f"point {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} has a coordinate that is not finite"
+        )
+    split = 0
+    if quadrilaterals is not None:
+        quadrilaterals = np.array(quadrilaterals, dtype=np.int64)
+        _check_numbers(quadrilaterals, len(points))
+        triangles = np.concatenate([triangles, _split_quadrilaterals(points, quadrilaterals)])
+        split = len(quadrilaterals)
+    if len(triangles) == 0:
+        raise ValueError("the mesh has no triangles")
+    _check_numbers(triangles, len(points))
+
+    representative = _merge(points)
+    triangles = representative[triangles]
+    triangles, flat = _drop_flat(points, triangles)
+    triangles, repeated = _drop_repeated(triangles)
+    if len(triangles) == 0:
+        raise ValueError("no triangle of the mesh has an area")
+    triangles, divided = _split_at_points_on_edges(points, triangles)
+    triangles, turned = _orient(points, triangles)
+
+    used = np.unique(triangles)
+    number = np.full(len(points), -1)
+    number[used] = np.arange(len(used))
+    merged = representative != np.arange(len(points))
+    edges = _Edges(triangles)
+    report = MeshReport(
+        quadrilaterals_split=split,
+        points_merged=int(merged.sum()),
+        points_dropped=int(len(points) - len(used) - merged.sum()),
+        triangles_without_area=flat,
+        triangles_repeated=repeated,
+        triangles_split=divided,
+        triangles_turned=turned,
+        junction_edges=int((edges.count > 2).sum()),
+        pieces=edges.pieces(),
+        point_map=number[representative],
+    )
+    return points[used], number[triangles], report
+
+
+def _check_numbers(elements, n_points):
+    if elements.size and (elements.min() < 0 or elements.max() >= n_points):
+        raise ValueError(f"elements name points outside 0..{n_points - 1}")
+
+
+def _split_quadrilaterals(points, quadrilaterals):
+    a, b, c, d = quadrilaterals.T
+    length = lambda i, j: np.linalg.norm(points[i] - points[j], axis=1)
+    across_ac = (length(a, c) <= length(b, d))[:, None]
+    first = np.where(across_ac, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
+    second = np.where(across_ac, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
+    return np.concatenate([first, second])
+
+
+def _merge(points):
+    """(n,) the lowest number among the points that coincide with each point."""
+    pairs = cKDTree(points).query_pairs(MERGE * np.linalg.norm(np.ptp(points, axis=0)), output_type="ndarray")
+    n = len(points)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, lowest, cluster = np.unique(
+        connected_components(graph, directed=False)[1], return_index=True, return_inverse=True
+    )
+    return lowest[cluster]
+
+
+def _drop_flat(points, triangles):
+    corner = points[triangles]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    double_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    flat = double_area <= FLAT * longest**2
+    return triangles[~flat], int(flat.sum())
+
+
+def _drop_repeated(triangles):
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    return triangles[np.sort(first)], len(triangles) - len(first)
+
+
+class _Edges:
+    """Edges of triangles. Side s of triangle k runs from vertex s to vertex s + 1 and has the number 3k + s."""
+
+    def __init__(self, triangles):
+        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+        self.forward = start < end  # whether the side runs from its lower to its higher vertex
+        pairs = np.column_stack([np.minimum(start, end), np.maximum(start, end)])
+        self.vertices, of_side, self.count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+        self.of_side = of_side.ravel()
+        self.n_triangles = len(triangles)
+
+    def shared_by_two(self):
+        """(m, 2) the two sides of every edge that has two."""
+        sides = np.flatnonzero(self.count[self.of_side] == 2)
+        return sides[np.argsort(self.of_side[sides], kind="stable")].reshape(-1, 2)
+
+    def pieces(self):
+        triangle = np.repeat(np.arange(self.n_triangles), 3)
+        incidence = coo_matrix((np.ones(len(triangle)), (triangle, self.of_side))).tocsr()
+        return int(connected_components(incidence @ incidence.T, directed=False)[0])
+
+
+def _split_at_points_on_edges(points, triangles):
+    """Fan out every triangle with a point of another triangle's boundary on one of its free sides; pass by pass."""
+    divided = 0
+    while True:
+        edges = _Edges(triangles)
+        free = np.flatnonzero(edges.count[edges.of_side] == 1)
+        start, end = triangles.ravel()[free], np.roll(triangles, -1, axis=1).ravel()[free]
+        candidates = np.unique(start)
+        middle, half = (points[start] + points[end]) / 2, np.linalg.norm(points[end] - points[start], axis=1) / 2
+        near = cKDTree(points[candidates]).query_ball_point(middle, half)
+        done = set()
+        keep, fans = np.ones(len(triangles), dtype=bool), []
+        for side, a, b, length, around in zip(free, start, end, 2 * half, near):
+            direction = (points[b] - points[a]) / length
+            offset = points[candidates[around]] - points[a]
+            along = offset @ direction
+            distance = np.linalg.norm(offset - along[:, None] * direction, axis=1)
+            on_edge = (distance < ON_EDGE * length) & (along > ON_EDGE * length) & (along < (1 - ON_EDGE) * length)
+            triangle = side // 3
+            if not on_edge.any() or triangle in done:
+                continue
+            done.add(triangle)
+            keep[triangle] = False
+            apex = triangles[triangle, (side % 3 + 2) % 3]
+            chain = np.concatenate([[a], candidates[around][on_edge][np.argsort(along[on_edge])], [b]])
+            fans.append(np.column_stack([chain[:-1], chain[1:], np.full(len(chain) - 1, apex)]))
+        if not done:
+            return triangles, divided
+        divided += len(done)
+        triangles, _ = _drop_flat(points, np.concatenate([triangles[keep], *fans]))
+
+
+def _orient(points, triangles):
+    """Turn triangles so that neighbours across every two-sided edge run along it in opposite senses.
+
+    Each triangle is taken twice, as given and turned. Linking what agrees across an edge leaves two connected sets per
+    sheet, mirror images of each other, unless the sheet is one-sided; the one with the greater area as given is kept.
+    """
+    k = len(triangles)
+    edges = _Edges(triangles)
+    first, second = edges.shared_by_two().T
+    agree = edges.forward[first] != edges.forward[second]
+    first, second = first // 3, second // 3
+    as_given = np.concatenate([first, first + k])
+    partner = np.concatenate([np.where(agree, second, second + k), np.where(agree, second + k, second)])
+    graph = coo_matrix((np.ones(2 * len(first)), (as_given, partner)), shape=(2 * k, 2 * k))
+    n_sets, label = connected_components(graph, directed=False)
+    given, turned = label[:k], label[k:]
+    if (given == turned).any():
+        where = points[triangles[np.flatnonzero(given == turned)[0]]].mean(axis=0)
+        raise ValueError(
+            f"the sheet near {np.round(where, 3).tolist()} has one side only (a Möbius strip): it has no orientation"
+        )
+    corner = points[triangles]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area_as_given = np.bincount(given, weights=area, minlength=n_sets)
+    turn = (area_as_given[turned] > area_as_given[given]) | (
+        (area_as_given[turned] == area_as_given[given]) & (turned < given)
+    )
+    triangles = triangles.copy()
+    triangles[turn] = triangles[turn][:, ::-1]
+    return triangles, int(turn.sum())

@@ -1,0 +1,338 @@
+"""The mid-surface of a part as triangles: normals, projection of points, patches to average over.
+
+Everything that the program knows of a part's shape goes through :class:`Surface`. It holds no finite-element
+unknowns, so the production path can place functionals and find contact pairs where no FE package is installed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+__all__ = ["Patch", "Projection", "Surface"]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Quadrature points on a surface over which a functional averages.
+
+    Attributes
+    ----------
+    triangle : (q,) int array
+        Triangle in which each point lies.
+    barycentric : (q, 3) array
+        Barycentric coordinates of each point in its triangle.
+    weight : (q,) array
+        Share of each point in the average; sums to one.
+    """
+
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Closest points on a surface.
+
+    Attributes
+    ----------
+    triangle : (n,) int array
+        Triangle that holds the closest point; -1 where no triangle passed the filter.
+    barycentric : (n, 3) array
+    point : (n, 3) array
+        The closest point, mm.
+    distance : (n,) array
+        Distance to it, mm; infinite where none passed the filter.
+    """
+
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    point: np.ndarray
+    distance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangulated mid-surface.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Vertices, mm.
+    triangles : (k, 3) int array
+        Vertex numbers, consistently oriented: the normal is ``(p1 - p0) x (p2 - p0)``.
+
+    Raises
+    ------
+    ValueError
+        For wrong shapes, non-finite vertices, vertex numbers out of range or triangles without area.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+
+    def __post_init__(self):
+        points = np.ascontiguousarray(self.points, dtype=float)
+        triangles = np.ascontiguousarray(self.triangles, dtype=np.int64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError(f"points must have shape (n, 3), not {points.shape}")
+        if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
+            raise ValueError(f"triangles must have shape (k, 3) with k > 0, not {triangles.shape}")
+        if not np.isfinite(points).all():
+            raise ValueError(
+                f"point {np.flatnonzero(~np.isfinite(points).all(1))[0]} has a coordinate that is not finite"
+            )
+        if triangles.min() < 0 or triangles.max() >= len(points):
+            raise ValueError(f"triangles name vertices outside 0..{len(points) - 1}")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "triangles", triangles)
+        longest = self.edge_lengths.max(1)
+        flat = np.flatnonzero(self.areas <= 1e-12 * longest**2)
+        if len(flat):
+            raise ValueError(f"triangle {flat[0]} has no area ({len(flat)} such triangles): repair the mesh first")
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """(k, 3, 3) vertex coordinates of each triangle."""
+        return self.points[self.triangles]
+
+    @cached_property
+    def edge_lengths(self) -> np.ndarray:
+        """(k, 3) lengths of the edges opposite to each vertex, mm."""
+        c = self.corners
+        return np.linalg.norm(c[:, [2, 0, 1]] - c[:, [1, 2, 0]], axis=2)
+
+    @cached_property
+    def _area_vectors(self) -> np.ndarray:
+        c = self.corners
+        return 0.5 * np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """(k,) triangle areas, mm²."""
+        return np.linalg.norm(self._area_vectors, axis=1)
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(k, 3) unit normals of the triangles."""
+        return self._area_vectors / self.areas[:, None]
+
+    @cached_property
+    def vertex_normals(self) -> np.ndarray:
+        """(n, 3) area-weighted unit normals at the vertices; zero at a vertex that no triangle uses."""
+        total = np.zeros_like(self.points)
+        for corner in range(3):
+            np.add.at(total, self.triangles[:, corner], self._area_vectors)
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+    @cached_property
+    def border(self) -> np.ndarray:
+        """(k, 3) bool: whether the edge opposite to each vertex belongs to this triangle alone."""
+        edges = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+        _, index, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        return (count[index.ravel()] == 1).reshape(-1, 3)
+
+    @cached_property
+    def diameter(self) -> float:
+        """Diagonal of the bounding box, mm."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
+    def _centroids(self) -> np.ndarray:
+        return self.corners.mean(1)
+
+    @cached_property
+    def _reach(self) -> np.ndarray:
+        """(k,) largest distance from a triangle's centroid to one of its vertices."""
+        return np.linalg.norm(self.corners - self._centroids[:, None], axis=2).max(1)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._centroids)
+
+    def project(self, x, normal=None, max_angle: float = np.pi / 4) -> Projection:
+        """Closest points on the surface, exact over all triangles that pass the filter.
+
+        Parameters
+        ----------
+        x : (n, 3) array
+            Points, mm.
+        normal : (n, 3) array, optional
+            Only triangles whose normal line lies within `max_angle` of this direction (either sense) count; a row of
+            NaN switches the filter off for that point.
+        max_angle : float
+            Radians.
+        """
+        x = np.atleast_2d(np.asarray(x, dtype=float))
+        # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
+        cosine = np.cos(max_angle)
+        if normal is None:
+            bound = self._tree.query(x)[0]
+        else:
+            normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
+            bound = self._nearest_aligned(x, normal, cosine)
+        candidates = self._tree.query_ball_point(
+            x, np.where(np.isfinite(bound), bound + self._reach.max() * (1 + 1e-9), 0.0)
+        )
+        owner = np.repeat(np.arange(len(x)), [len(c) for c in candidates])
+        triangle = (
+            np.concatenate([np.asarray(c, dtype=np.int64) for c in candidates]) if len(x) else np.zeros(0, np.int64)
+        )
+        if normal is not None:
+            keep = self._aligned(triangle, normal[owner], cosine)
+            owner, triangle = owner[keep], triangle[keep]
+        barycentric = _closest_barycentric(self.corners[triangle], x[owner])
+        foot = np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
+        distance = np.linalg.norm(foot - x[owner], axis=1)
+        best = Projection(
+            np.full(len(x), -1, dtype=np.int64),
+            np.full((len(x), 3), np.nan),
+            np.full((len(x), 3), np.nan),
+            np.full(len(x), np.inf),
+        )
+        # Ties (a point above an edge) go to the lowest triangle number, so that results do not depend on the tree.
+        order = np.lexsort((triangle, np.round(distance, 12), owner))
+        first = order[np.unique(owner[order], return_index=True)[1]]
+        best.triangle[owner[first]] = triangle[first]
+        best.barycentric[owner[first]] = barycentric[first]
+        best.point[owner[first]] = foot[first]
+        best.distance[owner[first]] = distance[first]
+        return best
+
+    def _aligned(self, triangle, normal, cosine):
+        return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine)  # NaN passes
+
+    def _nearest_aligned(self, x, normal, cosine):
+        """(n,) distance from each point to the nearest centroid whose triangle passes the normal filter; inf if none."""
+        bound, todo, count = np.full(len(x), np.inf), np.arange(len(x)), 4
+        while len(todo):
+            count = min(count, len(self.triangles))
+            distance, triangle = (table.reshape(len(todo), count) for table in self._tree.query(x[todo], k=count))
+            aligned = self._aligned(triangle.ravel(), np.repeat(normal[todo], count, axis=0), cosine).reshape(
+                triangle.shape
+            )
+            found, first = aligned.any(1), aligned.argmax(1)
+            bound[todo[found]] = distance[found, first[found]]
+            todo = todo[~found] if count < len(self.triangles) else todo[:0]
+            count *= 8
+        return bound
+
+    def patch(self, center, radius: float, normal=None) -> Patch:
+        """Points of the surface within `radius` of the projection of `center`, with equal weight per area.
+
+        Parameters
+        ----------
+        center : (3,) array
+            mm; projected onto the surface first.
+        radius : float
+            mm; zero gives the projected point alone (a nodal functional when the point is a vertex).
+        normal : (3,) array, optional
+            Rough direction of the surface normal (either sense), to pick the right sheet where folds lie close.
+
+        Returns
+        -------
+        Patch
+            Only triangles connected to the projected point, and turned from it by less than 60 degrees, take part.
+
+        Raises
+        ------
+        ValueError
+            If no triangle passes the normal filter, or the radius is negative.
+        """
+        if radius < 0:
+            raise ValueError(f"radius must not be negative, got {radius}")
+        foot = self.project(center, None if normal is None else np.atleast_2d(normal))
+        seed = int(foot.triangle[0])
+        if seed < 0:
+            raise ValueError(f"no triangle near {np.asarray(center).tolist()} is aligned with the given normal")
+        if radius == 0:
+            return Patch(foot.triangle, foot.barycentric, np.ones(1))
+        near = np.asarray(self._tree.query_ball_point(foot.point[0], radius + self._reach.max()), dtype=np.int64)
+        near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= radius + self._reach[near]]
+        near = near[self.normals[near] @ self.normals[seed] > 0.5]
+        near = np.sort(near[self._connected(near, seed)])
+        triangle, barycentric, area = self.sample(near, radius / 8)
+        inside = np.linalg.norm(self.at(triangle, barycentric) - foot.point[0], axis=1) <= radius
+        if not inside.any():
+            return Patch(foot.triangle, foot.barycentric, np.ones(1))
+        area = area[inside]
+        return Patch(triangle[inside], barycentric[inside], area / area.sum())
+
+    def sample(self, triangles, spacing: float):
+        """Midpoint quadrature on congruent sub-triangles no longer than `spacing` (at most 32 per edge).
+
+        Returns
+        -------
+        triangle : (q,) int array
+        barycentric : (q, 3) array
+        area : (q,) array
+            Area that each point stands for, mm².
+        """
+        triangles = np.asarray(triangles, dtype=np.int64)
+        divisions = np.clip(np.ceil(self.edge_lengths[triangles].max(1) / spacing), 1, 32).astype(int)
+        triangle, barycentric, area = [], [], []
+        for n in np.unique(divisions):
+            chosen = triangles[divisions == n]
+            local = _subtriangle_centroids(int(n))
+            triangle.append(np.repeat(chosen, len(local)))
+            barycentric.append(np.tile(local, (len(chosen), 1)))
+            area.append(np.repeat(self.areas[chosen] / n**2, len(local)))
+        if not triangle:
+            return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
+        return np.concatenate(triangle), np.concatenate(barycentric), np.concatenate(area)
+
+    def at(self, triangle, barycentric) -> np.ndarray:
+        """(q, 3) coordinates of points given by triangle and barycentric coordinates, mm."""
+        return np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
+
+    def _connected(self, triangles, seed):
+        """Mask of the `triangles` that hang together with `seed` through shared vertices."""
+        corner = self.triangles[triangles].ravel()
+        vertex, local = np.unique(corner, return_inverse=True)
+        owner = np.repeat(np.arange(len(triangles)), 3)
+        incidence = coo_matrix((np.ones(len(owner)), (owner, local)), shape=(len(triangles), len(vertex))).tocsr()
+        label = connected_components(incidence @ incidence.T, directed=False)[1]
+        return label == label[np.flatnonzero(triangles == seed)[0]]
+
+
+def _subtriangle_centroids(n: int) -> np.ndarray:
+    """(n², 3) barycentric centroids of the n² congruent sub-triangles of a triangle."""
+    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    up = i + j <= n - 1
+    down = i + j <= n - 2
+    first = np.concatenate([(i[up] + 1 / 3), (i[down] + 2 / 3)]) / n
+    second = np.concatenate([(j[up] + 1 / 3), (j[down] + 2 / 3)]) / n
+    return np.column_stack([1 - first - second, first, second])
+
+
+def _closest_barycentric(corners, x):
+    """(q, 3) barycentric coordinates of the point of each triangle (q, 3, 3) closest to x (q, 3)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac, ax = b - a, c - a, x - a
+    d00, d01, d11 = (np.einsum("ij,ij->i", p, q) for p, q in ((ab, ab), (ab, ac), (ac, ac)))
+    d20, d21 = np.einsum("ij,ij->i", ax, ab), np.einsum("ij,ij->i", ax, ac)
+    denominator = d00 * d11 - d01**2
+    v = (d11 * d20 - d01 * d21) / denominator
+    w = (d00 * d21 - d01 * d20) / denominator
+    result = np.column_stack([1 - v - w, v, w])
+    outside = np.flatnonzero((result < 0).any(1))
+    if len(outside):
+        corner, point = corners[outside], x[outside]
+        options, distances = [], []
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            edge = corner[:, j] - corner[:, i]
+            s = np.clip(np.einsum("ij,ij->i", point - corner[:, i], edge) / np.einsum("ij,ij->i", edge, edge), 0, 1)
+            option = np.zeros((len(outside), 3))
+            option[:, i], option[:, j] = 1 - s, s
+            options.append(option)
+            distances.append(np.linalg.norm(corner[:, i] + s[:, None] * edge - point, axis=1))
+        nearest = np.argmin(distances, axis=0)
+        result[outside] = np.stack(options)[nearest, np.arange(len(outside))]
+    return result

@@ -1,0 +1,1 @@
+"""The process: what each stage does, and the assembly's state on its way through them."""

@@ -1,0 +1,305 @@
+"""Mean and 6σ displacement fields of the parts: deviation from nominal at every vertex, shape deviation included.
+
+Sample i deforms a part by ``u_i(x) = Φ(x) f_i + R(x) q_i``, with ``f_i`` the forces on the part's functionals, ``q_i`` its
+rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. Rather than solve once per functional,
+the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ``),
+
+    (F - 1 f̄ᵀ) C = U Σ Vᵀ ≈ U_r Σ_r V_rᵀ,
+
+so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no solve and are
+kept whole, so with ``c(x)`` the r solved fields
+
+    σ²(x) = g M gᵀ / (n - 1),    g = [c(x), R(x)],    M = [U_r, Q]ᵀ [U_r, Q],    Q the centred motions.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mic.results.outcome import Outcome, kept_parts, read_outcome
+
+__all__ = ["DISCARDED_ENERGY", "Factor", "PartField", "compute_fields", "low_rank", "read_fields", "write_fields"]
+
+FORMAT = 1
+DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Forces and motions of one part in all samples, as few columns.
+
+    Attributes
+    ----------
+    mean_force : (F,) array
+        N or N mm.
+    mean_motion : (6,) array
+        mm, rad.
+    force : (F, r) array
+        Force that each retained column stands for.
+    gram : (r + 6, r + 6) array
+        ``M / (n - 1)`` above.
+    discarded : float
+        Share of the energy left out.
+    samples : int
+    """
+
+    mean_force: np.ndarray
+    mean_motion: np.ndarray
+    force: np.ndarray
+    gram: np.ndarray
+    discarded: float
+    samples: int
+
+    @property
+    def rank(self) -> int:
+        """Solves that the spread needs, beside the one for the mean."""
+        return self.force.shape[1]
+
+
+@dataclass(frozen=True)
+class PartField:
+    """Displacement statistics at the vertices of one part under one law.
+
+    Attributes
+    ----------
+    law, part : str
+    mean : (v, 3) array
+        mm.
+    six_sigma : (v, 3) array
+        Along x, y, z, mm.
+    six_sigma_normal : (v,) array
+        Along the vertex normal, mm.
+    rank, samples : int
+    discarded : float
+        See :class:`Factor`.
+    error : float
+        Largest error of 6σ that the truncation makes at the part's retained functionals that read displacements, where the
+        reduced model knows it exactly, mm.
+    """
+
+    law: str
+    part: str
+    mean: np.ndarray
+    six_sigma: np.ndarray
+    six_sigma_normal: np.ndarray
+    rank: int
+    samples: int
+    discarded: float
+    error: float
+
+    @property
+    def six_sigma_magnitude(self) -> np.ndarray:
+        """(v,) root of the summed squares of the three components, mm."""
+        return np.linalg.norm(self.six_sigma, axis=1)
+
+
+def low_rank(force, motion, H, discarded: float = DISCARDED_ENERGY) -> Factor:
+    """Factor the forces of one part by their elastic energy.
+
+    Parameters
+    ----------
+    force : (n, F) array
+        Self-balanced forces on the part's functionals, one row per sample.
+    motion : (n, 6) array
+    H : (F, F) array
+        Compliance of the part.
+    discarded : float
+        Share of the energy that may be left out; 0 keeps all that is above rounding.
+    """
+    n = len(force)
+    mean_force, mean_motion = force.mean(axis=0), motion.mean(axis=0)
+    centred = force - mean_force
+    # Functionals no sample loads take no part; scaling by each one's own compliance keeps N and N mm commensurate.
+    loaded = np.flatnonzero(np.abs(centred).max(axis=0) > 1e-13 * np.abs(force).max(initial=0.0))
+    scale = np.sqrt(np.maximum(H.diagonal()[loaded], np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(H[np.ix_(loaded, loaded)] / np.outer(scale, scale))
+    root = np.sqrt(np.maximum(values, 1e-14 * values.max(initial=0.0)))
+    U, singular, Vt = np.linalg.svd((centred[:, loaded] * scale) @ vectors * root, full_matrices=False)
+    energy = singular**2
+    tail = np.append(np.cumsum(energy[::-1])[::-1], 0.0)  # energy left out at rank 0, 1, …
+    total = max(tail[0], np.finfo(float).tiny)
+    rank = int(np.argmax(tail <= max(discarded, 1e-28) * total)) if tail[0] > 0 else 0
+    columns = np.zeros((force.shape[1], rank))
+    # From the samples rather than from V_r: balanced as they are, and no division by small roots.
+    columns[loaded] = centred[:, loaded].T @ U[:, :rank]
+    both = np.hstack([U[:, :rank], motion - mean_motion])
+    return Factor(mean_force, mean_motion, columns, both.T @ both / max(n - 1, 1), float(tail[rank] / total), n)
+
+
+def compute_fields(outcome: Outcome) -> list[PartField]:
+    """Mean and 6σ fields of every part under every law, from the forces and parts that the run kept.
+
+    Parameters
+    ----------
+    outcome : Outcome
+
+    Raises
+    ------
+    ImportError
+        If the finite elements are not installed.
+    """
+    from fem_reference.shell.part import ShellPart
+
+    model, found = outcome.model, []
+    forces = {law: _forces(outcome, law) for law in outcome.laws}
+    forces = {law: pair for law, pair in forces.items() if pair is not None and len(pair[0])}
+    for p, part in enumerate(kept_parts(outcome)):
+        rows, motions = slice(model.offsets[p], model.offsets[p + 1]), slice(6 * p, 6 * p + 6)
+        H, G = model.H[rows, rows], model.G[rows, motions]
+        factors = {law: low_rank(force[:, rows], motion[:, motions], H) for law, (force, motion) in forces.items()}
+        loads = [np.column_stack([factor.mean_force, factor.force]) for factor in factors.values()]
+        if not loads:
+            continue
+        shell = ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element)
+        solved = shell.field(part.functionals, np.hstack(loads))[:, :3]  # (v, 3, columns)
+        rigid = shell.rigid_field()[:, :3]
+        start = 0
+        for law, factor in factors.items():
+            stop = start + 1 + factor.rank
+            mean = solved[:, :, start] + rigid @ factor.mean_motion
+            basis = np.concatenate([solved[:, :, start + 1 : stop], rigid], axis=2)
+            along = np.einsum("vi,vir->vr", part.surface.vertex_normals, basis)
+            force, motion = forces[law]
+            found.append(
+                PartField(
+                    law,
+                    part.name,
+                    mean,
+                    _six_sigma(basis, factor),
+                    _six_sigma(along, factor),
+                    factor.rank,
+                    factor.samples,
+                    factor.discarded,
+                    _error(force[:, rows], motion[:, motions], H, G, factor, ~part.functionals.rotation),
+                )
+            )
+            start = stop
+    return found
+
+
+def write_fields(folder) -> list[PartField]:
+    """Compute the fields of a run folder and write them into it, where its scene asks for them.
+
+    ``fields/<law>-<part>.vtu`` holds, at the vertices, ``mean``, ``six_sigma``, ``six_sigma_magnitude`` and
+    ``six_sigma_normal`` in mm; ``fields/<part>.vtu`` the nominal surface alone. Where the finite elements are missing,
+    ``fields/fields.json`` says so and no field is written.
+
+    Fields that are there already, of the same model and samples, are kept.
+
+    Parameters
+    ----------
+    folder : path-like
+        As :func:`mic.sampling.montecarlo.run` and :func:`mic.results.outcome.keep_inputs` left it.
+    """
+    import meshio
+
+    outcome = read_outcome(folder)
+    folder = outcome.folder / "fields"
+    basis = [
+        FORMAT,
+        outcome.record["fingerprint"],
+        {law: len(outcome.valid(law)) for law in outcome.laws},
+        DISCARDED_ENERGY,
+    ]
+    if _record(folder).get("basis") == basis:
+        return read_fields(outcome.folder)[0]
+    folder.mkdir(exist_ok=True)
+    for old in [*folder.glob("*.vtu"), *folder.glob("fields.json")]:
+        old.unlink()
+    surfaces = {part.name: part.surface for part in kept_parts(outcome)}
+    for name, surface in surfaces.items():
+        data = {"normal": surface.vertex_normals}
+        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(folder / f"{name}.vtu")
+    found, skipped = [], None
+    if not outcome.model.scene.report.fields:
+        skipped = "The scene does not ask for fields, so none were computed."
+    elif not surfaces:
+        skipped = "The run folder holds no parts.npz, so no fields could be computed: run the scene again."
+    else:
+        try:
+            found = compute_fields(outcome)
+        except ImportError as error:
+            skipped = (
+                f"The finite elements that the fields need are not installed ({error}), so none were computed: install them "
+                "(Debian: apt-get install python3-dolfinx) and call mic report on this folder."
+            )
+    records = []
+    for field in found:
+        surface = surfaces[field.part]
+        data = {
+            "mean": field.mean,
+            "six_sigma": field.six_sigma,
+            "six_sigma_magnitude": field.six_sigma_magnitude,
+            "six_sigma_normal": field.six_sigma_normal,
+        }
+        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(
+            folder / f"{field.law}-{field.part}.vtu"
+        )
+        records.append(
+            {name: getattr(field, name) for name in ("law", "part", "rank", "samples", "discarded", "error")}
+        )
+    # An assembly without its fields, for want of finite elements or parts, is tried again.
+    (folder / "fields.json").write_text(
+        json.dumps({"basis": basis if found else None, "skipped": skipped, "fields": records}, indent=2) + "\n"
+    )
+    return found
+
+
+def read_fields(folder) -> tuple[list[PartField], str | None]:
+    """The fields of a run folder, as :func:`write_fields` left them, and a sentence that says why where there are none."""
+    folder, found = Path(folder) / "fields", []
+    record = _record(folder)
+    if not record:
+        return [], "No fields were computed for this run."
+    import meshio
+
+    for entry in record["fields"]:
+        data = meshio.read(folder / f"{entry['law']}-{entry['part']}.vtu").point_data
+        found.append(
+            PartField(
+                mean=data["mean"], six_sigma=data["six_sigma"], six_sigma_normal=data["six_sigma_normal"], **entry
+            )
+        )
+    return found, record["skipped"]
+
+
+def _record(folder):
+    path = folder / "fields.json"
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _forces(outcome, law):
+    """Forces (n, F) and motions (n, 6P) of the valid samples, or None where the run kept none."""
+    number, force, motion = [], [], []
+    for path in sorted((outcome.folder / "forces" / f"law={law}").glob("*.npz")):
+        first = int(path.stem.split("-")[0]) if not path.name.startswith(".") else None
+        if first is None:
+            continue
+        with np.load(path) as data:
+            number.append(first + np.arange(len(data["force"])))
+            force.append(data["force"])
+            motion.append(data["motion"])
+    if not number:
+        return None
+    keep = np.isin(np.concatenate(number), outcome.valid(law)["sample"])
+    return np.concatenate(force)[keep], np.concatenate(motion)[keep]
+
+
+def _six_sigma(basis, factor):
+    if factor.samples < 2:
+        return np.full(basis.shape[:-1], np.nan)
+    variance = np.einsum("...r,rs,...s->...", basis, factor.gram, basis, optimize=True)
+    return 6 * np.sqrt(np.maximum(variance, 0.0))
+
+
+def _error(force, motion, H, G, factor, displacements):
+    """Largest difference of 6σ at the functionals, whole against truncated."""
+    if factor.samples < 2:
+        return float("nan")
+    exact = 6 * (force @ H + motion @ G.T)[:, displacements].std(axis=0, ddof=1)
+    basis = np.hstack([H @ factor.force, G])[displacements]
+    return float(np.abs(exact - _six_sigma(basis, factor)).max(initial=0.0))

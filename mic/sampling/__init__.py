@@ -1,0 +1,1 @@
+"""The Monte Carlo: distributions, independent streams, samples shared out in blocks."""
