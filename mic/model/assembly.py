@@ -14,7 +14,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.compliance.functional import Functionals
-from mic.compliance.part import Part, fixture_surface, part_surface
+from mic.compliance.part import Part
+from mic.geometry.load import fixture_surface, part_surface
 from mic.geometry.pairing import Side, find_pairs, node_pairs, pair_at
 from mic.geometry.surface import Patch
 from mic.scene import Scene, SceneError
