@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mic import cache_folder
+from mic import cache_folder, examples
 from mic.compliance.influence import influence_coefficients, is_cached
 from mic.errors import MicError, SceneError
 from mic.sampling.montecarlo import communicator
@@ -309,6 +309,16 @@ def _print_cost(console, assembly, plans):
         lines[2] = f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws, no contact to resolve"
     for line in lines:
         console.print(f"• {line}")
+
+
+@app.command()
+def init(
+    example: Annotated[str, typer.Option(help="Name of the example scene.", show_default=False)],
+    out: Annotated[Optional[Path], typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
+):
+    """Copy an example scene into a new folder, to start from: lap_joint, hat_on_plate or wheelhouse."""
+    folder = examples.copy(example, out)
+    print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
 
 
 def _progress(console):

@@ -2,7 +2,7 @@
 
 import sys
 
-import meshio
+import meshlane
 import numpy as np
 import pytest
 
@@ -121,7 +121,7 @@ def test_fields_on_disk(folder):
     for one, other in zip(written, read):
         np.testing.assert_array_equal(one.mean, other.mean)
         np.testing.assert_array_equal(one.six_sigma_normal, other.six_sigma_normal)
-        mesh = meshio.read(folder / "fields" / f"{one.law}-{one.part}.vtu")
+        mesh = meshlane.read(folder / "fields" / f"{one.law}-{one.part}.vtu")
         assert mesh.point_data["six_sigma"].shape == (len(mesh.points), 3)
         np.testing.assert_allclose(mesh.point_data["six_sigma_magnitude"], np.linalg.norm(one.six_sigma, axis=1))
         assert one.error < 1e-3 * one.six_sigma.max()

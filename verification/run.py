@@ -16,12 +16,13 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from mic import examples
 from mic.sampling.montecarlo import communicator, versions
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
 
-JUDGED_PACKAGES = ("mic", "fem_reference", "meshes")
+JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
 
 
@@ -44,7 +45,7 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     """
     folder = Path(folder)
     first = team.rank == 0
-    base = _digest([FOLDER.parent / package for package in JUDGED_PACKAGES])
+    base = _digest(JUDGED)
     cache = folder / "cache" / base
     if first:
         for old in (folder / "cache").glob("*"):

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mic.geometry.readers.vtu import read_vtu, write_vtu
 from mic.results.outcome import Outcome, kept_parts, read_outcome
 
 __all__ = ["DISCARDED_ENERGY", "Factor", "PartField", "compute_fields", "low_rank", "read_fields", "write_fields"]
@@ -195,8 +196,6 @@ def write_fields(folder) -> list[PartField]:
     folder : path-like
         As :func:`mic.sampling.montecarlo.run` and :func:`mic.results.outcome.keep_inputs` left it.
     """
-    import meshio
-
     outcome = read_outcome(folder)
     folder = outcome.folder / "fields"
     basis = [
@@ -213,7 +212,7 @@ def write_fields(folder) -> list[PartField]:
     surfaces = {part.name: part.surface for part in kept_parts(outcome)}
     for name, surface in surfaces.items():
         data = {"normal": surface.vertex_normals}
-        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(folder / f"{name}.vtu")
+        write_vtu(folder / f"{name}.vtu", surface.points, surface.triangles, data)
     found, skipped = [], None
     if not outcome.model.scene.report.fields:
         skipped = "The scene does not ask for fields, so none were computed."
@@ -236,9 +235,7 @@ def write_fields(folder) -> list[PartField]:
             "six_sigma_magnitude": field.six_sigma_magnitude,
             "six_sigma_normal": field.six_sigma_normal,
         }
-        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(
-            folder / f"{field.law}-{field.part}.vtu"
-        )
+        write_vtu(folder / f"{field.law}-{field.part}.vtu", surface.points, surface.triangles, data)
         records.append(
             {name: getattr(field, name) for name in ("law", "part", "rank", "samples", "discarded", "error")}
         )
@@ -255,10 +252,8 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
     record = _record(folder)
     if not record:
         return [], "No fields were computed for this run."
-    import meshio
-
     for entry in record["fields"]:
-        data = meshio.read(folder / f"{entry['law']}-{entry['part']}.vtu").point_data
+        data = read_vtu(folder / f"{entry['law']}-{entry['part']}.vtu")
         found.append(
             PartField(
                 mean=data["mean"], six_sigma=data["six_sigma"], six_sigma_normal=data["six_sigma_normal"], **entry
