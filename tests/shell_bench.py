@@ -10,8 +10,8 @@ from mic.geometry.surface import Surface
 def grid(nx, ny, shape, jitter=0.0, pattern="right"):
     """Triangulated unit square (X, Y), nx × ny cells, carried into space by `shape`(X, Y) → (n, 3).
 
-    Interior vertices move by up to `jitter` cells first (always in the same way). `pattern` "right" divides all cells along the same
-    diagonal, "cross" in alternation.
+    Interior vertices move by up to `jitter` cells first (always in the same way). `pattern` "right" divides all cells
+    along the same diagonal, "cross" in alternation.
     """
     X, Y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, nx + 1), np.linspace(0, 1, ny + 1), indexing="ij"))
     random = np.random.default_rng(20)
@@ -28,7 +28,8 @@ def grid(nx, ny, shape, jitter=0.0, pattern="right"):
 
 
 def at(part, where, components):
-    """Freedoms of the given components (0…2 displacements, 3…5 rotations) at the points x (n, 3) for which `where`(x) holds."""
+    """Freedoms of the given components (0…2 displacements, 3…5 rotations) at the points x (n, 3) for which `where`(x)
+    holds."""
     return np.flatnonzero(where(part.dof_position) & np.isin(part.dof_component, components))
 
 

@@ -113,7 +113,8 @@ def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
 
 
 def test_newton_converges_quadratically(lap, scene):
-    """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one squared."""
+    """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one
+    squared."""
     ratios = []
     for sample in draw(scene, 5, 0, 3):
         for solve in FullModel(lap, augmented=False).evaluate(sample).history:
@@ -227,7 +228,8 @@ def test_a_part_that_nothing_holds_is_refused(scene, cache):
 
 
 def test_redundant_locators(scene, cache, lap):
-    """A second locator at the same place changes nothing while it agrees with the first, and is refused when it does not."""
+    """A second locator at the same place changes nothing while it agrees with the first, and is refused when it does
+    not."""
     sample = draw(scene, 5, 0, 1)[0]
     twin = scene.locators[0].model_copy(update={"name": "twin"})
     doubled = assemble(scene.model_copy(update={"locators": [*scene.locators, twin]}), cache)
@@ -243,7 +245,8 @@ def test_redundant_locators(scene, cache, lap):
 
 
 def test_deviated_meshes_tend_to_the_nominal_one(lap, scene):
-    """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the deviation."""
+    """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the
+    deviation."""
     sample = draw(scene, 5, 0, 1)[0]
     off = []
     for scale in (0.01, 0.1, 1.0):
@@ -254,7 +257,8 @@ def test_deviated_meshes_tend_to_the_nominal_one(lap, scene):
 
 
 def test_deviated_frames_turn_with_the_surface(lap, scene):
-    """A part tilted as a whole: normals turn by the tilt, gaps open by the distance, and the stiffness is that of the tilted part."""
+    """A part tilted as a whole: normals turn by the tilt, gaps open by the distance, and the stiffness is that of the
+    tilted part."""
     angle = 0.02
     fields = {part.name: np.zeros((len(part.surface.points), 6)) for part in lap.parts}
     for part in lap.parts:  # about the y axis, exactly
@@ -277,7 +281,8 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
 
 
 def test_every_node_of_the_zone(scene, cache):
-    """One pair per vertex of the first part; all pairs stand for the zone's area, and both routes agree as with few pairs."""
+    """One pair per vertex of the first part; all pairs stand for the zone's area, and both routes agree as with few
+    pairs."""
     assembly = assemble(scene, cache, every_node=True)
     overlap = assembly.parts[0].surface.points[assembly.parts[0].surface.points[:, 0] >= 60]
     np.testing.assert_allclose(np.sort(assembly.contacts.point, axis=0), np.sort(overlap, axis=0), atol=1e-9)

@@ -1,7 +1,7 @@
 """Contact cases whose answer is known in closed form; no code of the reduced model takes part.
 
-Strips have ν = 0, so that plates bend as beams do. A penalty of 1e8 sheet stiffnesses leaves no error that shows: the forces are
-unknowns of their own, so the condition of the system does not suffer.
+Strips have ν = 0, so that plates bend as beams do. A penalty of 1e8 sheet stiffnesses leaves no error that shows: the
+forces are unknowns of their own, so the condition of the system does not suffer.
 """
 
 from dataclasses import replace
@@ -69,8 +69,8 @@ def rest(system):
 
 @pytest.mark.parametrize("share", [0.5, 3.0])
 def test_strip_pressed_on_a_stop(share):
-    """Cantilever with a stop at distance g under its tip: the tip load P bends it freely until w = P L³/3EI = g; beyond, the stop
-    carries R = P − 3EI g/L³."""
+    """Cantilever with a stop at distance g under its tip: the tip load P bends it freely until w = P L³/3EI = g;
+    beyond, the stop carries R = P − 3EI g/L³."""
     L, b, t, gap = 100.0, 10.0, 1.0, 0.8
     shell = strip(L, b, t, 5.0)
     x = shell.surface.points[:, 0]
@@ -89,10 +89,11 @@ def test_strip_pressed_on_a_stop(share):
 
 @pytest.mark.parametrize("angle", [10.0, 40.0])
 def test_block_on_an_incline(angle):
-    """A block dragged along the slope: R = W (sin α + μ cos α) up, W (sin α − μ cos α) down, W sin α ± friction across it.
+    """A block dragged along the slope: R = W (sin α + μ cos α) up, W (sin α − μ cos α) down, W sin α ± friction across
+    it.
 
-    The block is a stiff plate; the incline is turned into the plane and gravity with it. It reverses, so the slip of the second
-    motion counts from where the first one left the block.
+    The block is a stiff plate; the incline is turned into the plane and gravity with it. It reverses, so the slip of
+    the second motion counts from where the first one left the block.
     """
     μ, α, W = 0.3, np.radians(angle), 50.0
     shell = strip(20.0, 20.0, 5.0, 5.0)

@@ -1,4 +1,5 @@
-"""Frictional contact against CalculiX: leaves pressed over half their length, friction that gives way little by little."""
+"""Frictional contact against CalculiX: leaves pressed over half their length, friction that gives way little by
+little."""
 
 import numpy as np
 import pytest

@@ -49,7 +49,8 @@ def peer():
 def test_compliance_of_a_folded_part(element, tolerance, peer):
     """Patch compliances against the largest of their row and column.
 
-    Most agree to 0.5 %; the largest difference is the self-compliance of the place 10 mm from the clamp, the stiffest one.
+    Most agree to 0.5 %; the largest difference is the self-compliance of the place 10 mm from the clamp, the stiffest
+    one.
     """
     surface = angle_section(4)
     part = ShellPart(surface, T, E, NU, element)

@@ -1,4 +1,5 @@
-"""The verification package: its framework on cheap studies, its pages, and proof that its limits catch planted errors."""
+"""The verification package: its framework on cheap studies, its pages, and proof that its limits catch planted
+errors."""
 
 import json
 import os
@@ -15,7 +16,8 @@ from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Tea
 
 ROOT = FOLDER.parent
 
-# Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI tests.
+# Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI
+# tests.
 CHEAP = """
 import sys
 from pathlib import Path
@@ -51,7 +53,8 @@ def broken(context):
 
 def studies():
     common = dict(claim="c", reference="r", seconds=(1, 1))
-    return [Study(1, "Means", acceptance=(Acceptance("mean", "Small.", 0.1), Acceptance("sum", "Small.", 0.01)), run=means, name="means", **common),
+    limits = Acceptance("mean", "Small.", 0.1), Acceptance("sum", "Small.", 0.01)
+    return [Study(1, "Means", acceptance=limits, run=means, name="means", **common),
             Study(2, "Strips", acceptance=(Acceptance("force", "Small.", 10.0),), run=strips, name="strips", **common),
             Study(3, "Broken", acceptance=(Acceptance("total", "Ten.", 10.0),), run=broken, name="broken", **common)]
 
@@ -207,7 +210,8 @@ def test_page_opens_with_claim_reference_and_acceptance_numbers(name):
     assert page.startswith(study.opening()), f"verification/{name}/README.md must open with:\n\n{study.opening()}"
 
 
-# --- planted errors ------------------------------------------------------------------------------------------------------
+# --- planted errors
+# ------------------------------------------------------------------------------------------------------
 
 
 def kept(folder):

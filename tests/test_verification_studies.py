@@ -1,4 +1,5 @@
-"""The studies of algebra, law, mesh, nominal stiffness and of the trade: what they compute, and that they fail on wrong answers."""
+"""The studies of algebra, law, mesh, nominal stiffness and of the trade: what they compute, and that they fail on wrong
+answers."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -125,7 +126,8 @@ def test_mesh_sequences_without_an_order():
 
 
 def test_stretching_of_a_cylinder_by_hand():
-    """A strip bent to w = c x²: the added membrane energy is ∫ E t/(1 − ν²)/2 (½ w'²)² dA; turned as a whole, nothing is added."""
+    """A strip bent to w = c x²: the added membrane energy is ∫ E t/(1 − ν²)/2 (½ w'²)² dA; turned as a whole, nothing
+    is added."""
     from mic.geometry.structured import extrude
     from mic.geometry.surface import Surface
 

@@ -19,14 +19,16 @@ __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
-    """The reduced model of a scene and the assembly that it came from, made by the production path on this process alone."""
+    """The reduced model of a scene and the assembly that it came from, made by the production path on this process
+    alone."""
     assembly = assemble(scene, cache)
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]), assembly
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a reduced outcome is from the full one, over all stages; each relative to the full outcome's largest value.
+    """How far a reduced outcome is from the full one, over all stages; each relative to the full outcome's largest
+    value.
 
     Attributes
     ----------
@@ -82,8 +84,8 @@ def difference(reduced: Evaluation, sample: int, full) -> Difference:
 def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, float]:
     """Residual, by stage, of the full solve's contact forces in the reduced contact problem.
 
-    A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however far
-    apart. Stages must be resolved in one increment.
+    A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however
+    far apart. Stages must be resolved in one increment.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import matplotlib
 
 matplotlib.use("svg")
-import matplotlib.pyplot as plt  # noqa: E402  (the backend is chosen first: no display is needed)
+import matplotlib.pyplot as plt
 
 __all__ = ["panels"]
 

@@ -1,8 +1,8 @@
 """Running studies into a folder that is readable, and can be taken up again, at any moment.
 
-A run folder holds ``studies/NAME/`` (``result.json``, figures as SVG, tables as CSV), written in one stroke when a study has finished, ``cache/``,
-and ``summary.json`` and ``report.html`` at the end. A study is run again when its result was made by another version of
-the code, or by the other of the full and the quick version.
+A run folder holds ``studies/NAME/`` (``result.json``, figures as SVG, tables as CSV), written in one stroke when a
+study has finished, ``cache/``, and ``summary.json`` and ``report.html`` at the end. A study is run again when its
+result was made by another version of the code, or by the other of the full and the quick version.
 """
 
 from __future__ import annotations
@@ -77,14 +77,16 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
             )
             for item in judged:
                 say(
-                    f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} ({item.acceptance.bound} "
+                    f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} "
+                    f"({item.acceptance.bound} "
                     f"{item.limit:.3g}{'' if item.acceptance.unit == '1' else ' ' + item.acceptance.unit})"
                 )
     team.wait()
 
 
 def read_results(folder: Path) -> list[dict]:
-    """Stored results of a run folder, in the order of the report; each as ``result.json`` holds it, with its ``folder``."""
+    """Stored results of a run folder, in the order of the report; each as ``result.json`` holds it, with its
+    ``folder``."""
     found = []
     for path in sorted(Path(folder).glob("studies/*/result.json")):
         found.append(json.loads(path.read_text()) | {"folder": path.parent})

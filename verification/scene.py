@@ -1,7 +1,8 @@
-"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean and 6σ.
+"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
+and 6σ.
 
-The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second call takes up where the
-first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
+The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second
+call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
 """
 
 from __future__ import annotations
@@ -304,7 +305,8 @@ def _estimate(name, estimate):
 
 
 def _figure(table, truth):
-    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the reduced ones."""
+    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the
+    reduced ones."""
     laws = list(dict.fromkeys(table["law"]))
     names = list(dict.fromkeys(table["quantity"]))
     figure, (left, right) = panels(2, 6.0, 1.4 + 0.26 * len(names))
@@ -372,7 +374,8 @@ def _page(summary, per_sample, table, truth) -> str:
 
 
 def worst(table) -> list[dict]:
-    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees it."""
+    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees
+    it."""
     found = []
     kind = table["quantity"].str.split(":").str[0]
     leading = (

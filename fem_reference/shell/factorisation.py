@@ -5,8 +5,8 @@ K (SPD, the pinned part) bordered by n retained functionals L,
     ⎡ K  Lᵀ ⎤          has the Schur complement      0 − L K⁻¹ Lᵀ = −H
     ⎣ L  0  ⎦
 
-on its last n rows. A multifrontal solver that is told to stop before those rows (MUMPS: ICNTL(19)) has it in the front that
-remains, while the factors of K serve further solves. The pivots are those of K alone, so Cholesky applies though
+on its last n rows. A multifrontal solver that is told to stop before those rows (MUMPS: ICNTL(19)) has it in the front
+that remains, while the factors of K serve further solves. The pivots are those of K alone, so Cholesky applies though
 the bordered matrix is indefinite.
 """
 
@@ -196,7 +196,8 @@ def _check(H, K, L, factorisation, columns: int = 3) -> None:
     if not (np.all(backward < 1e-11) and difference < 1e-8):
         raise FactorisationError(
             f"influence coefficients fail their check: backward error {max(backward):.1e} (allowed 1e-11), "
-            f"difference from separate solves {difference:.1e} of the largest (allowed 1e-8); the stiffness is too badly conditioned"
+            f"difference from separate solves {difference:.1e} of the largest (allowed 1e-8); the stiffness is too "
+            "badly conditioned"
         )
 
 
@@ -254,9 +255,9 @@ def compute_influence(
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """H (n, n) and G (n, 6) of every part, the parts shared out over the processes.
 
-    Each part is factorised on one process alone (a serial factorisation per part beats a distributed one at these sizes),
-    so that the result does not depend on how many there are. The Schur complement leaves no right-hand sides to share out further;
-    processes beyond the number of parts have nothing to do.
+    Each part is factorised on one process alone (a serial factorisation per part beats a distributed one at these
+    sizes), so that the result does not depend on how many there are. The Schur complement leaves no right-hand sides to
+    share out further; processes beyond the number of parts have nothing to do.
 
     Parameters
     ----------

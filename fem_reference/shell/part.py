@@ -1,8 +1,8 @@
 """One sheet-metal part as a finite-element body: stiffness, functionals, rigid modes, pinned solves.
 
-Units mm, N, MPa, radians. A part is free: it has no supports of its own. Where a solve needs one, six nodal displacement
-components that suppress exactly the rigid motions are *pinned*. The reactions of such a statically determinate
-support vanish under self-equilibrated loads, so that nothing but a rigid motion depends on the choice.
+Units mm, N, MPa, radians. A part is free: it has no supports of its own. Where a solve needs one, six nodal
+displacement components that suppress exactly the rigid motions are *pinned*. The reactions of such a statically
+determinate support vanish under self-equilibrated loads, so that nothing but a rigid motion depends on the choice.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ class ShellPart:
         unused = np.setdiff1d(np.arange(len(surface.points)), surface.triangles)
         if len(unused):
             raise ValueError(
-                f"point {unused[0]} belongs to no triangle ({len(unused)} such points): mic.geometry.repair.repair drops them"
+                f"point {unused[0]} belongs to no triangle ({len(unused)} such points): mic.geometry.repair.repair "
+                "drops them"
             )
         pieces = _pieces(surface.triangles)
         if pieces > 1:
@@ -354,16 +355,17 @@ class ShellPart:
     def _check_conditioning(self, factorisation: Factorisation) -> None:
         """Move the pins rigidly and see whether the part follows: the exact answer to six solves is known.
 
-        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. The smooth rigid motions show the loss of digits at its worst,
-        and a part that holds a mechanism does not follow at all.
+        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. The smooth rigid motions show the loss of digits at its
+        worst, and a part that holds a mechanism does not follow at all.
         """
         exact = self.rigid_modes[self._free]
         followed = factorisation.solve(-self._stiffness_csr[self._free][:, self.pins] @ self.rigid_modes[self.pins])
         error = (abs(followed - exact).max(axis=0) / abs(exact).max(axis=0)).max()
         if not error < RIGID_MOTION_TOLERANCE:
             raise FactorisationError(
-                f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed {RIGID_MOTION_TOLERANCE:.0e}): the part "
-                "holds a mechanism, or is too thin for its size in double precision"
+                f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed "
+                f"{RIGID_MOTION_TOLERANCE:.0e}): the part holds a mechanism, or is too thin for its size in double "
+                "precision"
             )
 
     def solve(self, nodal_forces: np.ndarray) -> np.ndarray:
