@@ -121,7 +121,7 @@ class ShellPart:
         cells = np.arange(topology.index_map(2).size_local)
         if self.element == "dkt-opt":
             self._space = compat.lagrange_6(self._mesh)
-            nodes = compat.cell_dofs(self._space.dofmap)[cells]
+            nodes = compat.cell_dofs(self._space)[cells]
             nodes = self._space.dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
             both = 6 * nodes[:, :, None] + np.arange(6)
             displacement, rotation = both[:, :, :3], both[:, :, 3:]
@@ -133,7 +133,7 @@ class ShellPart:
             )
         # the surface's triangle of each cell, and which of its corners each corner of the cell is
         triangle = np.asarray(topology.original_cell_index)[cells]
-        vertex = np.asarray(geometry.input_global_indices)[compat.cell_dofs(geometry.dofmap)[cells]]
+        vertex = np.asarray(geometry.input_global_indices)[compat.cell_points(self._mesh)[cells]]
         triangle, vertex, displacement, rotation = (
             np.concatenate(self.comm.allgather(table)) for table in (triangle, vertex, displacement, rotation)
         )
@@ -158,7 +158,7 @@ class ShellPart:
 
     def _component_dofs(self, field: int, component: int) -> np.ndarray:
         """Global freedoms (cells, nodes) of one component of one field of a mixed space."""
-        local = compat.cell_dofs(self._space.sub(field).sub(component).dofmap)
+        local = compat.cell_dofs(self._space.sub(field).sub(component))
         return self._space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
 
     @cached_property
