@@ -27,7 +27,8 @@ import numpy as np
 from petsc4py import PETSc
 from threadpoolctl import threadpool_limits
 
-from fem_reference.shell.factorisation import BLOCK, Factorisation, influence_matrix
+from fem_reference.shell.factorisation import BLOCK, Factorisation
+from fem_reference.shell.influence import influence_matrix
 from fem_reference.shell.part import ShellPart
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface

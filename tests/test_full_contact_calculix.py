@@ -3,7 +3,7 @@ little."""
 
 import numpy as np
 import pytest
-from test_full_contact_analytic import E, bend_leaves
+from support.strips import E, bend_leaves
 
 from fem_reference.peers import calculix
 from fem_reference.peers.calculix_contact import leaves

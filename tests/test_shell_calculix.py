@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from shell_bench import at, grid, supported_solution
+from support.panels import grid
+from support.shells import at, supported_solution
 
 from fem_reference.peers import calculix
 from fem_reference.shell.part import ShellPart

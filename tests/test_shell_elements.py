@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from shell_bench import at, grid, supported_solution, vertex
+from support.panels import grid
+from support.shells import at, supported_solution, vertex
 
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.geometry.surface import Surface

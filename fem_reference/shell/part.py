@@ -18,7 +18,8 @@ from scipy.sparse import coo_matrix, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat, element
-from fem_reference.shell.factorisation import Factorisation, FactorisationError, influence_matrix
+from fem_reference.shell.factorisation import Factorisation, FactorisationError
+from fem_reference.shell.influence import influence_matrix
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 

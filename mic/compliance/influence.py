@@ -114,7 +114,7 @@ def _compute(parts, cache, comm):
     try:
         from mpi4py import MPI
 
-        from fem_reference.shell.factorisation import compute_influence
+        from fem_reference.shell.influence import compute_influence
         from fem_reference.shell.part import ShellPart
     except ImportError as error:
         raise MissingProvider(

@@ -1,30 +1,20 @@
-"""Meshes and supports that the shell tests share."""
+"""Freedoms, loads and supports of a shell part, found by where they are."""
 
 import numpy as np
 
 from fem_reference.shell.factorisation import Factorisation
 from fem_reference.shell.part import ShellPart
-from mic.geometry.surface import Surface
+from support.panels import NU, PLACES, E, functionals, panel
+
+SHEETS = {"left": (1.2, 5), "right": (0.8, 6), "middle": (1.0, 4)}  # thickness in mm, cells along each side
 
 
-def grid(nx, ny, shape, jitter=0.0, pattern="right"):
-    """Triangulated unit square (X, Y), nx × ny cells, carried into space by `shape`(X, Y) → (n, 3).
-
-    Interior vertices move by up to `jitter` cells first (always in the same way). `pattern` "right" divides all cells
-    along the same diagonal, "cross" in alternation.
-    """
-    X, Y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, nx + 1), np.linspace(0, 1, ny + 1), indexing="ij"))
-    random = np.random.default_rng(20)
-    inside_x, inside_y = (X > 1e-9) & (X < 1 - 1e-9), (Y > 1e-9) & (Y < 1 - 1e-9)
-    X = X + inside_x * jitter / nx * random.uniform(-1, 1, X.shape)
-    Y = Y + inside_y * jitter / ny * random.uniform(-1, 1, Y.shape)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
-    a = i * (ny + 1) + j
-    b, c, d = a + ny + 1, a + ny + 2, a + 1
-    other = ((i + j) % 2 == 1) if pattern == "cross" else np.zeros(len(i), dtype=bool)
-    first = np.where(other[:, None], np.column_stack([a, b, d]), np.column_stack([a, b, c]))
-    second = np.where(other[:, None], np.column_stack([b, c, d]), np.column_stack([a, c, d]))
-    return Surface(shape(X, Y), np.concatenate([first, second]))
+def several_parts():
+    """Three panels and their functionals, by name: what `compute_influence` takes."""
+    surfaces = {name: panel(n) for name, (_, n) in SHEETS.items()}
+    rows = {name: functionals(surface, PLACES, 6.0) for name, surface in surfaces.items()}
+    parts = {name: (lambda name=name: ShellPart(surfaces[name], SHEETS[name][0], E, NU)) for name in SHEETS}
+    return parts, rows
 
 
 def at(part, where, components):
@@ -58,8 +48,3 @@ def supported_solution(part: ShellPart, fixed, load, prescribed=None):
 def read(part, freedoms, point):
     """Displacement (3,) of the vertex nearest to a point."""
     return freedoms[part.vertex_displacement_dofs[vertex(part, point)]]
-
-
-def observed_rates(sizes, errors):
-    """Slopes of log error over log size between successive meshes."""
-    return np.diff(np.log(np.abs(errors))) / np.diff(np.log(sizes))
