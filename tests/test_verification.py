@@ -262,9 +262,9 @@ def friction_ignored(monkeypatch):
 
 
 def welds_forgotten(monkeypatch):
-    from mic.process import process
+    from mic.process import stage
 
-    plan = process.plan_stages
+    plan = stage.plan_stages
 
     def without(*arguments):
         return [
@@ -272,7 +272,7 @@ def welds_forgotten(monkeypatch):
             for item in plan(*arguments)
         ]
 
-    monkeypatch.setattr(process, "plan_stages", without)
+    monkeypatch.setattr(stage, "plan_stages", without)
 
 
 def thickness_doubled(monkeypatch):

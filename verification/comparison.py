@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from mic.compliance.influence import influence_coefficients
+from mic.compliance.cache import influence_coefficients
 from mic.contact import certify
 from mic.model.assembly import Assembly, assemble
-from mic.model.reduced import ReducedModel
-from mic.process.process import Evaluation
+from mic.process.evaluation import Evaluation
+from mic.process.model import ReducedModel
 from mic.scene import Scene
 
 __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "relative", "zone_slip"]
@@ -68,7 +68,7 @@ def difference(reduced: Evaluation, sample: int, full) -> Difference:
 
     Parameters
     ----------
-    reduced : mic.process.process.Evaluation
+    reduced : mic.process.evaluation.Evaluation
     sample : int
     full : fem_reference.full.model.FullEvaluation
     """

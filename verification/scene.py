@@ -191,7 +191,7 @@ def _with_truth(scene):
 
 def _model_key(model):
     digest = hashlib.sha256(model.scene.model_dump_json(exclude={"monte_carlo", "report", "description"}).encode())
-    for array in (model.H, model.G, model.shape, model.contacts.gap, model.contacts.frame):
+    for array in (*model.compliance.H, *model.compliance.G, model.shape, model.contacts.gap, model.contacts.frame):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

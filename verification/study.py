@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from mic.model.reduced import ReducedModel
+from mic.process.model import ReducedModel
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 

@@ -25,7 +25,7 @@ def compare(model, assembly, law, sample, penalties) -> list[dict]:
 
     Parameters
     ----------
-    model : mic.model.reduced.ReducedModel
+    model : mic.process.model.ReducedModel
     assembly : mic.model.assembly.Assembly
     law : str
     sample : int
