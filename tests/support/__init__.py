@@ -1,1 +1,1 @@
-"""What several test modules share, in modules named by what they hold. No test imports another test."""
+"""What several test modules need; no test stands in here."""
