@@ -13,6 +13,8 @@ from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
 
+pytestmark = pytest.mark.fem
+
 
 def sized(scene, size):
     return scene.model_copy(update={"parts": [part.model_copy(update={"size": size}) for part in scene.parts]})
@@ -54,6 +56,7 @@ def difference(full, reduced):
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 @pytest.mark.parametrize("name", ["lap", "hat"])
+@pytest.mark.slow
 def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, request):
     model, assembly = request.getfixturevalue(f"{name}_model"), request.getfixturevalue(name)
     for sample in draw(model.scene, 5, 0, 1):
@@ -74,6 +77,7 @@ def test_penalty_error_falls_at_first_order(lap, lap_model, law):
     assert error[-1] < 1e-4
 
 
+@pytest.mark.slow
 def test_agreement_holds_over_increments(scene, cache):
     """Slip is measured from increment to increment; the path differs from the single step, and in the same way."""
     scene = scene.model_copy(update={"stages": [stage.model_copy(update={"increments": 3}) for stage in scene.stages]})
@@ -83,6 +87,7 @@ def test_agreement_holds_over_increments(scene, cache):
     assert {solve.increment for solve in full.history} == {1, 2, 3}
 
 
+@pytest.mark.slow
 def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
     """What `difference` must not overlook: friction ignored, shape deviations of the wrong sign, gaps forgotten."""
     sample = draw(lap_model.scene, 5, 0, 1)[0]
@@ -151,6 +156,7 @@ def serial(tmp_path_factory):
 
 
 @pytest.mark.parametrize("processes", [2, 4])
+@pytest.mark.slow
 def test_equal_on_any_number_of_processes(processes, serial, tmp_path):
     for ours, theirs in zip(on_ranks(processes, tmp_path), serial):
         assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
@@ -213,6 +219,7 @@ def test_redundant_locators(scene, cache, lap):
         FullModel(assemble(contradicting, cache)).evaluate(sample)
 
 
+@pytest.mark.slow
 def test_deviated_meshes_tend_to_the_nominal_one(lap, scene):
     """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the
     deviation."""
@@ -277,6 +284,7 @@ for _ in range(8):
 """
 
 
+@pytest.mark.slow
 def test_factors_are_freed_with_their_model(tmp_path):
     """A study that makes a model per sample would run out of memory: here 17 MB each, in earnest hundreds."""
     done = on_processes(1, "-c", MEMORY, ROOT / "meshes" / "lap_joint", tmp_path)

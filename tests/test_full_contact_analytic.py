@@ -14,6 +14,8 @@ from support.strips import E, bend_leaves, clamped, contact_law, interleave, res
 
 from fem_reference.full.equilibrium import SLIP, STICK, Equilibrium, Parts
 
+pytestmark = pytest.mark.fem
+
 
 @pytest.mark.parametrize("share", [0.5, 3.0])
 def test_strip_pressed_on_a_stop(share):

@@ -18,6 +18,8 @@ from fem_reference.shell.factorisation import (
 from fem_reference.shell.influence import compute_influence, influence_matrix
 from fem_reference.shell.part import ELEMENTS, ShellPart
 
+pytestmark = pytest.mark.fem
+
 
 def spd(m=200, n=30):
     """A sparse SPD matrix (m, m) and sparse rows (n, m)."""
@@ -150,6 +152,7 @@ if MPI.COMM_WORLD.rank == 0:
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4])
+@pytest.mark.slow
 def test_equal_on_any_number_of_processes(processes, tmp_path):
     """mpirun -n 1, 2, 4 give what this process computes, to 1e-10."""
     outcome = on_processes(processes, "-c", PROGRAM, tmp_path / "result.npz")

@@ -15,6 +15,8 @@ from support.shells import at, read, supported_solution, vertex, vertex_load
 
 from fem_reference.shell.part import ShellPart
 
+pytestmark = pytest.mark.fem
+
 
 def observed_rates(sizes, errors):
     """Slopes of log error over log size between successive meshes."""

@@ -8,6 +8,8 @@ from support.shells import at, supported_solution
 from fem_reference.peers import calculix
 from fem_reference.shell.part import ShellPart
 
+pytestmark = pytest.mark.fem
+
 needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 
 E, NU, T = 210000.0, 0.3, 1.0

@@ -8,6 +8,8 @@ from support.shells import at, supported_solution, vertex
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.geometry.surface import Surface
 
+pytestmark = pytest.mark.fem
+
 E, NU, T = 210000.0, 0.3, 0.8
 
 

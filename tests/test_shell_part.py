@@ -10,6 +10,8 @@ from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Patch, Surface
 
+pytestmark = pytest.mark.fem
+
 
 @pytest.mark.parametrize("radius", [0.0, 6.0])
 @pytest.mark.parametrize("element", ELEMENTS)

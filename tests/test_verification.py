@@ -14,6 +14,8 @@ from verification import run as runs
 from verification.report import write_report
 from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Team, studies
 
+pytestmark = pytest.mark.fem
+
 ROOT = FOLDER.parent
 
 # Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI

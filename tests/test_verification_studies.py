@@ -20,6 +20,8 @@ from verification.nominal_stiffness import study as nominal
 from verification.scenes import shipped
 from verification.trade import study as trade
 
+pytestmark = pytest.mark.fem
+
 AUGMENTED = next(a.limit for a in ALGEBRA.acceptance if a.name == "augmented")
 
 

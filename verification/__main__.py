@@ -10,9 +10,12 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from mic.scene import SceneError
+from mic import cache_folder
+from mic.scene import SceneError, load_scene
+from verification.report import write_report
 from verification.run import run as run_studies
-from verification.run import team
+from verification.run import team, write_summary
+from verification.scene import verify_scene
 from verification.study import studies
 
 app = typer.Typer(
@@ -61,9 +64,6 @@ def run(
     Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run.
     Under `mpirun -n N` each study is shared out over N processes.
     """
-    from verification.report import write_report
-    from verification.run import write_summary
-
     workers = team()
     run_studies(_chosen(names), out, quick, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
@@ -102,10 +102,6 @@ def scene(
     folder holds already are kept: call again to complete an interrupted run, or with more samples. Under `mpirun -n N`
     the samples are shared out over N processes.
     """
-    from mic import cache_folder
-    from mic.scene import load_scene
-    from verification.scene import verify_scene
-
     workers = team()
     loaded = load_scene(scene)
     folder = out or Path("results") / f"{loaded.name}-verified"
@@ -119,8 +115,6 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)],
 ):
     """Write summary.json and report.html of a run folder again."""
-    from verification.report import write_report
-
     print(f"report: {write_report(folder)}")
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from mic.sampling.montecarlo import communicator, versions
+from verification.plots import svg
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
@@ -158,10 +159,7 @@ def _store(target: Path, study: Study, judged: list[Judged], record: dict) -> No
         }
         if finding.figure is not None:
             entry["figure"] = f"{finding.name}.svg"
-            finding.figure.savefig(
-                partial / entry["figure"], format="svg", bbox_inches="tight", metadata={"Date": None}
-            )
-            _close(finding.figure)
+            (partial / entry["figure"]).write_bytes(svg(finding.figure))
         if finding.table is not None:
             entry["table"] = f"{finding.name}.csv"
             finding.table.to_csv(partial / entry["table"], index=False)
@@ -178,12 +176,6 @@ def _store(target: Path, study: Study, judged: list[Judged], record: dict) -> No
     (partial / "result.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
     shutil.rmtree(target, ignore_errors=True)
     partial.replace(target)
-
-
-def _close(figure):
-    import matplotlib.pyplot as plt
-
-    plt.close(figure)
 
 
 def _number(value) -> float | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
 import math
 import time
@@ -30,7 +29,8 @@ from mic.sampling.montecarlo import run as monte_carlo
 from mic.sampling.montecarlo import versions
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
-from verification.plots import panels
+from verification.plots import panels, svg
+from verification.report import number, table_cells
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
@@ -350,14 +350,7 @@ def _figure(table, truth):
 def _page(summary, per_sample, table, truth) -> str:
     image = None
     if len(table) and "corrected mean" in table:
-        figure, buffer = _figure(table, truth), io.BytesIO()
-        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
-        image = base64.b64encode(buffer.getvalue()).decode()
-        import matplotlib.pyplot as plt
-
-        plt.close(figure)
-    from verification.report import number, table_cells
-
+        image = base64.b64encode(svg(_figure(table, truth))).decode()
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )

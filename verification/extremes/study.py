@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from matplotlib.patches import Rectangle
 
 from fem_reference.shell.factorisation import FactorisationError
 from mic.contact import ContactSolver
@@ -216,7 +217,7 @@ def heat_map(table):
     figure, (axis,) = panels(1, width=9.5, height=0.42 * len(names) + 0.8)
     for row, name in enumerate(names):
         for column, (_, cell) in enumerate(table[table["sweep"] == name].iterrows()):
-            axis.add_patch(plt_rectangle(column, row, colours[cell["outcome"]]))
+            axis.add_patch(tile(column, row, colours[cell["outcome"]]))
             value = cell["value"] if isinstance(cell["value"], str) else f"{cell['value']:g}"
             second = "refused" if cell["outcome"] == "refused" else f"{cell['error']:.0e}"
             axis.text(column + 0.5, row + 0.32, value, ha="center", va="center", fontsize=8.5)
@@ -229,14 +230,13 @@ def heat_map(table):
     )
     axis.set_yticklabels(names)
     axis.grid(False)
-    handles = [plt_rectangle(0, 0, colour) for colour in colours.values()]
+    handles = [tile(0, 0, colour) for colour in colours.values()]
     axis.legend(handles, colours, ncols=3, loc="lower right", bbox_to_anchor=(1, 1))
     return figure
 
 
-def plt_rectangle(x, y, colour):
-    from matplotlib.patches import Rectangle
-
+def tile(x, y, colour):
+    """A square of the map, its left upper corner at (x, y)."""
     return Rectangle((x + 0.02, y + 0.03), 0.96, 0.94, facecolor=colour, edgecolor="none")
 
 

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from mpi4py import MPI
 
+from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.process.process import Process
 from mic.sampling.draw import draw
@@ -93,10 +95,6 @@ def reversal(context):
 def against_full(context, counts):
     """Forces of the reduced model and of the full finite elements on the coarse lap joint, for each number of
     increments."""
-    from mpi4py import MPI
-
-    from fem_reference.full.model import FullModel
-
     rows = []
     for count in counts:
         scene = with_increments(shipped("lap_joint", "coarse"), count)
