@@ -1,14 +1,14 @@
-"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean and 6σ.
+"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
+and 6σ.
 
-The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second call takes up where the
-first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
+The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second
+call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
 import math
 import time
@@ -29,7 +29,8 @@ from mic.sampling.montecarlo import run as monte_carlo
 from mic.sampling.montecarlo import versions
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
-from verification.plots import panels
+from verification.plots import panels, svg
+from verification.report import number, table_cells
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
@@ -190,7 +191,7 @@ def _with_truth(scene):
 
 def _model_key(model):
     digest = hashlib.sha256(model.scene.model_dump_json(exclude={"monte_carlo", "report", "description"}).encode())
-    for array in (model.H, model.G, model.shape, model.contacts.gap, model.contacts.frame):
+    for array in (*model.compliance.H, *model.compliance.G, model.shape, model.contacts.gap, model.contacts.frame):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
@@ -304,7 +305,8 @@ def _estimate(name, estimate):
 
 
 def _figure(table, truth):
-    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the reduced ones."""
+    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the
+    reduced ones."""
     laws = list(dict.fromkeys(table["law"]))
     names = list(dict.fromkeys(table["quantity"]))
     figure, (left, right) = panels(2, 6.0, 1.4 + 0.26 * len(names))
@@ -348,14 +350,7 @@ def _figure(table, truth):
 def _page(summary, per_sample, table, truth) -> str:
     image = None
     if len(table) and "corrected mean" in table:
-        figure, buffer = _figure(table, truth), io.BytesIO()
-        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
-        image = base64.b64encode(buffer.getvalue()).decode()
-        import matplotlib.pyplot as plt
-
-        plt.close(figure)
-    from verification.report import number, table_cells
-
+        image = base64.b64encode(svg(_figure(table, truth))).decode()
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -372,7 +367,8 @@ def _page(summary, per_sample, table, truth) -> str:
 
 
 def worst(table) -> list[dict]:
-    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees it."""
+    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees
+    it."""
     found = []
     kind = table["quantity"].str.split(":").str[0]
     leading = (

@@ -1,4 +1,5 @@
-"""What accuracy costs: every knob, one at a time, and the named settings, against the finest run; all on one machine in one run."""
+"""What accuracy costs: every knob, one at a time, and the named settings, against the finest run; all on one machine in
+one run."""
 
 from __future__ import annotations
 
@@ -151,7 +152,8 @@ def cost(line, samples) -> float:
 
 
 def cheapest(lines, target):
-    """The cheapest version and number of samples whose error and sampling error together keep the target; None if there is none."""
+    """The cheapest version and number of samples whose error and sampling error together keep the target; None if there
+    is none."""
     fitting = [
         (cost(line, count), line, count)
         for _, line in lines.iterrows()
@@ -237,7 +239,10 @@ def advice(lines, full) -> pd.DataFrame:
             rows.append(
                 {
                     "6σ to": f"{target:.0%}",
-                    "run": f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} before any sampling error",
+                    "run": (
+                        f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} "
+                        "before any sampling error"
+                    ),
                     "samples": float("nan"),
                     "cost, s": float("nan"),
                     "full solves would take, s": float("nan"),
@@ -269,7 +274,8 @@ def in_words(table) -> str:
         + (
             f"{line['run']}."
             if not line["samples"] > 0
-            else f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would take {line['full solves would take, s'] / 3600:.1f} h, "
+            else f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would "
+            f"take {line['full solves would take, s'] / 3600:.1f} h, "
             f"{line['times cheaper']:.0f} times as much."
         )
         for _, line in table.iterrows()
@@ -341,8 +347,8 @@ def run(context):
         Finding(
             "draft",
             settings.loc["draft", "error of 6σ"],
-            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} increments; "
-            f"the same {plan['samples']} samples for all versions, so that sampling errors cancel. "
+            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} "
+            f"increments; the same {plan['samples']} samples for all versions, so that sampling errors cancel. "
             + ("Quick version: the named sizes are replaced by coarser ones." if context.quick else ""),
             picture(coulomb, kept, samples),
             lines,
@@ -380,8 +386,12 @@ def run(context):
 STUDY = Study(
     order=110,
     title="The trade",
-    claim="Accuracy can be bought knob by knob; three named settings buy it well, and anyone can read off what 6σ to 1, 2, 5 or 10 % takes.",
-    reference="The wheelhouse, finer in every knob than any setting, on the same samples. All errors include the settings' meshes; those of the truth are the "
+    claim=(
+        "Accuracy can be bought knob by knob; three named settings buy it well, and anyone can read off what 6σ to "
+        "1, 2, 5 or 10 % takes."
+    ),
+    reference="The wheelhouse, finer in every knob than any setting, on the same samples. All errors include the "
+    "settings' meshes; those of the truth are the "
     "mesh study's. One machine, one run, every version from nothing.",
     acceptance=(
         Acceptance(
