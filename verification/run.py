@@ -16,7 +16,8 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mic.sampling.montecarlo import communicator, versions
+from mic.results.folder import versions
+from mic.sampling.ranks import communicator
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]

@@ -23,10 +23,10 @@ from threadpoolctl import threadpool_limits
 
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.results import statistics
+from mic.results.folder import versions
 from mic.results.outcome import read_outcome
+from mic.run import sample_into
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import run as monte_carlo
-from mic.sampling.montecarlo import versions
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
@@ -126,7 +126,7 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
         model, assembly = reduced_and_assembly(scene, cache)
         prepared = time.perf_counter()
-        monte_carlo(model, folder / "reduced", scene.report.laws, samples, seed)
+        sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
         evaluated = time.perf_counter()
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome.valid(law)) for law in outcome.laws}
