@@ -40,7 +40,7 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str) ->
     content = pa.Table.from_pandas(frame, pa.schema(fields), preserve_index=False)
     kind = _FORMATS[table.name]
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
-    content = content.replace_schema_metadata({**(content.schema.metadata or {}), **header})
+    content = content.replace_schema_metadata(header)
     with replacing(path) as temporary:
         pq.write_table(content, temporary, write_page_checksum=True)
 
@@ -58,13 +58,13 @@ def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             content = file.read()
+        header = {key.decode(): value.decode() for key, value in (content.schema.metadata or {}).items()}
+        frame = content.to_pandas()
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, ValueError):
         raise kind.damaged(path) from None
-    header = {key.decode(): value.decode() for key, value in (content.schema.metadata or {}).items()}
     number = header.get("format", "")
     kind.check(path, {"kind": header.get("kind"), "format": int(number) if number.isdigit() else None})
-    frame = content.to_pandas()
     table.check(frame, path, _AGAIN)
     return frame, header.get("identity", "")
