@@ -35,8 +35,9 @@ app = typer.Typer(
     help="""
 Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
 
-A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and measurements.
-`mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a report.
+A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
+measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
+report.
 
 Start with:  mic check meshes/wheelhouse  and then  mic run meshes/wheelhouse --samples 50
 """,
@@ -44,8 +45,10 @@ Start with:  mic check meshes/wheelhouse  and then  mic run meshes/wheelhouse --
 
 
 #: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
-Law = Enum("Law", {law.value: law.value for law in reversed(ContactLaw)}, type=str)
-Backend = Enum("Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str)
+Law = Enum("Law", {law.value: law.value for law in reversed(ContactLaw)}, type=str)  # type: ignore[misc]
+Backend = Enum(  # type: ignore[misc]
+    "Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str
+)
 
 SceneArgument = Annotated[
     Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
@@ -54,8 +57,8 @@ LawOption = Annotated[
     list[Law] | None,
     typer.Option(
         "--law",
-        help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of the paper, "
-        "which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.",
+        help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of "
+        "the paper, which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.",
         show_default=False,
     ),
 ]
@@ -98,15 +101,16 @@ def run(
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
-    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of samples
-    are kept: call again to complete an interrupted run. Under `mpirun -n N` the samples are shared out over N processes.
+    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of
+    samples are kept: call again to complete an interrupted run. Under `mpirun -n N` the samples are shared out over N
+    processes.
     """
     world = communicator()
     console = Console(quiet=world is not None and world.rank > 0)
-    scene = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
-    folder = out or Path("results") / scene.name
+    asked = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
+    folder = out or Path("results") / asked.name
     try:
-        outcome = run_scene(scene, folder, cache_folder(), _Listener(console))
+        outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
     except KeyboardInterrupt:
         console.print(f"Interrupted. What is finished stands in {folder}; run the same command again to complete it.")
         raise typer.Exit(130) from None
@@ -160,13 +164,9 @@ def _print_zones(console, outcome):
     if zones:
         table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
         for zone in zones:
-            table.add_row(
-                zone,
-                *(
-                    f"{number(law['zones'][zone]['mean_rms_slip'], 4)} / {number(law['zones'][zone]['six_sigma_rms_slip'], 4)}"
-                    for law in summary["laws"].values()
-                ),
-            )
+            found = [law["zones"][zone] for law in summary["laws"].values()]
+            figures = [(number(z["mean_rms_slip"], 4), number(z["six_sigma_rms_slip"], 4)) for z in found]
+            table.add_row(zone, *(f"{mean} / {spread}" for mean, spread in figures))
         console.print(table)
     for name, law in summary["laws"].items():
         console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
@@ -179,12 +179,12 @@ def check(scene: SceneArgument, law: LawOption = None):
     from mic.process.process import plan_stages
 
     console = Console()
-    scene = _requested(load_scene(scene), law)
-    assembly = assemble(scene, cache_folder())
-    console.print(f"[bold]{scene.name}[/] {scene.description}")
+    asked = _requested(load_scene(scene), law)
+    assembly = assemble(asked, cache_folder())
+    console.print(f"[bold]{asked.name}[/] {asked.description}")
     _print_parts(console, assembly)
     _print_contacts(console, assembly)
-    plans = plan_stages(scene, assembly.weld_size)
+    plans = plan_stages(asked, assembly.weld_size)
     table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
     for plan in plans:
         resolves = plan.resolves and len(assembly.contacts) > 0
@@ -238,29 +238,31 @@ def _print_contacts(console, assembly):
     console.print(table)
     if contacts.dimension == 1:
         console.print(
-            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of {3 * len(contacts)}."
+            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "
+            f"{3 * len(contacts)}."
         )
 
 
 def _print_cost(console, assembly, plans):
-    scene = assembly.scene
-    solved = sum(plan.increments for plan in plans if plan.resolves) if len(assembly.contacts) else 0
-    rows = sum(len(part.functionals) for part in assembly.parts)
-    lines = [
-        f"one factorisation per part not cached: {', '.join(f'{6 * len(p.surface.points)} freedoms' for p in assembly.parts)}"
-        if scene.element == "dkt-opt"
-        else "one factorisation per part not cached",
-        f"reduced model: {rows} functionals, {8 * sum(len(p.functionals) ** 2 for p in assembly.parts) / 1e6:.0f} MB of influence coefficients",
-        f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws ({', '.join(scene.report.laws)}) × {solved} contact resolutions "
-        f"= {scene.monte_carlo.samples * len(scene.report.laws) * solved} contact solves of {assembly.contacts.dimension * len(assembly.contacts)} unknowns",
-        "mean and 6σ fields: a few further solves per part and law"
-        if scene.report.fields
-        else "no fields asked for: no field solves",
-    ]
-    if solved == 0:
-        lines[2] = f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws, no contact to resolve"
-    for line in lines:
-        console.print(f"• {line}")
+    scene, contacts = assembly.scene, assembly.contacts
+    solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
+    sizes = [len(part.functionals) for part in assembly.parts]
+    freedoms = ", ".join(f"{6 * len(part.surface.points)} freedoms" for part in assembly.parts)
+    samples, laws = scene.monte_carlo.samples, scene.report.laws
+    console.print("• one factorisation per part not cached" + (f": {freedoms}" if scene.element == "dkt-opt" else ""))
+    console.print(
+        f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
+        "coefficients"
+    )
+    if solved:
+        console.print(
+            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {solved} contact resolutions "
+            f"= {samples * len(laws) * solved} contact solves of {contacts.dimension * len(contacts)} unknowns"
+        )
+    else:
+        console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
+    fields = "mean and 6σ fields: a few further solves per part and law"
+    console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
 
 
 def main():

@@ -41,8 +41,8 @@ class Listener:
 def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = None) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
-    Influence coefficients and meshes are computed once and cached. Finished blocks of samples of the same run are kept. Under
-    MPI a collective call that shares the samples out.
+    Influence coefficients and meshes are computed once and cached. Finished blocks of samples of the same run are kept.
+    Under MPI a collective call that shares the samples out.
 
     Parameters
     ----------

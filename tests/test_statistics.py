@@ -117,7 +117,8 @@ def test_without_spread_cpk_tells_in_from_out():
     assert np.isnan(centred_capability([1.0, 1.0], 0, 1).value)
 
 
-# A promise of 95 % is checked by repetition: over R sets the observed coverage has a standard deviation sqrt(0.95 0.05 / R).
+# A promise of 95 % is checked by repetition: over R sets the observed coverage has a standard deviation
+# sqrt(0.95 0.05 / R).
 REPEATED, TRUE_MEAN, TRUE_SIGMA = 8000, 2.0, 0.7
 TOLERANCE = 4 * (0.95 * 0.05 / REPEATED) ** 0.5
 

@@ -34,9 +34,9 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
 def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     """Cpk = min(upper - mean, mean - lower) / 3σ, with Bissell's interval [1]_.
 
-    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples that look normal. Where they show heavier tails, the variance is
-    that of the ratio to first order, ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis κ, plus towards the
-    upper limit. Without spread it is infinite, of the sign that the mean's place demands.
+    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples that look normal. Where they show heavier tails, the
+    variance is that of the ratio to first order, ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis
+    κ, plus towards the upper limit. Without spread it is infinite, of the sign that the mean's place demands.
     """
     centre, s = mean(x, level), np.asarray(sigma(x, level).value)
     n, m = centre.used, centre.value

@@ -1,13 +1,13 @@
 """Mean and 6σ displacement fields of the parts: deviation from nominal at every vertex, shape deviation included.
 
-Sample i deforms a part by ``u_i(x) = Φ(x) f_i + R(x) q_i``, with ``f_i`` the forces on the part's functionals, ``q_i`` its
-rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. Rather than solve once per functional,
-the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ``),
+Sample i deforms a part by ``u_i(x) = Φ(x) f_i + R(x) q_i``, with ``f_i`` the forces on the part's functionals, ``q_i``
+its rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. Rather than solve once per
+functional, the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ``),
 
     (F - 1 f̄ᵀ) C = U Σ Vᵀ ≈ U_r Σ_r V_rᵀ,
 
-so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no solve and are
-kept whole, so with ``c(x)`` the r solved fields
+so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no
+solve and are kept whole, so with ``c(x)`` the r solved fields
 
     σ²(x) = g M gᵀ / (n - 1),    g = [c(x), R(x)],    M = [U_r, Q]ᵀ [U_r, Q],    Q the centred motions.
 """
@@ -84,8 +84,8 @@ class PartField:
     discarded : float
         See :class:`Factor`.
     error : float
-        Largest error of 6σ that the truncation makes at the part's retained functionals that read displacements, where the
-        reduced model knows it exactly, mm.
+        Largest error of 6σ that the truncation makes at the part's retained functionals that read displacements, where
+        the reduced model knows it exactly, mm.
     """
 
     law: str
@@ -187,8 +187,8 @@ def write_fields(folder) -> list[PartField]:
     """Compute the fields of a run folder and write them into it, where its scene asks for them.
 
     ``fields/fields.npz`` holds them for the program. For ParaView, ``fields/<law>-<part>.vtu`` holds the columns of
-    :data:`mic.results.schema.FIELDS` at the vertices, and ``fields/<part>.vtu`` the nominal surface alone. Where the finite
-    elements are missing, ``fields.npz`` says so and holds no field.
+    :data:`mic.results.schema.FIELDS` at the vertices, and ``fields/<part>.vtu`` the nominal surface alone. Where the
+    finite elements are missing, ``fields.npz`` says so and holds no field.
 
     Fields that are there already, of the same run and samples, are kept.
 
@@ -220,8 +220,8 @@ def write_fields(folder) -> list[PartField]:
             found = compute_fields(outcome)
         except MissingProvider as error:
             skipped = (
-                f"The finite elements that the fields need are not installed, so none were computed ({error}): install them "
-                "and call mic report on this folder."
+                f"The finite elements that the fields need are not installed, so none were computed ({error}): install "
+                "them and call mic report on this folder."
             )
     surfaces = {part.name: part.surface for part in outcome.parts}
     files = {f"{name}.vtu": (surface, {"normal": surface.vertex_normals}) for name, surface in surfaces.items()}
@@ -261,7 +261,7 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
     except FileNotFoundError:
         return [], "No fields were computed for this run."
     found = [
-        PartField(**numbers, **{name: arrays[f"{i}_{name}"] for name in _ARRAYS})
+        PartField(**{**numbers, **{name: arrays[f"{i}_{name}"] for name in _ARRAYS}})
         for i, numbers in enumerate(header["fields"])
     ]
     return found, header["skipped"]

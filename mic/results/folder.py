@@ -1,7 +1,7 @@
 """The folder of a run: what it is called, how it is written, and what it takes to be believed when it is read.
 
-Readable at any moment. An interrupted run is completed by a second call; a file that cannot be read counts as absent. Every
-block names the identity of the run that it belongs to, and is used by no other.
+Readable at any moment. An interrupted run is completed by a second call; a file that cannot be read counts as absent.
+Every block names the identity of the run that it belongs to, and is used by no other.
 
 ========================================= ==============================================================================
 ``run.json``                              the record: scene, samples, seed, laws, identity, versions, wall time
@@ -108,7 +108,7 @@ class RunFolder:
         save_json(self.path / "run.json", _RUN, record)
 
     def add_wall_time(self, seconds: Mapping[str, float]) -> dict[str, Any]:
-        """Put the wall time of phases, s, into the record, which is returned; phases that it has already are replaced."""
+        """Put the wall time of phases, s, into the record, and return that; phases it has already are replaced."""
         record = self.record()
         record["wall_time"] = record.get("wall_time", {}) | {phase: round(s, 3) for phase, s in seconds.items()}
         self.write_record(record)
@@ -119,8 +119,8 @@ class RunFolder:
     def prepare(self, record: Mapping[str, Any], blocks: Iterable[Block], forces: bool) -> list[str]:
         """Make the folder ready for a run: what it holds of other runs goes, what cannot be read is set aside.
 
-        Only files that a run writes are touched, by their names. A block is of another run if it has another identity, or if
-        it is none of those that the run consists of.
+        Only files that a run writes are touched, by their names. A block is of another run if it has another identity,
+        or if it is none of those that the run consists of.
 
         Parameters
         ----------
@@ -215,14 +215,14 @@ class RunFolder:
     def keep_inputs(self, assembly) -> None:
         """Copy into the folder what fields and report need beside the results, so that it can be read on any machine.
 
-        These are the parts with their retained functionals (``parts.npz``) and, if the scene's folder has one, the published
-        figures (``paper.toml``) to set beside the results.
+        These are the parts with their retained functionals (``parts.npz``) and, if the scene's folder has one, the
+        published figures (``paper.toml``) to set beside the results.
 
         Parameters
         ----------
         assembly : mic.model.assembly.Assembly
         """
-        arrays = {}
+        arrays: dict[str, np.ndarray] = {}
         for i, part in enumerate(assembly.parts):
             f = part.functionals
             table = {
@@ -315,8 +315,8 @@ def identity(model, seed: int, parts: Sequence[Part] = ()) -> str:
     model : mic.model.reduced.ReducedModel
     seed : int
     parts : sequence of Part
-        The parts that the model was reduced from. They stand for its influence coefficients, whose last digits may change with
-        the number of threads that computed them; without parts the coefficients themselves are taken.
+        The parts that the model was reduced from. They stand for its influence coefficients, whose last digits may
+        change with the number of threads that computed them; without parts the coefficients themselves are taken.
     """
     scene, contacts = model.scene, model.contacts
     digest = hashlib.sha256(repr((seed, versions()["mic-contact"])).encode())

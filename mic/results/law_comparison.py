@@ -1,4 +1,4 @@
-"""What the choice of the contact law costs as friction grows: a few samples of a run, solved anew with its friction scaled."""
+"""What the choice of the contact law costs as friction grows: a few samples of a run, solved anew."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     Returns
     -------
     DataFrame or None
-        As :data:`mic.results.schema.FRICTION` declares it; None unless both Coulomb's and the associated law were asked for,
-        the scene has friction and there are valid samples.
+        As :data:`mic.results.schema.FRICTION` declares it; None unless both Coulomb's and the associated law were asked
+        for, the scene has friction and there are valid samples.
     """
     contacts = outcome.model.contacts
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.friction.any():

@@ -1,7 +1,7 @@
 """The outcome of a run: its folder read back, sample by sample.
 
-Everything is read from the files of the run folder, so that an interrupted run, or one carried here from another machine, can
-be read too. Samples that failed, or are not there yet, enter no statistic; they are counted and named.
+Everything is read from the files of the run folder, so that an interrupted run, or one carried here from another
+machine, can be read too. Samples that failed, or are not there yet, enter no statistic; they are counted and named.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ __all__ = ["Outcome", "read_outcome"]
 class Outcome:
     """What a run folder holds.
 
-    Arrays over samples have one entry for each *valid* sample of a law, one that is there and did not fail, in ascending
-    order of the samples' numbers.
+    Arrays over samples have one entry for each *valid* sample of a law, one that is there and did not fail, in
+    ascending order of the samples' numbers.
 
     Attributes
     ----------
     folder : Path
     record : dict
-        ``run.json``: scene, samples and seed asked for, laws, identity, versions, and ``wall_time`` (s by phase) where known.
+        ``run.json``: scene, samples and seed asked for, laws, identity, versions, and ``wall_time`` (s by phase) where
+        known.
     model : ReducedModel
     tables : dict of str to dict of str to DataFrame
         By law, then by name: the datasets of :data:`mic.results.schema.DATASETS`, failed samples included.
@@ -64,7 +65,7 @@ class Outcome:
     def stages(self) -> list[str]:
         """Stages that resolve contact, in their order in the process."""
         found = {stage for law in self.laws for stage in self.tables[law]["resolutions"]["stage"].cat.categories}
-        return [stage.name for stage in self.model.scene.stages if stage.name in found]
+        return [name for stage in self.model.scene.stages if (name := str(stage.name)) in found]
 
     @property
     def zones(self) -> list[str]:
@@ -122,22 +123,28 @@ class Outcome:
         Parameters
         ----------
         column : str
-            ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.process.process.STATES``), or the
-            magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts.
+            ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.process.process.STATES``), or
+            the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts.
         """
         if column in ("f_t", "u_t"):
             return np.hypot(self.contact(law, stage, f"{column}1"), self.contact(law, stage, f"{column}2"))
         return self._contacts(law, stage, column)[self._valid[law]]
 
     def failures(self, law: str) -> pd.DataFrame:
-        """Why samples failed: ``sample, stage, residual, status``, one row per failed sample and stage that did not converge."""
+        """Why samples failed: ``sample, stage, residual, status``.
+
+        One row per failed sample and stage that did not converge.
+        """
         table = self.tables[law]["resolutions"]
         table = table[table["sample"].isin(self.failed[law]) & ~table["converged"]]
         table = table[["sample", "stage", "residual", "status"]].astype({"stage": str, "status": str})
         return table.sort_values("sample", kind="stable", ignore_index=True)
 
     def worst_residual(self, law: str) -> float:
-        """Largest certificate residual of the valid samples over all stages; 0 where no contact is resolved, NaN without samples."""
+        """Largest certificate residual of the valid samples over all stages.
+
+        0 where no contact is resolved, NaN without samples.
+        """
         if not len(self.sample_numbers(law)):
             return float("nan")
         return max((float(self.residual(law, stage).max()) for stage in self.stages), default=0.0)
@@ -177,22 +184,22 @@ class Outcome:
 
     @cached_property
     def zone_statistics(self) -> pd.DataFrame:
-        """RMS slip over each zone, one row per law, stage and zone: :data:`mic.results.schema.ZONE_STATISTICS`."""
+        """RMS slip over each zone: :data:`mic.results.schema.ZONE_STATISTICS`."""
         return summary.zone_statistics(self)
 
     @cached_property
     def contact_statistics(self) -> pd.DataFrame:
-        """Forces and states of each contact pair, one row per law, stage and pair: :data:`mic.results.schema.CONTACT_STATISTICS`."""
+        """Forces and states of each contact pair: :data:`mic.results.schema.CONTACT_STATISTICS`."""
         return summary.contact_statistics(self)
 
     @cached_property
     def measurement_statistics(self) -> pd.DataFrame:
-        """Key characteristics, one row per law and measurement: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
+        """Key characteristics against their limits: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
         return summary.measurement_statistics(self)
 
     @cached_property
     def friction_study(self) -> pd.DataFrame | None:
-        """What the choice of the contact law costs as friction grows: :data:`mic.results.schema.FRICTION`; None where absent."""
+        """The laws compared as friction grows: :data:`mic.results.schema.FRICTION`; None where not stored."""
         return read_friction(self.folder)
 
     def summary(self) -> dict:
@@ -229,7 +236,9 @@ def read_outcome(folder) -> Outcome:
     """
     store = RunFolder(Path(folder))
     record = store.record()
-    tables, blocks, damaged = {}, {}, []
+    tables: dict[str, dict[str, pd.DataFrame]] = {}
+    blocks: dict[str, list[Block]] = {}
+    damaged = []
     for law in record["laws"]:
         found, blocks[law] = [], []
         for block in store.blocks(law):

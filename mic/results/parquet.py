@@ -1,4 +1,4 @@
-"""One table of one block as a Parquet file: units, format and identity stand in its metadata, a checksum over each page."""
+"""One table of one block as a Parquet file; units, format and identity stand in its metadata."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """What a run leaves behind, declared once: tables, columns, types, units.
 
-The files are written and read by this declaration, and the reference of the results is printed from it
-(``python -m mic.results.schema``). Keys are columns of their own (``stage``, ``zone``, ``measurement``), never parts of a
-column's name, so that a table is selected and grouped without taking names apart.
+The files are written and read by this declaration, and the reference of the results is printed from it (``python -m
+mic.results.schema``). Keys are columns of their own (``stage``, ``zone``, ``measurement``), never parts of a column's
+name, so that a table is selected and grouped without taking names apart.
 """
 
 from __future__ import annotations
@@ -240,8 +240,8 @@ FIELDS = Table(
         Column("six_sigma_magnitude", "float64", "mm", "root of the summed squares of `six_sigma`"),
         Column("six_sigma_normal", "float64", "mm", "6σ of the displacement along the vertex normal"),
     ),
-    "Displacement fields of one part under one law, for ParaView. The same arrays stand in `fields/fields.npz`, and the "
-    "nominal surface of each part, with its `normal`, in `fields/PART.vtu`.",
+    "Displacement fields of one part under one law, for ParaView. The same arrays stand in `fields/fields.npz`, and "
+    "the nominal surface of each part, with its `normal`, in `fields/PART.vtu`.",
     "fields/LAW-PART.vtu",
 )
 
@@ -334,8 +334,8 @@ FRICTION = _statistic(
         Column("slip_change", "float64", "1", "‖u_t - u_ct‖ / ‖u_ct‖ against Coulomb's solution"),
         Column("changed_states", "int64", "", "pairs whose state differs from Coulomb's"),
     ),
-    "A few samples solved anew under every law with the scene's friction scaled: what the choice of the law costs. Only "
-    "where both Coulomb's and the associated law were asked for.",
+    "A few samples solved anew under every law with the scene's friction scaled: what the choice of the law costs. "
+    "Only where both Coulomb's and the associated law were asked for.",
 )
 #: The CSV tables.
 STATISTICS = (ZONE_STATISTICS, CONTACT_STATISTICS, MEASUREMENT_STATISTICS, FRICTION)
@@ -352,7 +352,8 @@ def reference() -> str:
         "| --- | --- |",
         "| `run.json` | scene, samples and seed asked for, laws, identity, versions, wall time by phase |",
         "| `model.npz` | the reduced model; `mic.ReducedModel.load` reads it, no finite elements needed |",
-        "| `parts.npz`, `paper.toml` | meshes and functionals of the parts; published figures, where the scene has any |",
+        "| `parts.npz` | meshes and functionals of the parts |",
+        "| `paper.toml` | published figures to compare with, where the scene has any |",
         "| `summary.json` | the statistics by law, zone and measurement, each with its interval |",
         "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
     ]
@@ -360,10 +361,10 @@ def reference() -> str:
     lines += [f"| `{table.place}` | {table.description} |" for table in STATISTICS]
     lines += [
         "",
-        "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache Parquet, "
-        "partitioned by law: `pandas.read_parquet(folder / 'slips')` reads all laws at once and adds the column `law`. "
-        "Units stand in the metadata of each Parquet column too. A file whose name ends in `.damaged` could not be read and "
-        "was set aside; its block was computed anew.",
+        "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
+        "Parquet, partitioned by law: `pandas.read_parquet(folder / 'slips')` reads all laws at once and adds the "
+        "column `law`. Units stand in the metadata of each Parquet column too. A file whose name ends in `.damaged` "
+        "belongs to a block that could not be read; it was set aside and the block computed anew.",
     ]
     for title, tables in (
         ("Datasets", _samples_first(DATASETS)),

@@ -1,8 +1,8 @@
 """Statistics of Monte Carlo samples, each with the uncertainty that a finite number of samples leaves.
 
-Samples run along the first axis of ``x``, (n,) or (n, k); values that are not finite (failed samples) are left out of every
-estimate and counted. Where an estimate does not exist it is NaN: no interval can be had from one sample, nor from samples
-without spread, which would otherwise pass for certainty.
+Samples run along the first axis of ``x``, (n,) or (n, k); values that are not finite (failed samples) are left out of
+every estimate and counted. Where an estimate does not exist it is NaN: no interval can be had from one sample, nor from
+samples without spread, which would otherwise pass for certainty.
 
 References
 ----------
@@ -11,8 +11,8 @@ References
        Biometrika 26 (1934) 404-413.
 .. [3] S. S. Wilks: Determination of sample sizes for setting tolerance limits, Ann. Math. Statist. 12 (1941) 91-96.
 .. [4] D. W. Scott: Multivariate Density Estimation, 2nd ed., 2015, section 6.2.
-.. [5] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat. Data Anal.
-       50 (2006) 775-782.
+.. [5] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat.
+       Data Anal. 50 (2006) 775-782.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def mean(x, level: float = LEVEL) -> Estimate:
 def sigma(x, level: float = LEVEL) -> Estimate:
     """Standard deviation (n - 1 in the denominator).
 
-    Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that; such an
-    interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [5]_.
+    Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that;
+    such an interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [5]_.
     """
     n, _, s = _moments(x)
     low, high = _sigma_factors(x, level)
@@ -91,13 +91,19 @@ def six_sigma(x, level: float = LEVEL) -> Estimate:
 
 
 def minimum(x) -> Estimate:
-    """Smallest sample. The population's minimum is no larger; nothing bounds it from below, see :func:`covered_share`."""
+    """Smallest sample.
+
+    The population's minimum is no larger; nothing bounds it from below, see :func:`covered_share`.
+    """
     value = _extreme(x, np.minimum)
     return Estimate.of(x, value, np.where(np.isnan(value), np.nan, -np.inf), value)
 
 
 def maximum(x) -> Estimate:
-    """Largest sample. The population's maximum is no smaller; nothing bounds it from above, see :func:`covered_share`."""
+    """Largest sample.
+
+    The population's maximum is no smaller; nothing bounds it from above, see :func:`covered_share`.
+    """
     value = _extreme(x, np.maximum)
     return Estimate.of(x, value, value, np.where(np.isnan(value), np.nan, np.inf))
 
@@ -159,7 +165,9 @@ def density(x, points) -> np.ndarray:
 
 
 def tails(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Skewness, kurtosis, and whether the kurtosis exceeds a normal population's by more than two of its standard errors.
+    """Skewness, kurtosis, and whether the tails are heavy.
+
+    They are where the kurtosis exceeds a normal population's by more than two of its standard errors.
 
     Returns
     -------

@@ -181,7 +181,7 @@ def _frame(table: Table, frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rows(table: pd.DataFrame, law: str) -> list[dict[str, Any]]:
-    return table[table["law"] == law].to_dict("records")
+    return [{str(key): value for key, value in row.items()} for row in table[table["law"] == law].to_dict("records")]
 
 
 def _spread(name: str, estimate: Estimate) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def _spread(name: str, estimate: Estimate) -> dict[str, Any]:
 
 
 def _with_intervals(row, names) -> dict[str, Any]:
-    entry = {}
+    entry: dict[str, Any] = {}
     for name in names:
         entry |= {name: row[name], f"{name}_ci": [row[f"{name}_low"], row[f"{name}_high"]]}
     return entry

@@ -16,8 +16,8 @@ AXES = ("n", "t1", "t2")
 def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFrame]:
     """The tables of an evaluation, by name, as :data:`mic.results.schema.DATASETS` declares them.
 
-    Rows are ordered by stage, zone, deviation or measurement, and within it by sample; those of the contacts by stage, sample
-    and pair.
+    Rows are ordered by stage, zone, deviation or measurement, and within it by sample; those of the contacts by stage,
+    sample and pair.
 
     Parameters
     ----------
