@@ -17,7 +17,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from mic import examples
-from mic.sampling.montecarlo import communicator, versions
+from mic.results.folder import versions
+from mic.sampling.ranks import communicator
 from verification.plots import svg
 from verification.study import FOLDER, Context, Judged, Study, Team
 

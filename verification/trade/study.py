@@ -21,7 +21,7 @@ from mic.scene import SETTINGS, Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
-from verification.study import FOLDER, Acceptance, Finding, Study
+from verification.study import Acceptance, Finding, Study
 
 WHEELHOUSE = examples.folder("wheelhouse")
 LAWS = ("coulomb", "associated", "frictionless")
