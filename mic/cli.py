@@ -181,9 +181,10 @@ def _finish(console, folder, clock):
     """Statistics, fields and report of a run folder; the end of every run."""
     with clock("statistics"):
         from mic.report.page import write_report
-        from mic.results.outcome import read_outcome
+        from mic.results.outcome import read_outcome, write_friction_study, write_summary
 
         outcome = read_outcome(folder)
+        write_friction_study(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
             from mic.results.fields import write_fields
@@ -194,6 +195,7 @@ def _finish(console, folder, clock):
         content = json.loads(record.read_text())
         content["wall_time"] = content.get("wall_time", {}) | {phase: round(s, 3) for phase, s in clock.seconds.items()}
         record.write_text(json.dumps(content, indent=2) + "\n")
+        write_summary(read_outcome(folder))  # read again: the record now tells the wall time
         page = write_report(folder)
     _print_zones(console, outcome)
     console.print(f"report: [bold]{page}[/]   tables: {folder / 'summary.json'}")
@@ -201,7 +203,7 @@ def _finish(console, folder, clock):
 
 def _print_zones(console, outcome):
     """The paper's Table 1, and how many samples failed."""
-    from mic.report.pictures import number
+    from mic.report.style import number
 
     summary = outcome.summary()
     zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))

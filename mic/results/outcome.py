@@ -18,15 +18,27 @@ import pandas as pd
 
 from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
+from mic.contact.comparison import compare_laws
 from mic.geometry.surface import Patch, Surface
 from mic.model.reduced import ReducedModel
 from mic.process.process import STATES
 from mic.results import statistics
 from mic.results.statistics import Estimate
+from mic.store import replacing
 
-__all__ = ["PUBLISHED", "Outcome", "keep_inputs", "kept_parts", "read_outcome", "write_summary"]
+__all__ = [
+    "PUBLISHED",
+    "Outcome",
+    "keep_inputs",
+    "kept_parts",
+    "read_outcome",
+    "write_friction_study",
+    "write_summary",
+]
 
 PUBLISHED = "paper.toml"  # published figures beside a scene, to set beside its results
+STUDIED_SAMPLES = 12
+STUDIED_FRICTION = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
 MEASUREMENT_STATISTICS = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
 
 
@@ -86,6 +98,32 @@ class Outcome:
     def valid(self, law: str) -> pd.DataFrame:
         """The samples that did not fail."""
         return self.samples[law][~self.samples[law]["failed"]]
+
+    def sample_numbers(self, law: str) -> np.ndarray:
+        """(n,) numbers of the valid samples, ascending."""
+        return self.valid(law)["sample"].to_numpy()
+
+    def deviation(self, law: str, name: str) -> np.ndarray:
+        """(n,) values of one deviation in the valid samples."""
+        return self.valid(law)[f"deviation:{name}"].to_numpy()
+
+    def residual(self, law: str, stage: str) -> np.ndarray:
+        """(n,) certificate residuals of one stage in the valid samples."""
+        return self.valid(law)[f"residual:{stage}"].to_numpy()
+
+    def slip(self, law: str, stage: str, zone: str) -> np.ndarray:
+        """(n,) RMS slip over one zone in the valid samples, mm."""
+        return self.valid(law)[f"slip:{stage}:{zone}"].to_numpy()
+
+    def measured(self, law: str, name: str) -> np.ndarray:
+        """(n,) values of one key characteristic in the valid samples, mm."""
+        return self.valid(law)[f"measurement:{name}"].to_numpy()
+
+    @cached_property
+    def friction_study(self) -> pd.DataFrame | None:
+        """The laws under scaled friction, as :func:`write_friction_study` left it; None where the run has none."""
+        path = self.folder / "tables" / "friction.csv"
+        return pd.read_csv(path, float_precision="round_trip") if path.is_file() else None
 
     def contact(self, law: str, stage: str, column: str) -> np.ndarray:
         """One quantity of all contacts, (n, m): n valid samples of the law in the order of :meth:`valid`, m pairs.
@@ -325,6 +363,34 @@ def write_summary(outcome: Outcome) -> Path:
     temporary.write_text(json.dumps(outcome.summary(), indent=2, allow_nan=False) + "\n")
     temporary.replace(path)
     return path
+
+
+def write_friction_study(outcome: Outcome) -> None:
+    """Write ``tables/friction.csv``: :func:`mic.contact.comparison.compare_laws` on evenly spread samples.
+
+    Nothing is written where the run does not hold the associated law beside Coulomb's, or no friction.
+    """
+    if (
+        not outcome.has_slip
+        or not {"coulomb", "associated"} <= set(outcome.laws)
+        or not outcome.model.contacts.friction.any()
+    ):
+        return
+    stage, n = outcome.stages[0], len(outcome.valid("coulomb"))
+    chosen = np.unique(np.linspace(0, n - 1, min(n, STUDIED_SAMPLES)).round().astype(int)) if n else []
+    if not len(chosen):
+        return
+    S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
+    force, displacement = (
+        np.stack(
+            [outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")], axis=2
+        ).reshape(len(chosen), -1)
+        for quantity in ("f", "u")
+    )
+    b = displacement - force @ S  # u = S f + b
+    study = compare_laws(S, b, [scale * outcome.model.contacts.friction for scale in STUDIED_FRICTION], threads=2)
+    with replacing(outcome.folder / "tables" / "friction.csv") as temporary:
+        study.to_csv(temporary, index=False)
 
 
 def keep_inputs(folder, assembly) -> None:
