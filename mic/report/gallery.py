@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from matplotlib import rc_context
+import matplotlib.style
 
 from mic.report.contact_pictures import sample_picture, slip_density_picture, slip_force_picture, state_picture
 from mic.report.context import Context
@@ -75,7 +75,7 @@ def draw(name: str, outcome: Outcome, context: Context) -> Picture | None:
         If there is no picture of this name.
     """
     function = {entry.name: entry.function for entry in PICTURES}[name]
-    with rc_context(RC):
+    with matplotlib.style.context(RC, after_reset=True):  # whatever the user's own settings
         return function(outcome, context)
 
 

@@ -47,8 +47,8 @@ class LawCost:
         text = f"Over the {len(self.coulomb)} samples valid under both laws: "
         if len(self.gaps):
             text += (
-                f"under the associated law {percent(np.mean(self.gaps > 1e-3))} of the loaded contacts stand open by "
-                f"more than 1 µm while they carry force (median {number(np.median(self.gaps) * 1e3)} µm, "
+                f"under the associated law {percent(float(np.mean(self.gaps > 1e-3)))} of the loaded contacts stand "
+                f"open by more than 1 µm while they carry force (median {number(np.median(self.gaps) * 1e3)} µm, "
                 f"largest {number(self.gaps.max() * 1e3)} µm), where Coulomb's law keeps them closed; "
             )
         if np.isfinite(self.force_error).any():
@@ -65,7 +65,7 @@ def law_cost(outcome: Outcome, stage: str) -> LawCost | None:
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws):
         return None
     numbers = {law: outcome.sample_numbers(law) for law in ("coulomb", "associated")}
-    common = np.intersect1d(*numbers.values())
+    common = np.intersect1d(numbers["coulomb"], numbers["associated"])
     if not len(common):
         return None
     pick = {law: np.isin(numbers[law], common) for law in numbers}
@@ -129,14 +129,15 @@ def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
         (
             ("slip", "RMS slip, all contacts (mm)", 1),
             ("normal_force", "total normal force (N)", 1),
-            ("gap_at_load", "largest gap at a loaded contact (µm)", 1e3),
+            ("gap_at_load", "largest gap under load (µm)", 1e3),
         ),
     ):
         for law in laws:
             rows, look = table.xs(law, level="law"), LAWS[law]
             ax.plot(rows.index, factor * rows[column], look.mark + "-", ms=4, lw=1.3, color=look.colour)
         ax.axvline(outcome.model.contacts.friction.mean(), color="#8a949f", lw=0.9, ls="--")
-        ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None), ylim=(0, None))
+        ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None))
+        ax.set_ylim(0, 1.08 * factor * table[column].max() or 1.0)
     law_legend(fig, laws)
     gaps = table.xs("associated", level="law")["gap_at_load"]
     ends = " and ".join(f"{number(1e3 * gaps.iloc[i])} µm at μ = {number(gaps.index[i], 2)}" for i in (0, -1))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pkgutil
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
 from mic.report.context import read_context
@@ -84,7 +84,7 @@ def write_report(folder: str | PathLike[str]) -> Path:
         contacts=_records(outcome.contact_statistics),
         listed_contacts=LISTED_CONTACTS,
         viewer=viewer,
-        plotly=pkgutil.get_data("plotly", "package_data/plotly.min.js").decode() if viewer else None,
+        plotly=get_plotlyjs() if viewer else None,
     )
     path = outcome.folder / "report.html"
     write_text(path, page)
@@ -100,7 +100,7 @@ def _facts(outcome: Outcome) -> list[tuple[str, str]]:
     contacts, zones = len(model.contacts), len(outcome.zones)
     pairs = f"{contacts} in {zones} zone{'s' if zones > 1 else ''}, {model.contacts.dimension * contacts} unknowns"
     resolutions = f"{len(outcome.stages)} ({', '.join(outcome.stages)})"
-    functionals = (f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.offsets)))
+    functionals = [f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.offsets))]
     return [
         ("Samples", f"{record['samples']}, seed {record['seed']}"),
         ("Contact laws", ", ".join(record["laws"])),

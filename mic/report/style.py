@@ -52,7 +52,7 @@ MARK_COLOURS = {"locator": "#1b1f24", "clamp": "#c1121f", "weld": "#f4d35e", "me
 PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
 ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3", "#8a2be2", "#6f7f00")
 
-#: Settings of matplotlib under which every picture is drawn, whatever the user's own.
+#: Settings of matplotlib under which every picture is drawn; all others are at their defaults.
 RC = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -84,7 +84,10 @@ def zone_colour(i: int) -> str:
 
 def percent(value: float, digits: int = 0) -> str:
     """A share for people, in per cent; ``–`` for NaN."""
-    return "–" if np.isnan(value) else f"{100 * value:.{digits}f} %".replace("-", "−")
+    if np.isnan(value):
+        return "–"
+    text = f"{100 * value:.{digits}f}"
+    return (text if float(text) else text.lstrip("-")).replace("-", "−") + " %"
 
 
 def number(value: float | None, digits: int = 3) -> str:
