@@ -51,9 +51,9 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     fig.legend(handles=handles, loc="outside upper left", ncols=4)
     text = "" if shown == order else f"The {len(shown)} least capable of {len(order)} measurements are shown. "
     law = outcome.laws[0]
-    rows = table[table["law"] == law].reset_index(drop=True)
+    rows = table[table["law"] == law]
     if rows["cpk"].notna().any():
-        least = rows.loc[rows["cpk"].idxmin()]
+        least = rows.iloc[int(rows["cpk"].argmin())]
         text += (
             f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])} "
             f"(95 %: {number(least['cpk_low'])} to {number(least['cpk_high'])}), "

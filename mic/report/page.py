@@ -104,7 +104,7 @@ def _facts(outcome: Outcome) -> list[tuple[str, str]]:
     return [
         ("Samples", f"{record['samples']}, seed {record['seed']}"),
         ("Contact laws", ", ".join(record["laws"])),
-        ("Stages", " → ".join(item.name for item in model.scene.stages)),
+        ("Stages", " → ".join(str(item.name) for item in model.scene.stages)),
         ("Contact pairs", pairs if contacts else "none"),
         ("Contact resolutions per sample", resolutions if outcome.stages else "none"),
         ("Retained functionals", ", ".join(functionals)),

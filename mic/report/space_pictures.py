@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -69,8 +70,10 @@ class _View:
         bright = [1 - shading + shading * np.abs(surface.vertex_normals @ light) for surface in self.surfaces]
         rgb = np.concatenate([colour * share[:, None] for colour, share in zip(colours, bright)])
         order = np.argsort((points @ self.eye)[triangles].mean(axis=1))
-        mesh = TriMesh(Triangulation(*self.flat(points).T, triangles[order]))
-        mesh.set_facecolor(np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))]))
+        x, y = self.flat(points).T
+        mesh = TriMesh(Triangulation(x, y, triangles[order]))
+        rgba: Any = np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))])  # an array, which the stubs do not know
+        mesh.set_facecolor(rgba)
         ax.add_collection(mesh)
         ax.autoscale_view()
         ax.set_aspect("equal")
@@ -90,10 +93,10 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
         Line2D([], [], marker="s", ls="", ms=9, color=part_colour(i), label=name) for i, name in enumerate(surfaces)
     ]
     for z, zone in enumerate(scene.zones):
-        points = view.flat(contacts.point[contacts.zone == z])
-        if len(points):
-            ax.plot(*points.T, "o", ms=4, mew=0.3, mec="white", color=zone_colour(z))
-            label = f"{zone.name}: {len(points)} pairs"
+        own = view.flat(contacts.point[contacts.zone == z])
+        if len(own):
+            ax.plot(*own.T, "o", ms=4, mew=0.3, mec="white", color=zone_colour(z))
+            label = f"{zone.name}: {len(own)} pairs"
             handles.append(Line2D([], [], marker="o", ls="", ms=6, color=zone_colour(z), label=label))
     length = ARROW * max(surface.diameter for surface in surfaces.values())
     for items, kind in ((scene.locators, "locator"), (scene.clamps, "clamp")):
@@ -102,18 +105,17 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
         if items:
             label = f"{kind} ({len(items)})"
             handles.append(Line2D([], [], marker=">", ls="-", ms=5, color=MARK_COLOURS[kind], label=label))
-    for items, kind, look in (
-        (scene.welds, "weld", {"marker": "o", "ms": 9, "mew": 1.2}),
-        (scene.measurements, "measurement", {"marker": "D", "ms": 5, "mew": 1.0}),
+    for kind, points, mark, ms, mew in (
+        ("weld", [weld.point for weld in scene.welds], "o", 9, 1.2),
+        ("measurement", [measurement.point for measurement in scene.measurements], "D", 5, 1.0),
     ):
-        if items:
-            points = view.flat(np.array([item.point for item in items]))
-            handles += ax.plot(
-                *points.T, ls="", color=MARK_COLOURS[kind], mec=INK, label=f"{kind} ({len(items)})", **look
-            )
-    for item in scene.measurements[:MOST_PANELS]:
-        place = view.flat(np.array([item.point]))[0]
-        ax.annotate(item.name, place, xytext=(5, 4), textcoords="offset points", fontsize=8)
+        if points:
+            x, y = view.flat(np.array(points)).T
+            label = f"{kind} ({len(points)})"
+            handles += ax.plot(x, y, mark, ms=ms, color=MARK_COLOURS[kind], mec=INK, mew=mew, label=label)
+    for measurement in scene.measurements[:MOST_PANELS]:
+        place = view.flat(np.array([measurement.point]))[0]
+        ax.annotate(measurement.name, place, xytext=(5, 4), textcoords="offset points", fontsize=8)
     fig.legend(handles=handles, loc="outside right upper", fontsize=9)
     kinds = {
         "locator": len(scene.locators),
@@ -145,12 +147,13 @@ def overview_picture(outcome: Outcome, context: Context) -> Picture | None:
     view.draw(ax, [colormaps["YlOrRd"](scale(values))[:, :3] for values in spread], 0.35)
     handles = []
     welds = np.array([weld.point for weld in outcome.model.scene.welds]).reshape(-1, 3)
-    for points, label, look in (
-        (outcome.model.contacts.point, "contact pairs", {"ms": 3, "mew": 0.5, "color": "white"}),
-        (welds, "welds", {"ms": 9, "mew": 1.2, "color": "#4cc9f0"}),
+    for points, kind, ms, mew, colour in (
+        (outcome.model.contacts.point, "contact pairs", 3, 0.5, "white"),
+        (welds, "welds", 9, 1.2, "#4cc9f0"),
     ):
         if len(points):
-            handles += ax.plot(*view.flat(points).T, "o", mec=INK, label=f"{len(points)} {label}", **look)
+            label = f"{len(points)} {kind}"
+            handles += ax.plot(*view.flat(points).T, "o", ms=ms, color=colour, mec=INK, mew=mew, label=label)
     fig.colorbar(ScalarMappable(scale, "YlOrRd"), ax=ax, label="6σ of the displacement (mm)", shrink=0.7)
     fig.legend(handles=handles, loc="outside lower left", ncols=2)
     caption = f"6σ displacement of the assembly under {outcome.laws[0]}: at most {number(top)} mm."
