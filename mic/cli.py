@@ -157,7 +157,7 @@ class _Listener(Listener):
 
 def _print_zones(console, outcome):
     """The paper's Table 1, and how many samples failed."""
-    from mic.report.pictures import number
+    from mic.report.style import number
 
     summary = outcome.summary()
     zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))

@@ -10,8 +10,11 @@ from pathlib import Path
 import pytest
 from support.runs import all_fail, fail
 
-from mic.report import pictures
+from mic.report.context import read_context
+from mic.report.gallery import PICTURES, Entry, draw, draw_all
+from mic.report.law_pictures import law_cost
 from mic.report.page import write_report
+from mic.report.style import LAWS, number, percent
 from mic.results.fields import write_fields
 from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
@@ -111,7 +114,7 @@ def test_every_figure_is_there(page):
         "friction",
         "measurements",
         "measurement-table",
-        "fields-coulomb",
+        "displacement-fields",
         "field-view",
     }
     pictures = [target for target in page.loads if target.startswith("data:")]
@@ -151,19 +154,83 @@ def test_figures_in_the_text_are_those_of_the_summary(page, folder):
         zone["six_sigma_rms_slip"],
         summary["laws"]["associated"]["measurements"]["M1"]["mean"],
     ):
-        assert pictures.number(value) in page.words
-    cost = pictures.law_cost(read_outcome(folder), "clamp")
-    assert cost["sentence"] in page.words and cost["gaps"].max() > 0
+        assert number(value) in page.words
+    cost = law_cost(read_outcome(folder), "clamp")
+    assert cost.sentence in page.words and cost.gaps.max() > 0
 
 
-def test_summary_tables_and_pictures_lie_beside_the_page(page, folder):
+def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder):
+    outcome = read_outcome(folder)
+    drawn = draw_all(outcome, read_context(outcome))
+    assert list(drawn) == [entry.name for entry in PICTURES]
+    for name, picture in drawn.items():
+        assert page.loads.count(picture.uri) == 1, name
+
+
+def test_a_picture_of_no_section_is_refused():
+    with pytest.raises(ValueError, match="section must be one of slip, "):
+        Entry("lost", "nowhere", lambda outcome, context: None)
+
+
+def test_a_picture_is_the_same_whatever_the_users_style(page, folder):
+    import matplotlib
+
+    outcome = read_outcome(folder)
+    context = read_context(outcome)
+    plain = draw("measurements", outcome, context)
+    with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "black", "lines.linewidth": 9}):
+        other = draw("measurements", outcome, context)
+    assert plain == other
+
+
+def test_the_laws_under_scaled_friction_are_drawn_from_the_study_that_the_run_left(page, folder):
+    outcome = read_outcome(folder)
+    context, path = read_context(outcome), folder / "tables" / "friction.csv"
+    original = path.read_text()
+    study = outcome.friction_study
+    study.loc[study["law"] == "associated", "gap_at_load"] = 0.0123
+    study.to_csv(path, index=False)
+    changed = draw("friction", read_outcome(folder), context)
+    path.unlink()
+    without = draw("friction", read_outcome(folder), context)
+    path.write_text(original)
+    assert "averages 12.3 µm at μ" in changed.caption and "12 samples" in changed.caption
+    assert without is None
+
+
+def test_drawing_a_page_solves_nothing_and_changes_nothing_else(page, folder, monkeypatch):
+    def refuse(*_, **__):
+        raise AssertionError("drawing solves")
+
+    for name in (
+        "mic.contact.solver.ContactSolver.solve",
+        "mic.process.model.ReducedModel.process",
+        "mic.process.model.ReducedModel.evaluate",
+    ):
+        monkeypatch.setattr(name, refuse)
+    before = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    source = _Page(write_report(folder)).source
+    after = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    assert list(before) == list(after)
+    assert {path.name for path in before if before[path] != after[path]} <= {"report.html", "assembly.png"}
+    assert source == page.source  # and the same folder gives the same page
+
+
+def test_the_summary_and_tables_are_none_of_the_pages_business(page, folder):
+    (folder / "summary.json").rename(folder / "kept.json")
+    write_report(folder)
+    assert not (folder / "summary.json").exists()
+    (folder / "kept.json").rename(folder / "summary.json")
     assert (folder / "assembly.png").read_bytes().startswith(b"\x89PNG")
-    assert {path.name for path in (folder / "tables").iterdir()} == {
-        "zones.csv",
-        "contacts.csv",
-        "measurements.csv",
-        "friction.csv",
-    }
+
+
+def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
+    outcome = read_outcome(folder)
+    for law in outcome.laws:
+        assert f'style="color:{LAWS[law].colour}"><b>{law}</b>' in page.source
+    svg = draw("measurements", outcome, read_context(outcome)).data.decode()
+    assert all(LAWS[law].colour in svg for law in outcome.laws)
+    assert len({look.colour for look in LAWS.values()}) == len({look.mark for look in LAWS.values()}) == len(LAWS)
 
 
 def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, page):
@@ -219,7 +286,7 @@ TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
             "no fields",
             {"report": {"laws": ["coulomb"], "fields": False}},
             5,
-            {"field-view", "fields-coulomb"},
+            {"field-view", "displacement-fields"},
             {"fields", "table-1"},
         ),
     ],
@@ -276,4 +343,19 @@ def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
     ],
 )
 def test_numbers_for_people(value, text):
-    assert pictures.number(value) == text
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    "value, digits, text",
+    [
+        (0.125, 1, "12.5 %"),
+        (-0.05, 0, "−5 %"),
+        (-0.0004, 0, "0 %"),
+        (-0.0004, 2, "−0.04 %"),
+        (1.0, 0, "100 %"),
+        (float("nan"), 0, "–"),
+    ],
+)
+def test_shares_for_people(value, digits, text):
+    assert percent(value, digits) == text

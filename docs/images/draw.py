@@ -1,22 +1,36 @@
-"""Draw the README's pictures from the results of the wheelhouse: python docs/images/draw.py [results/wheelhouse]"""
+"""Draw the README's pictures from a run of the wheelhouse.
+
+Run ``python docs/images/draw.py [FOLDER]`` from the root of the project after ``script/run``. FOLDER is the folder of
+the run, ``results/wheelhouse`` by default. The pictures are written beside this file.
+"""
 
 import sys
 from pathlib import Path
 
-from mic.report import pictures
-from mic.results.fields import read_fields
+from mic.report.context import read_context
+from mic.report.gallery import draw
 from mic.results.outcome import read_outcome
 
+FILES = {"overview": "wheelhouse", "slip-density": "slip_density"}  # picture of the report -> file
 
-def main(folder):
+
+def main(folder: Path) -> int:
+    """Write both pictures; returns the exit code."""
     outcome = read_outcome(folder)
-    surfaces = {part.name: part.surface for part in outcome.parts}
-    for name, picture in (
-        ("wheelhouse", pictures.overview_picture(outcome, surfaces, read_fields(folder)[0], "coulomb")),
-        ("slip_density", pictures.slip_density_picture(outcome, outcome.stages[0])),
-    ):
-        (Path(__file__).parent / f"{name}.{picture.kind}").write_bytes(picture.data)
+    context = read_context(outcome)
+    drawn = {name: draw(name, outcome, context) for name in FILES}
+    missing = [name for name, picture in drawn.items() if picture is None]
+    if missing:
+        print(
+            f"{folder}: holds nothing to draw of {', '.join(missing)}; run the scene with its fields", file=sys.stderr
+        )
+        return 1
+    for name, picture in drawn.items():
+        path = Path(__file__).parent / f"{FILES[name]}.{picture.kind}"
+        path.write_bytes(picture.data)
+        print(path)
+    return 0
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "results/wheelhouse"))
+    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "results/wheelhouse")))

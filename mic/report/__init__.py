@@ -1,1 +1,1 @@
-"""Pictures and the offline page. Drawing never solves."""
+"""The offline page of a run and its pictures. Drawing never solves, and changes nothing that a run left."""

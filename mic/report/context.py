@@ -1,0 +1,67 @@
+"""What pictures and page need beside the outcome: parts, fields, published figures, and what to show first."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mic.geometry.surface import Surface
+from mic.report.style import LAWS
+from mic.results.fields import PartField, read_fields
+from mic.results.folder import PUBLISHED
+from mic.results.outcome import Outcome
+
+__all__ = ["Context", "read_context"]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a run folder holds for its report, beside the outcome.
+
+    Attributes
+    ----------
+    stage : str or None
+        The stage that single-stage pictures show: the first that resolves contact.
+    laws : tuple of str
+        Laws with at least one valid sample, in the order in which they were asked for.
+    frictional, frictionless : str or None
+        The first law of the run with friction, and the first without: what is compared where both are there.
+    surfaces : dict of str to Surface
+        By part; empty where the run kept no parts.
+    fields : tuple of PartField
+    no_fields : str or None
+        Why there are none.
+    published : dict
+        Published figures to set beside the results; empty where the scene has none.
+    """
+
+    stage: str | None
+    laws: tuple[str, ...]
+    frictional: str | None
+    frictionless: str | None
+    surfaces: Mapping[str, Surface]
+    fields: tuple[PartField, ...]
+    no_fields: str | None
+    published: Mapping[str, Any]
+
+    def fields_of(self, law: str) -> dict[str, PartField]:
+        """The fields under one law, by part."""
+        return {field.part: field for field in self.fields if field.law == law}
+
+
+def read_context(outcome: Outcome) -> Context:
+    """Read what the outcome's folder holds for its report."""
+    fields, no_fields = read_fields(outcome.folder)
+    published = outcome.folder / PUBLISHED
+    return Context(
+        stage=outcome.stages[0] if outcome.stages else None,
+        laws=tuple(law for law in outcome.laws if len(outcome.sample_numbers(law))),
+        frictional=next((law for law in outcome.laws if LAWS[law].frictional), None),
+        frictionless=next((law for law in outcome.laws if not LAWS[law].frictional), None),
+        surfaces={part.name: part.surface for part in outcome.parts},
+        fields=tuple(fields),
+        no_fields=no_fields,
+        published=tomllib.loads(published.read_text(encoding="utf-8")) if published.is_file() else {},
+    )

@@ -1,0 +1,85 @@
+"""The pictures of a report: which there are, in which order, and in which section of the page they stand.
+
+A picture is a function of the outcome and its context that returns a :class:`~mic.report.picture.Picture`, or None
+where the outcome cannot fill it. It reads what the run left behind and solves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import matplotlib.style
+
+from mic.report.contact_pictures import sample_picture, slip_density_picture, slip_force_picture, state_picture
+from mic.report.context import Context
+from mic.report.law_pictures import friction_picture, law_cost_picture
+from mic.report.measurement_pictures import measurement_picture
+from mic.report.picture import Picture
+from mic.report.space_pictures import assembly_picture, field_picture, overview_picture
+from mic.report.style import RC
+from mic.results.outcome import Outcome
+
+__all__ = ["PICTURES", "SECTIONS", "Entry", "draw", "draw_all"]
+
+#: Sections of the page that show their pictures one below the other. ``still`` holds what stands in for the interactive
+#: views where a browser cannot show them; the page names those pictures.
+SECTIONS = ("slip", "contacts", "laws", "characteristics", "fields", "still")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One picture of the report.
+
+    Attributes
+    ----------
+    name : str
+        Its anchor in the page.
+    section : str
+        One of :data:`SECTIONS`.
+    function : callable
+        ``function(outcome, context) -> Picture or None``.
+    """
+
+    name: str
+    section: str
+    function: Callable[[Outcome, Context], Picture | None]
+
+    def __post_init__(self) -> None:
+        if self.section not in SECTIONS:
+            raise ValueError(f"picture {self.name}: section must be one of {', '.join(SECTIONS)}, not {self.section}")
+
+
+PICTURES = (
+    Entry("assembly", "still", assembly_picture),
+    Entry("slip-density", "slip", slip_density_picture),
+    Entry("slip-force", "contacts", slip_force_picture),
+    Entry("one-sample-f", "contacts", partial(sample_picture, quantity="f")),
+    Entry("one-sample-u", "contacts", partial(sample_picture, quantity="u")),
+    Entry("states", "contacts", state_picture),
+    Entry("law-cost", "laws", law_cost_picture),
+    Entry("friction", "laws", friction_picture),
+    Entry("measurements", "characteristics", measurement_picture),
+    Entry("overview", "still", overview_picture),
+    Entry("displacement-fields", "fields", field_picture),
+)
+
+
+def draw(name: str, outcome: Outcome, context: Context) -> Picture | None:
+    """Draw one picture of :data:`PICTURES` under the report's own style; None where the outcome cannot fill it.
+
+    Raises
+    ------
+    KeyError
+        If there is no picture of this name.
+    """
+    function = {entry.name: entry.function for entry in PICTURES}[name]
+    with matplotlib.style.context(RC, after_reset=True):  # whatever the user's own settings
+        return function(outcome, context)
+
+
+def draw_all(outcome: Outcome, context: Context) -> dict[str, Picture]:
+    """All pictures that the outcome can fill, by name, in the order of :data:`PICTURES`."""
+    drawn = {entry.name: draw(entry.name, outcome, context) for entry in PICTURES}
+    return {name: picture for name, picture in drawn.items() if picture is not None}

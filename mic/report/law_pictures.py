@@ -1,0 +1,152 @@
+"""Pictures that set the contact laws against each other: what the associated law costs, what friction does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mic.contact.comparison import summarise
+from mic.report.context import Context
+from mic.report.picture import Picture, law_legend, panels, svg
+from mic.report.style import LAWS, STATE_COLOURS, number, percent
+from mic.results.outcome import Outcome
+
+__all__ = ["LawCost", "friction_picture", "law_cost", "law_cost_picture"]
+
+
+@dataclass(frozen=True)
+class LawCost:
+    """What the associated law (13) does otherwise than Coulomb's, over n samples valid under both and m contacts.
+
+    Attributes
+    ----------
+    gaps : (k,) array
+        Gaps of the contacts that are loaded under the associated law, mm; Coulomb's law keeps them closed.
+    coulomb, associated : (n, m) arrays
+        Normal forces, N.
+    states : (3, 3) array
+        Share of contacts and samples by state under Coulomb's law (row) and under the associated one (column).
+    force_error : (n,) array
+        ``Σ|f_n - f_n,coulomb| / Σ f_n,coulomb`` of each sample, NaN without load.
+    total_error : (n,) array
+        ``(Σ f_n - Σ f_n,coulomb) / Σ f_n,coulomb`` of each sample, NaN without load.
+    """
+
+    gaps: np.ndarray
+    coulomb: np.ndarray
+    associated: np.ndarray
+    states: np.ndarray
+    force_error: np.ndarray
+    total_error: np.ndarray
+
+    @property
+    def sentence(self) -> str:
+        """The cost in words."""
+        text = f"Over the {len(self.coulomb)} samples valid under both laws: "
+        if len(self.gaps):
+            text += (
+                f"under the associated law {percent(float(np.mean(self.gaps > 1e-3)))} of the loaded contacts stand "
+                f"open by more than 1 µm while they carry force (median {number(np.median(self.gaps) * 1e3)} µm, "
+                f"largest {number(self.gaps.max() * 1e3)} µm), where Coulomb's law keeps them closed; "
+            )
+        if np.isfinite(self.force_error).any():
+            text += (
+                f"normal forces are wrong by {percent(np.nanmean(self.force_error), 1)} of their sum on average "
+                f"({percent(np.nanmax(self.force_error), 1)} in the worst sample), the sum itself by "
+                f"{percent(np.nanmean(np.abs(self.total_error)), 1)}; "
+            )
+        return text + f"{percent(1 - np.trace(self.states), 1)} of all contact states differ."
+
+
+def law_cost(outcome: Outcome, stage: str) -> LawCost | None:
+    """Numbers behind :func:`law_cost_picture`; None unless both laws were run, with slip, and share a valid sample."""
+    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws):
+        return None
+    numbers = {law: outcome.sample_numbers(law) for law in ("coulomb", "associated")}
+    common = np.intersect1d(numbers["coulomb"], numbers["associated"])
+    if not len(common):
+        return None
+    pick = {law: np.isin(numbers[law], common) for law in numbers}
+    get = lambda law, column: outcome.contact(law, stage, column)[pick[law]]
+    f, a = get("coulomb", "f_n"), get("associated", "f_n")
+    states = np.zeros((len(STATE_COLOURS), len(STATE_COLOURS)))
+    np.add.at(states, (get("coulomb", "state").ravel(), get("associated", "state").ravel()), 1 / f.size)
+    total = f.sum(axis=1)
+    share = lambda x: np.divide(x, total, out=np.full(len(total), np.nan), where=total > 0)
+    return LawCost(
+        gaps=get("associated", "u_n")[get("associated", "state") > 0],
+        coulomb=f,
+        associated=a,
+        states=states,
+        force_error=share(np.abs(a - f).sum(axis=1)),
+        total_error=share(a.sum(axis=1) - total),
+    )
+
+
+def law_cost_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """What the associated law (13) costs against Coulomb's: gaps at loaded contacts, normal forces, states."""
+    cost = law_cost(outcome, context.stage) if context.stage else None
+    if cost is None:
+        return None
+    fig = Figure(figsize=(10.5, 3.1), layout="constrained")
+    gap, force, state = fig.subplots(1, 3)
+    gaps = np.maximum(cost.gaps, 0) * 1e3
+    upper = max(np.quantile(gaps, 0.995), 1e-9) if len(gaps) else 1.0
+    gap.hist(np.minimum(gaps, upper), bins=40, color=LAWS["associated"].colour, alpha=0.8)
+    gap.axvline(0, color=LAWS["coulomb"].colour, lw=2.5, label="coulomb: closed")
+    gap.set(xlabel="gap at loaded contacts under associated (µm)", ylabel="contacts × samples", title="Spurious gaps")
+    gap.margins(y=0.25)
+    gap.legend(loc="upper right")
+    x, y = cost.coulomb.ravel(), cost.associated.ravel()
+    top = max(x.max(initial=0), y.max(initial=0), 1e-9) * 1.04
+    limits = (0, top)
+    force.hexbin(x, y, gridsize=45, bins="log", mincnt=1, cmap="YlOrBr", extent=(0, top, 0, top), lw=0.1)
+    force.plot(limits, limits, color="#333", lw=0.8)
+    force.set(xlabel="$f_n$, coulomb (N)", ylabel="$f_n$, associated (N)", title="Normal forces")
+    force.set(xlim=limits, ylim=limits)
+    state.imshow(np.sqrt(cost.states), cmap="Oranges", vmin=0, vmax=1)
+    for (i, j), value in np.ndenumerate(cost.states):
+        colour = "white" if value > 0.5 else "black"
+        state.text(j, i, percent(value, 1), ha="center", va="center", color=colour)
+    ticks, names = range(len(STATE_COLOURS)), list(STATE_COLOURS)
+    state.set(xticks=ticks, yticks=ticks, xticklabels=names, yticklabels=names)
+    state.set(xlabel="associated", ylabel="coulomb", title="States, share of contacts × samples")
+    state.grid(False)
+    return svg(fig, f"Associated law (13) against Coulomb's law, stage {context.stage}", cost.sentence)
+
+
+def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """The laws on some of the samples as friction is scaled down and up, from the study that the run left."""
+    study = outcome.friction_study
+    if study is None:
+        return None
+    table, laws = summarise(study), [law for law in LAWS if law in set(study["law"])]
+    fig, axes = panels(3, 3, (3.5, 2.6))
+    for ax, (column, label, factor) in zip(
+        axes,
+        (
+            ("slip", "RMS slip, all contacts (mm)", 1),
+            ("normal_force", "total normal force (N)", 1),
+            ("gap_at_load", "largest gap under load (µm)", 1e3),
+        ),
+    ):
+        for law in laws:
+            rows, look = table.xs(law, level="law"), LAWS[law]
+            ax.plot(rows.index, factor * rows[column], look.mark + "-", ms=4, lw=1.3, color=look.colour)
+        ax.axvline(outcome.model.contacts.friction.mean(), color="#8a949f", lw=0.9, ls="--")
+        ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None))
+        ax.set_ylim(0, 1.08 * factor * table[column].max() or 1.0)
+    law_legend(fig, laws)
+    gaps = table.xs("associated", level="law")["gap_at_load"]
+    ends = " and ".join(f"{number(1e3 * gaps.iloc[i])} µm at μ = {number(gaps.index[i], 2)}" for i in (0, -1))
+    text = (
+        f"{study['sample'].nunique()} samples, stage {context.stage}, solved anew with every friction coefficient "
+        f"scaled; dashed: the scene's. The largest gap that the associated law opens under load averages {ends}; "
+        "Coulomb's law has none."
+    )
+    left_out = int(table["left_out"].sum())
+    if left_out:
+        text += f" {left_out} of {len(study)} solutions did not converge and are left out."
+    return svg(fig, "The laws as friction grows", text)

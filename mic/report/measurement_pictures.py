@@ -1,0 +1,63 @@
+"""Pictures of the key characteristics: their distributions against their limits."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.lines import Line2D
+
+from mic.report.context import Context
+from mic.report.picture import MOST_PANELS, Picture, panels, svg
+from mic.report.style import LAWS, number, percent
+from mic.results.outcome import Outcome
+
+__all__ = ["measurement_picture"]
+
+LIMIT_COLOUR = "#b00020"
+
+
+def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """Histogram of every key characteristic with its limits; of the least capable where there are many."""
+    table = outcome.measurement_statistics
+    if not len(table):
+        return None
+    order = list(table["measurement"].unique())
+    shown = order
+    if len(order) > MOST_PANELS:
+        worst = table.groupby("measurement")["cpk"].min().sort_values(na_position="last").index[:MOST_PANELS]
+        shown = [name for name in order if name in set(worst)]
+    columns = min(4, len(shown))
+    fig, axes = panels(len(shown), columns, (10.5 / max(columns, 2), 1.9))
+    characteristics = {item.name: item for item in outcome.model.scene.measurements}
+    for i, (ax, name) in enumerate(zip(axes, shown)):
+        item = characteristics[name]
+        values = {law: outcome.measured(law, name) for law in context.laws}
+        everything = np.concatenate(list(values.values())) if values else np.zeros(1)
+        low, high = everything.min(), everything.max()
+        edges = np.linspace(low, high, 31) if high - low > 1e-12 else np.linspace(low - 1e-3, high + 1e-3, 31)
+        for law, x in values.items():
+            ax.hist(x, bins=edges, histtype="stepfilled", color=LAWS[law].colour, alpha=0.14, lw=0)
+            ax.hist(x, bins=edges, histtype="step", color=LAWS[law].colour, lw=1.2)
+        for limit in (item.lower, item.upper):
+            ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
+        width = item.upper - item.lower
+        ax.set_xlim(min(low, item.lower) - 0.04 * width, max(high, item.upper) + 0.04 * width)
+        ax.set_title(name)
+        if i >= len(shown) - columns:
+            ax.set_xlabel("deviation (mm)")
+        if i % columns == 0:
+            ax.set_ylabel("samples")
+    handles = [Line2D([], [], color=LAWS[law].colour, lw=2, label=law) for law in outcome.laws]
+    handles.append(Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits"))
+    fig.legend(handles=handles, loc="outside upper left", ncols=4)
+    text = "" if shown == order else f"The {len(shown)} least capable of {len(order)} measurements are shown. "
+    law = outcome.laws[0]
+    rows = table[table["law"] == law]
+    if rows["cpk"].notna().any():
+        least = rows.iloc[int(rows["cpk"].argmin())]
+        text += (
+            f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])} "
+            f"(95 %: {number(least['cpk_low'])} to {number(least['cpk_high'])}), "
+            f"{percent(least['share_outside'], 1)} of the samples outside "
+            f"(95 %: {percent(least['share_outside_low'], 1)} to {percent(least['share_outside_high'], 1)})."
+        )
+    return svg(fig, "Key characteristics against their limits", text)

@@ -1,0 +1,82 @@
+"""A picture: a drawn figure with a title, and a caption that says in numbers what it shows.
+
+Figures are drawn by matplotlib without pyplot, so that nothing global is touched.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mic.report.style import LAWS
+
+__all__ = ["MOST_PANELS", "Picture", "law_legend", "panels", "png", "svg"]
+
+MOST_PANELS = 24  # more panels or labels than this nobody reads
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn picture.
+
+    Attributes
+    ----------
+    title, caption : str
+    data : bytes
+        Content of the file.
+    kind : {"svg", "png"}
+        Kind, and suffix, of the file.
+    """
+
+    title: str
+    caption: str
+    data: bytes
+    kind: Literal["svg", "png"]
+
+    @property
+    def uri(self) -> str:
+        """The picture as a data URI, so that a page can hold it."""
+        mime = {"svg": "image/svg+xml", "png": "image/png"}[self.kind]
+        return f"data:{mime};base64,{base64.b64encode(self.data).decode()}"
+
+
+def svg(fig: Figure, title: str, caption: str) -> Picture:
+    """The figure as lines and text, for pictures of few elements."""
+    return _save(fig, title, caption, "svg", 72, {"Date": None})
+
+
+def png(fig: Figure, title: str, caption: str, dpi: int) -> Picture:
+    """The figure as pixels, for pictures of many triangles."""
+    return _save(fig, title, caption, "png", dpi, None)
+
+
+def panels(count: int, columns: int, size: tuple[float, float], **kwargs: Any) -> tuple[Figure, list[Axes]]:
+    """A figure with `count` axes of the given size in inches, row by row.
+
+    Further arguments go to :meth:`matplotlib.figure.Figure.subplots`.
+    """
+    rows = -(-count // columns)
+    fig = Figure(figsize=(max(columns * size[0], 5.0), rows * size[1] + 0.35), layout="constrained")
+    axes = fig.subplots(rows, columns, squeeze=False, **kwargs).ravel()
+    for ax in axes[count:]:
+        ax.set_axis_off()
+    return fig, list(axes[:count])
+
+
+def law_legend(fig: Figure, laws: Sequence[str]) -> None:
+    """Colour and mark of each law, above the axes."""
+    handles = [Line2D([], [], color=LAWS[law].colour, marker=LAWS[law].mark, ms=5, lw=1.5, label=law) for law in laws]
+    fig.legend(handles=handles, loc="outside upper left", ncols=3)
+
+
+def _save(fig, title, caption, kind, dpi, metadata):
+    buffer = io.BytesIO()
+    fig.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    return Picture(title, caption, buffer.getvalue(), kind)

@@ -1,0 +1,206 @@
+"""Pictures of the parts in space: the assembly and what holds it, its variation, displacement fields."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import TriMesh
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.tri import Triangulation
+
+from mic.geometry.surface import Surface
+from mic.report.context import Context
+from mic.report.picture import MOST_PANELS, Picture, png
+from mic.report.style import MARK_COLOURS, number, part_colour, zone_colour
+from mic.results.outcome import Outcome
+
+__all__ = ["ARROW", "assembly_picture", "field_picture", "overview_picture", "viewpoint"]
+
+ARROW = 0.07  # length of the arrow of a locator or clamp, as a share of the largest part
+INK = "#1b1f24"
+
+
+def viewpoint(surfaces: Collection[Surface]) -> np.ndarray:
+    """(3,) unit vector towards the corner of space from which most of the surfaces is seen."""
+    normal = np.concatenate([surface.normals * surface.areas[:, None] for surface in surfaces])
+    corners = [
+        np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+        for a in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
+        for e in np.radians([20, 40])
+    ]
+    return max(corners, key=lambda d: float(np.abs(normal @ d).sum()))
+
+
+class _View:
+    """Orthographic view of the parts from their :func:`viewpoint`."""
+
+    def __init__(self, surfaces: Collection[Surface]):
+        self.surfaces = tuple(surfaces)
+        self.eye = viewpoint(self.surfaces)
+        right = np.cross([0, 0, 1.0], self.eye)
+        self.right = right / np.linalg.norm(right)
+        self.up = np.cross(self.eye, self.right)
+
+    def flat(self, points: np.ndarray) -> np.ndarray:
+        """(n, 2) places on paper of (n, 3) points."""
+        return np.column_stack([points @ self.right, points @ self.up])
+
+    def draw(self, ax: Axes, colours: Sequence[np.ndarray], shading: float) -> None:
+        """Triangles of all surfaces, far ones first.
+
+        Parameters
+        ----------
+        colours : sequence of (3,) or (v, 3) arrays
+            Red, green and blue from 0 to 1: one per surface, or one per vertex of it.
+        shading : float
+            Share of their brightness that depends on the slope.
+        """
+        light = self.eye + 0.35 * self.up - 0.45 * self.right
+        light /= np.linalg.norm(light)
+        start = np.cumsum([0] + [len(surface.points) for surface in self.surfaces])
+        points = np.concatenate([surface.points for surface in self.surfaces])
+        triangles = np.concatenate([surface.triangles + first for surface, first in zip(self.surfaces, start)])
+        bright = [1 - shading + shading * np.abs(surface.vertex_normals @ light) for surface in self.surfaces]
+        rgb = np.concatenate([colour * share[:, None] for colour, share in zip(colours, bright)])
+        order = np.argsort((points @ self.eye)[triangles].mean(axis=1))
+        x, y = self.flat(points).T
+        mesh = TriMesh(Triangulation(x, y, triangles[order]))
+        rgba: Any = np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))])  # an array, which the stubs do not know
+        mesh.set_facecolor(rgba)
+        ax.add_collection(mesh)
+        ax.autoscale_view()
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+
+
+def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """The parts with locators, clamps, welds, contact pairs and measurement points."""
+    surfaces, scene, contacts = context.surfaces, outcome.model.scene, outcome.model.contacts
+    if not surfaces:
+        return None
+    view = _View(surfaces.values())
+    fig = Figure(figsize=(10.5, 6.6), layout="constrained")
+    ax = fig.subplots()
+    view.draw(ax, [np.array(to_rgb(part_colour(i))) for i in range(len(surfaces))], 0.5)
+    handles = [
+        Line2D([], [], marker="s", ls="", ms=9, color=part_colour(i), label=name) for i, name in enumerate(surfaces)
+    ]
+    for z, zone in enumerate(scene.zones):
+        own = view.flat(contacts.point[contacts.zone == z])
+        if len(own):
+            ax.plot(*own.T, "o", ms=4, mew=0.3, mec="white", color=zone_colour(z))
+            label = f"{zone.name}: {len(own)} pairs"
+            handles.append(Line2D([], [], marker="o", ls="", ms=6, color=zone_colour(z), label=label))
+    length = ARROW * max(surface.diameter for surface in surfaces.values())
+    for items, kind in ((scene.locators, "locator"), (scene.clamps, "clamp")):
+        for item in items:
+            _arrow(ax, view, item, length, MARK_COLOURS[kind])
+        if items:
+            label = f"{kind} ({len(items)})"
+            handles.append(Line2D([], [], marker=">", ls="-", ms=5, color=MARK_COLOURS[kind], label=label))
+    for kind, points, mark, ms, mew in (
+        ("weld", [weld.point for weld in scene.welds], "o", 9, 1.2),
+        ("measurement", [measurement.point for measurement in scene.measurements], "D", 5, 1.0),
+    ):
+        if points:
+            x, y = view.flat(np.array(points)).T
+            label = f"{kind} ({len(points)})"
+            handles += ax.plot(x, y, mark, ms=ms, color=MARK_COLOURS[kind], mec=INK, mew=mew, label=label)
+    for measurement in scene.measurements[:MOST_PANELS]:
+        place = view.flat(np.array([measurement.point]))[0]
+        ax.annotate(measurement.name, place, xytext=(5, 4), textcoords="offset points", fontsize=8)
+    fig.legend(handles=handles, loc="outside right upper", fontsize=9)
+    kinds = {
+        "locator": len(scene.locators),
+        "clamp": len(scene.clamps),
+        "weld": len(scene.welds),
+        "contact pair": len(contacts),
+        "measurement point": len(scene.measurements),
+    }
+    text = (
+        f"{len(surfaces)} {'part' if len(surfaces) == 1 else 'parts'} with "
+        + ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in kinds.items() if count)
+        + ". Arrows point the way a locator or clamp acts."
+    )
+    return png(fig, "The assembly", text, 110)
+
+
+def overview_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """The assembly coloured by the 6σ of its displacement under the first law, with contact pairs and welds."""
+    surfaces = context.surfaces
+    fields = context.fields_of(outcome.laws[0]) if outcome.laws else {}
+    if set(fields) != set(surfaces) or not surfaces:
+        return None
+    spread = [np.nan_to_num(fields[part].six_sigma_magnitude) for part in surfaces]
+    top = max(values.max() for values in spread)
+    scale = Normalize(0.0, top or 1.0)
+    fig = Figure(figsize=(9.5, 5.6), layout="constrained")
+    ax = fig.subplots()
+    view = _View(surfaces.values())
+    view.draw(ax, [colormaps["YlOrRd"](scale(values))[:, :3] for values in spread], 0.35)
+    handles = []
+    welds = np.array([weld.point for weld in outcome.model.scene.welds]).reshape(-1, 3)
+    for points, kind, ms, mew, colour in (
+        (outcome.model.contacts.point, "contact pairs", 3, 0.5, "white"),
+        (welds, "welds", 9, 1.2, "#4cc9f0"),
+    ):
+        if len(points):
+            label = f"{len(points)} {kind}"
+            handles += ax.plot(*view.flat(points).T, "o", ms=ms, color=colour, mec=INK, mew=mew, label=label)
+    fig.colorbar(ScalarMappable(scale, "YlOrRd"), ax=ax, label="6σ of the displacement (mm)", shrink=0.7)
+    fig.legend(handles=handles, loc="outside lower left", ncols=2)
+    caption = f"6σ displacement of the assembly under {outcome.laws[0]}: at most {number(top)} mm."
+    return png(fig, "Variation of the assembly", caption, 100)
+
+
+def field_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """Mean and 6σ displacement magnitude of every part under the first law."""
+    surfaces = context.surfaces
+    fields = context.fields_of(outcome.laws[0]) if outcome.laws else {}
+    if not fields or not surfaces:
+        return None
+    fig = Figure(figsize=(10.5, 7.2), layout="constrained")
+    axes = fig.subplots(2, len(fields), squeeze=False)
+    texts = []
+    means = {part: np.linalg.norm(field.mean, axis=1) for part, field in fields.items()}
+    spreads = {part: field.six_sigma_magnitude for part, field in fields.items()}
+    for row, values, label, cmap in ((axes[0], means, "mean", "viridis"), (axes[1], spreads, "6σ", "YlOrRd")):
+        known = np.concatenate(list(values.values()))
+        known = known[np.isfinite(known)]
+        scale = Normalize(0.0, float(known.max(initial=0.0)) or 1.0)
+        for ax, (part, value) in zip(row, values.items()):
+            _View([surfaces[part]]).draw(ax, [colormaps[cmap](scale(np.nan_to_num(value)))[:, :3]], 0.2)
+            ax.set_title(part)
+        fig.colorbar(ScalarMappable(scale, cmap), ax=list(row), label=f"{label} displacement (mm)", shrink=0.8)
+        if len(known):
+            part = max(values, key=lambda name: np.nan_to_num(values[name]).max())
+            x, y, z = surfaces[part].points[int(np.argmax(np.nan_to_num(values[part])))]
+            texts.append(f"the largest {label} is {number(known.max())} mm, on {part} at ({x:.0f}, {y:.0f}, {z:.0f})")
+    rank, discarded, error = (
+        max(getattr(field, name) for field in fields.values()) for name in ("rank", "discarded", "error")
+    )
+    law = outcome.laws[0]
+    caption = (
+        f"Deviation from nominal after the last stage under {law}, the parts' own shape deviation included: "
+        f"{'; '.join(texts)}. 6σ rests on {rank + 1} solves at most per part; the truncation leaves out "
+        f"{number(discarded, 2)} of the elastic energy and {number(error, 2)} mm at the retained points."
+    )
+    return png(fig, f"Mean and 6σ displacement fields, {law}", caption, 100)
+
+
+def _arrow(ax, view, item, length, colour):
+    """An arrow that ends where a locator or clamp acts and points its way; a cross if that is the line of sight."""
+    point = np.array([item.point])
+    head, tail = view.flat(np.concatenate([point, point - length * np.array(item.direction)]))
+    if np.linalg.norm(head - tail) > length / 7:
+        shape = {"arrowstyle": "-|>", "color": colour, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
+        ax.annotate("", head, tail, arrowprops=shape)
+    else:
+        ax.plot(*head, "x", color=colour, ms=5)

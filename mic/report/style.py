@@ -1,0 +1,105 @@
+"""How things look: one colour for each law, state, part and zone in every picture; numbers as people read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mic.contact.states import STATES
+
+__all__ = [
+    "LAWS",
+    "MARK_COLOURS",
+    "RC",
+    "STATE_COLOURS",
+    "STATE_WORDS",
+    "LawStyle",
+    "number",
+    "part_colour",
+    "percent",
+    "zone_colour",
+]
+
+
+@dataclass(frozen=True)
+class LawStyle:
+    """Look of a contact law.
+
+    Attributes
+    ----------
+    colour : str
+    mark : str
+        Marker of matplotlib.
+    frictional : bool
+        Whether the law has tangential forces.
+    """
+
+    colour: str
+    mark: str
+    frictional: bool = True
+
+
+#: Every law that a report can show, in the order in which it shows them.
+LAWS = {
+    "coulomb": LawStyle("#0072b2", "o"),
+    "associated": LawStyle("#d55e00", "s"),
+    "frictionless": LawStyle("#5f6b76", "^", frictional=False),
+}
+STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
+STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
+MARK_COLOURS = {"locator": "#1b1f24", "clamp": "#c1121f", "weld": "#f4d35e", "measurement": "#ffffff"}
+PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
+ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3", "#8a2be2", "#6f7f00")
+
+#: Settings of matplotlib under which every picture is drawn; all others are at their defaults.
+RC = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": "#58626e",
+    "axes.grid": True,
+    "grid.color": "#e8ebef",
+    "grid.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "svg.hashsalt": "mic",  # the same picture is the same file
+}
+
+
+def part_colour(i: int) -> str:
+    """Colour of the scene's i-th part."""
+    return PART_COLOURS[i % len(PART_COLOURS)]
+
+
+def zone_colour(i: int) -> str:
+    """Colour of the scene's i-th contact zone."""
+    return ZONE_COLOURS[i % len(ZONE_COLOURS)]
+
+
+def percent(value: float, digits: int = 0) -> str:
+    """A share for people, in per cent; ``–`` for NaN."""
+    if np.isnan(value):
+        return "–"
+    text = f"{100 * value:.{digits}f}"
+    return (text if float(text) else text.lstrip("-")).replace("-", "−") + " %"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for people: significant digits without exponents where they can be had; ``–`` for None and NaN."""
+    if value is None or np.isnan(value):
+        return "–"
+    value = float(value)
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        exponent = int(f"{value:.{digits - 1}e}".split("e")[1])  # of the rounded value
+        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
+    return f"{value:.{digits - 1}e}".replace("-", "−")
