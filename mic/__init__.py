@@ -15,6 +15,7 @@ from mic.model.reduced import ReducedModel
 from mic.scene import Scene, SceneError, load_scene
 
 __all__ = ["ReducedModel", "Scene", "SceneError", "cache_folder", "load_scene", "reduce"]
+__version__ = "0.2.0"
 
 
 def cache_folder() -> Path:

@@ -1,5 +1,7 @@
-"""Fixtures shared by the tests: scenes that are cheap enough to run everywhere."""
+"""Fixtures shared by the tests: scenes that are cheap enough to run everywhere, with finite elements or without."""
 
+import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -7,6 +9,40 @@ import pytest
 import mic
 
 ROOT = Path(__file__).resolve().parents[1]
+FINITE_ELEMENTS = importlib.util.find_spec("dolfinx") is not None
+
+
+def pytest_ignore_collect(collection_path):
+    """Without finite elements, a module that is marked ``fem`` as a whole is not even imported: its imports would fail."""
+    if FINITE_ELEMENTS or collection_path.suffix != ".py":
+        return None
+    return bool(re.search(r"^pytestmark = .*\bfem\b", collection_path.read_text(encoding="utf-8"), re.M)) or None
+
+
+def pytest_collection_modifyitems(items):
+    """Without finite elements, what is marked ``fem`` is skipped, and says so."""
+    for item in items:
+        if not FINITE_ELEMENTS and item.get_closest_marker("fem"):
+            item.add_marker(pytest.mark.skip(reason="needs finite elements (dolfinx) or gmsh"))
+
+
+@pytest.fixture(scope="session", autouse=not FINITE_ELEMENTS)
+def shipped_compliance():
+    """Without finite elements the shipped compliance stands in, see support/shipped.py."""
+    from mic.compliance import influence
+    from support.shipped import Shipped
+
+    def compute(parts, cache, comm):
+        provider = Shipped()
+        for part in parts:
+            if not provider.accepts(part):
+                raise mic.errors.MissingProvider(part.name)
+            provider.coefficients([part])[part.name].save(influence._cached_file(part, cache))
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr(influence, "_compute", compute)
+    yield
+    patch.undo()
 
 
 @pytest.fixture(scope="session")
