@@ -11,20 +11,33 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mic.model.reduced import ReducedModel
-from mic.scene import Scene, SceneError, load_scene
+from platformdirs import user_cache_path
 
-__all__ = ["ReducedModel", "Scene", "SceneError", "cache_folder", "load_scene", "reduce"]
+from mic.compliance.cache import influence_coefficients
+from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError
+from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
+from mic.scene import Scene, load_scene
+
+__all__ = [
+    "FormatError",
+    "MicError",
+    "MissingProvider",
+    "ReducedModel",
+    "RunError",
+    "Scene",
+    "SceneError",
+    "cache_folder",
+    "load_scene",
+    "reduce",
+]
+
 __version__ = "0.2.0"
 
 
 def cache_folder() -> Path:
     """Where meshes and influence coefficients are kept: ``$MIC_CACHE``, or the user's cache folder."""
-    if "MIC_CACHE" in os.environ:
-        return Path(os.environ["MIC_CACHE"])
-    from platformdirs import user_cache_path
-
-    return user_cache_path("mic")
+    return Path(os.environ["MIC_CACHE"]) if "MIC_CACHE" in os.environ else user_cache_path("mic")
 
 
 def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
@@ -35,10 +48,14 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     scene : Scene
     cache : Path, optional
         Folder of generated meshes and influence coefficients; default :func:`cache_folder`.
-    """
-    from mic.compliance.influence import influence_coefficients
-    from mic.model.assembly import assemble
 
+    Raises
+    ------
+    SceneError
+        Naming the key and the remedy.
+    MissingProvider
+        If influence coefficients must be computed and nothing that can is installed.
+    """
     cache = cache or cache_folder()
     assembly = assemble(scene, cache)
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])

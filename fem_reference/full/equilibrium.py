@@ -1,11 +1,12 @@
-"""Equilibrium of all parts under bilateral rows and frictional contact: one sparse system, Newton's method, any number of ranks.
+"""Equilibrium of all parts under bilateral rows and frictional contact: one sparse system, Newton, any number of ranks.
 
-Unknowns are the freedoms u of all parts, the forces r of the bilateral rows B and the contact forces f of the rows C, with
+Unknowns are the freedoms u of all parts, the forces r of the bilateral rows B and the contact forces f of the rows C,
+with
 
     K u = Bᵀ r + Cᵀ f + p,        B u = v,                                                             (1)
 
-K the block-diagonal stiffness of the free parts, and Coulomb's law in its penalty (augmented-Lagrangian) form. With the gap
-g = g⁰ + δ_n and the slip s = δ_t − a of each contact, δ = C u, the trial force is
+K the block-diagonal stiffness of the free parts, and Coulomb's law in its penalty (augmented-Lagrangian) form. With
+the gap g = g⁰ + δ_n and the slip s = δ_t − a of each contact, δ = C u, the trial force is
 
     y_n = f̂_n − ε g,              y_t = f̂_t − ε s,                                                     (2)
 
@@ -14,26 +15,28 @@ and the return mapping, not associated (the bound scales the trial force along i
     f_n = max(0, y_n),            f_t = y_t                  where ‖y_t‖ ≤ μ f_n      (stick)           (3)
                                   f_t = μ f_n y_t/‖y_t‖      elsewhere                (slip).
 
-f̂ = (0, f_t of the increment before) is the plain penalty method, whose elastic slip f_t/ε is recovered on reversal; repeating
-f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that (3) becomes Coulomb's law proper whatever ε.
+f̂ = (0, f_t of the increment before) is the plain penalty method, whose elastic slip f_t/ε is recovered on reversal;
+repeating f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that (3) becomes Coulomb's law proper whatever ε.
 
-Newton's method treats (u, r, f) together. Per contact, multiplied so that each line is a force (k a stiffness of the sheets):
+Newton's method treats (u, r, f) together. Per contact, multiplied so that each line is a force (k a stiffness of the
+sheets):
 
     open     f = 0
     closed   k g + (k/ε)(f_n − f̂_n) = 0
     stick    k s + (k/ε)(f_t − f̂_t) = 0                                                                 (4)
     slip     f_t − μ f_n τ = 0,    τ = y_t/‖y_t‖,    dτ = −ε (I − ττᵀ) ds/‖y_t‖
 
-Eliminating f from (4) gives the consistent tangent K + Cᵀ(−∂f/∂δ)C of the textbooks, so the iterates are the same; kept as
-unknowns, the forces leave the tangent sparse where a contact's patch covers many nodes, its condition does not grow with ε, and f
-carries no rounding error of ε times a displacement. The tangent is unsymmetric where contacts slip.
+Eliminating f from (4) gives the consistent tangent K + Cᵀ(−∂f/∂δ)C of the textbooks, so the iterates are the same;
+kept as unknowns, the forces leave the tangent sparse where a contact's patch covers many nodes, its condition does
+not grow with ε, and f carries no rounding error of ε times a displacement. The tangent is unsymmetric where contacts
+slip.
 
 References
 ----------
-Wriggers (2006), Computational Contact Mechanics, 2nd ed., Springer: return mapping and its tangent, sections 5.2 and 6.3.
-Alart, Curnier (1991), A mixed formulation for frictional contact problems prone to Newton like solution methods, Comput.
-Methods Appl. Mech. Engrg 92, 353–375.
-Simo, Laursen (1992), An augmented Lagrangian treatment of contact problems involving friction, Comput. Struct. 42, 97–116.
+Wriggers (2006), Computational Contact Mechanics, 2nd ed., Springer: return mapping and its tangent, sections 5.2 and
+6.3. Alart, Curnier (1991), A mixed formulation for frictional contact problems prone to Newton like solution methods,
+Comput. Methods Appl. Mech. Engrg 92, 353–375. Simo, Laursen (1992), An augmented Lagrangian treatment of contact
+problems involving friction, Comput. Struct. 42, 97–116.
 """
 
 from __future__ import annotations
@@ -169,7 +172,8 @@ class ContactLaw:
         return np.where(closed, np.where(stick, STICK, SLIP), OPEN)
 
     def reverses(self, δ: np.ndarray, new: np.ndarray) -> bool:
-        """Whether a contact that slips at δ and at `new` turns by more than 90° between them: a kink that Newton steps over."""
+        """Whether a contact that slips at δ and at `new` turns by more than 90° between them: a kink that Newton
+        steps over."""
         (y, _), (z, _) = self._trial(δ), self._trial(new)
         slips = (self.state(δ) == SLIP) & (self.state(new) == SLIP) & (self.friction > 0)
         return bool((slips & (np.einsum("kj,kj->k", y[:, 1:], z[:, 1:]) < 0)).any())
@@ -403,7 +407,7 @@ class Equilibrium:
         NoConvergence
             After `_MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
-        N, b = self.N, self.b
+        N = self.N
         x = np.concatenate([start.u, start.reaction, start.force.ravel()])
         δ = self._contact(x)
         state = law.state(δ)
@@ -449,7 +453,7 @@ class Equilibrium:
 
         Rounding that leaves no digits to trust (a part that nothing holds any more has flown off) is no excuse.
         """
-        N, b = self.N, self.b
+        N = self.N
         F = self._residual(x, p, v, contact)
         matrix, rows = self._magnitude
         rounding = self._largest((matrix @ np.abs(x)).max(initial=0.0))
@@ -467,10 +471,11 @@ class Equilibrium:
     def _step_length(self, x, dx, F, law, state, iteration):
         """α with G(α) = du·(K u(α) − p − Cᵀ f(u(α))) = 0, u(α) = u + α du: the residual does no more work on the step.
 
-        At first full steps find the contacts that open and close fastest, and only a slip that turns back is searched along;
-        after `_PATIENCE` iterations every step that changes a state is. A step that moves the bilateral rows is taken whole.
+        At first full steps find the contacts that open and close fastest, and only a slip that turns back is searched
+        along; after `_PATIENCE` iterations every step that changes a state is. A step that moves the bilateral rows
+        is taken whole.
         """
-        N, b = self.N, self.b
+        N = self.N
         δ, dδ = self._contact(x), self._contact(dx)
         if not law.reverses(δ, δ + dδ) and (iteration < _PATIENCE or (law.state(δ + dδ) == state).all()):
             return 1.0

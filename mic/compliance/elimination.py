@@ -1,11 +1,15 @@
-"""One process stage: bilateral rows eliminated, contact rows left.
+"""Bilateral rows eliminated: what a fixture leaves of the parts' compliance.
 
-Notation, with rows D over the stacked functionals, free-body compliance H and rigid-body readings G (block-diagonal over
-the parts): under functional forces f and rigid motions q the readings are ``y = H f + G q`` with ``Gᵀ f = 0``.
+Notation, with rows D over the stacked functionals, free-body compliance H and rigid-body readings G, block-diagonal
+over the parts: under functional forces f and rigid motions q the readings are ``y = H f + G q`` with ``Gᵀ f = 0``.
 
 1. Choose 6P bilateral rows A, as many as the P parts have rigid motions, so that ``A G`` is well conditioned.
    With ``Q = G (A G)⁻¹`` and ``Π = I - Q A``, ``H_s = Π H Πᵀ`` is the compliance supported on A, and
-   ``y = H_s f + Q v_A`` for any f, the reactions on A included implicitly.
+   ``y = H_s f + Q v_A`` for any f, the reactions on A included implicitly. For rows J and K no more is needed than
+   gathers:
+
+       J H_s Kᵀ = J H Kᵀ - (J Q) Y_Kᵀ - Y_J (K Q)ᵀ,        Y_J = J H Aᵀ - ½ (J Q)(A H Aᵀ).
+
 2. Eliminate the remaining bilateral rows R densely: ``λ_R = (R H_s Rᵀ)⁻¹ (v_R - R Q v_A - R H_s f)``. For rows C this
    leaves equation (7) of the paper, ``δ = S f_C + T v``, with ``S = H_CC - H_CR H_RR⁻¹ H_RC``.
 """
@@ -18,14 +22,17 @@ import numpy as np
 from scipy.linalg import cho_solve, lapack, qr
 from scipy.sparse import csr_matrix, vstack
 
-__all__ = ["EliminatedStage", "eliminate", "statically_determinate"]
+from mic.compliance.blocks import Blocks
+from mic.errors import FreeMotion
+
+__all__ = ["Response", "eliminate", "statically_determinate"]
 
 REDUNDANT = 1e-9  # a row whose compliance falls below this share of its own when the others hold is redundant
 
 
 @dataclass(frozen=True)
-class EliminatedStage:
-    """Linear response of one stage at chosen rows.
+class Response:
+    """Linear response of held parts at chosen rows.
 
     Bilateral rows carry prescribed values ``v``; contact rows and load rows carry forces.
 
@@ -57,13 +64,15 @@ class EliminatedStage:
     redundant: tuple[int, ...]
 
 
-def statically_determinate(rows: csr_matrix, G: np.ndarray) -> np.ndarray:
+def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Choose as many rows as there are rigid motions, so that they hold them best.
 
     Parameters
     ----------
-    rows : (b, F) csr_matrix
-    G : (F, r) array
+    reading : (b, r) array
+        What each row reads of each of the r rigid motions, ``rows @ G``.
+    size : (r,) array
+        How large the readings of each motion are in general, so that lengths and angles count alike.
 
     Returns
     -------
@@ -72,76 +81,78 @@ def statically_determinate(rows: csr_matrix, G: np.ndarray) -> np.ndarray:
 
     Raises
     ------
-    ValueError
-        If the rows leave a rigid motion free; ``error.free`` holds the (r,) motions, in columns.
+    FreeMotion
+        If the rows leave a rigid motion free.
     """
-    r = G.shape[1]
-    column = np.linalg.norm(G, axis=0) / np.sqrt(max(1, len(G)))
-    reading = (rows @ G) / np.where(column > 0, column, 1)
+    b, r = reading.shape
+    reading = reading / np.where(size > 0, size, 1)
     length = np.linalg.norm(reading, axis=1)
     reading = reading / np.where(length > 0, length, 1)[:, None]
-    rank = np.linalg.matrix_rank(reading, tol=1e-6) if rows.shape[0] else 0
+    rank = np.linalg.matrix_rank(reading, tol=1e-6) if b else 0
     if rank < r:
-        free = np.linalg.svd(reading, full_matrices=True)[2][rank:].T if rows.shape[0] else np.eye(r)
-        error = ValueError(f"{r - rank} rigid-body motions are free")
-        error.free = free
-        raise error
+        raise FreeMotion(np.linalg.svd(reading, full_matrices=True)[2][rank:].T if b else np.eye(r))
     pivots = qr(reading.T, mode="economic", pivoting=True)[2]
     return np.sort(pivots[:r])
 
 
+def motion_size(G: tuple[np.ndarray, ...]) -> np.ndarray:
+    """(6P,) root mean square of the readings of each rigid motion over all functionals, for
+    :func:`statically_determinate`."""
+    total = max(1, sum(len(block) for block in G))
+    return np.concatenate([np.linalg.norm(block, axis=0) for block in G]) / np.sqrt(total)
+
+
 def eliminate(
-    H, G, bilateral: csr_matrix, contact: csr_matrix, load: csr_matrix, output: csr_matrix
-) -> EliminatedStage:
-    """Eliminate the bilateral rows of a stage.
+    compliance: Blocks, bilateral: csr_matrix, contact: csr_matrix, load: csr_matrix, output: csr_matrix
+) -> Response:
+    """Eliminate bilateral rows.
 
     Parameters
     ----------
-    H : (F, F) array
-        Compliance of the free parts, block-diagonal.
-    G : (F, 6P) array
-        Rigid-body readings.
+    compliance : Blocks
+        Of the free parts.
     bilateral, contact, load, output : (b|c|l|o, F) csr_matrix
-        Rows of the stage.
+        Rows over the stacked functionals.
 
     Raises
     ------
-    ValueError
-        As :func:`statically_determinate`.
+    FreeMotion
+        If the bilateral rows leave a rigid motion free.
     """
     b, c, l, o = (rows.shape[0] for rows in (bilateral, contact, load, output))
-    support = statically_determinate(bilateral, G)
+    rigid = compliance.rigid(bilateral)
+    support = statically_determinate(rigid, motion_size(compliance.G))
     rest = np.setdiff1d(np.arange(b), support)
-    A = bilateral[support]
-    AG = A @ G
-    # All rows that are looked at, projected once: J Π = J - (J Q) A, so H_s restricted to them is (J Π) H (J Π)ᵀ.
+    A, AG = bilateral[support], rigid[support]
     J = vstack([bilateral[rest], contact, load, output], format="csr")
-    JQ = np.linalg.solve(AG.T, (J @ G).T).T
-    projected = np.asarray(J.todense()) - JQ @ A.toarray() if J.shape[0] else np.zeros((0, H.shape[0]))
-    compliance = projected @ H @ projected.T
-    compliance = 0.5 * (compliance + compliance.T)
+    JQ = np.linalg.solve(AG.T, np.vstack([rigid[rest], compliance.rigid(J[len(rest) :])]).T).T
+    Y = compliance.gather(J, A) - 0.5 * JQ @ compliance.gather(A, A)
+    # Outputs carry no forces, so that they have rows but no columns.
+    forced = slice(0, len(rest) + c + l)
+    supported = compliance.gather(J, J[forced]) - JQ @ Y[forced].T - Y @ JQ[forced].T
+    supported[forced] = 0.5 * (supported[forced] + supported[forced].T)
     R = slice(0, len(rest))
-    kept = _independent(compliance[R, R], np.asarray((bilateral[rest] @ H @ bilateral[rest].T).diagonal()))
-    free = np.arange(len(rest), J.shape[0])
+    kept = _independent(supported[R, R], compliance.diagonal(bilateral[rest]))
     # X = H_RR⁻¹ [H_RF, -R Q, I]: forces of the eliminated rows per unit of everything else.
-    H_RF = compliance[np.ix_(kept, free)]
+    H_FR = supported[len(rest) :, kept]  # (c + l + o, kept)
+    loaded = slice(0, c + l)
     values = np.zeros((len(kept), b))
     values[:, support] = -JQ[kept]
     values[np.arange(len(kept)), rest[kept]] = 1.0
-    solve = _cholesky_solver(compliance[np.ix_(kept, kept)])
-    X_F, X_v = solve(H_RF), solve(values)
-    direct = np.zeros((len(free), b))
-    direct[:, support] = JQ[free]
-    response_F = compliance[np.ix_(free, free)] - H_RF.T @ X_F
-    response_v = direct + H_RF.T @ X_v
+    solve = _cholesky_solver(supported[np.ix_(kept, kept)])
+    X_F, X_v = solve(H_FR[loaded].T), solve(values)
+    direct = np.zeros((c + l + o, b))
+    direct[:, support] = JQ[len(rest) :]
+    response_F = supported[len(rest) :, len(rest) :] - H_FR @ X_F
+    response_v = direct + H_FR @ X_v
     # Reactions: R from the elimination, A from the balance Gᵀ(Aᵀ λ_A + Jᵀ f) = 0, that is λ_A = -(J Q)ᵀ f.
-    reaction_F, reaction_v = np.zeros((b, len(free))), np.zeros((b, b))
+    reaction_F, reaction_v = np.zeros((b, c + l)), np.zeros((b, b))
     reaction_F[rest[kept]], reaction_v[rest[kept]] = -X_F, X_v
-    reaction_F[support] = JQ[kept].T @ X_F - JQ[free].T
+    reaction_F[support] = JQ[kept].T @ X_F - JQ[len(rest) : len(rest) + c + l].T
     reaction_v[support] = -JQ[kept].T @ X_v
     C, L, O = slice(0, c), slice(c, c + l), slice(c + l, c + l + o)
     S = response_F[C, C]
-    return EliminatedStage(
+    return Response(
         S=0.5 * (S + S.T),
         T=response_v[C],
         L=response_F[C, L],
@@ -156,7 +167,8 @@ def eliminate(
 
 
 def _independent(matrix, reference):
-    """Rows of a compliance block that do not follow from each other, ascending; each is measured against its own `reference`."""
+    """Rows of a compliance block that do not follow from each other, ascending; each is measured against its own
+    `reference`."""
     if len(matrix) == 0:
         return np.zeros(0, dtype=int)
     d = 1 / np.sqrt(np.maximum(reference, np.diag(matrix)).clip(1e-300))

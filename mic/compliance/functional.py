@@ -25,8 +25,8 @@ class Functionals:
       mid-surface by ``s`` half-thicknesses,
     - ``d · θ`` where it is true (rad),
 
-    with ``d = direction[i]``, ``s = side[i]``, ``t`` the part's thickness and ``n`` the unit normal of the triangle that
-    holds the quadrature point. A load of one N (or N mm) on the row is the transpose of the reading.
+    with ``d = direction[i]``, ``s = side[i]``, ``t`` the part's thickness and ``n`` the unit normal of the triangle
+    that holds the quadrature point. A load of one N (or N mm) on the row is the transpose of the reading.
 
     Attributes
     ----------

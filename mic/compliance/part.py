@@ -59,8 +59,8 @@ class Part:
 def part_surface(part, folder: Path, cache: Path) -> Surface:
     """Surface of a scene's part, from its mesh file or its geometry source.
 
-    A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the source's
-    folder and of the folder above, which it may import.
+    A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
+    source's folder and of the folder above, which it may import.
 
     Raises
     ------

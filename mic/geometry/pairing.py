@@ -24,10 +24,20 @@ __all__ = ["ContactPair", "Side", "find_pairs", "node_pairs", "pair_at"]
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two bodies that may touch: its surface and its thickness (zero for a rigid fixture), mm."""
+    """One of the two bodies that may touch: its surface and its thickness, mm; None for a rigid fixture."""
 
     surface: Surface
-    thickness: float
+    thickness: float | None = None
+
+    @property
+    def rigid(self) -> bool:
+        """Whether the body is a fixture."""
+        return self.thickness is None
+
+    @property
+    def half_thickness(self) -> float:
+        """From the given surface to the faying one, mm; a fixture is given by its faying surface."""
+        return 0.0 if self.thickness is None else self.thickness / 2
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,7 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     ValueError
         If the zone is empty, has fewer candidates than pairs, or a given point faces nothing.
     """
-    swap = first.thickness == 0  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
+    swap = first.rigid  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
     sampled, other = (second, first) if swap else (first, second)
     cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
     area = cloud.area.sum()
@@ -130,7 +140,7 @@ def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     ValueError
         If the zone is empty.
     """
-    swap = first.thickness == 0
+    swap = first.rigid
     sampled, other = (second, first) if swap else (first, second)
     surface = sampled.surface
     vertex, first_use = np.unique(surface.triangles, return_index=True)
@@ -263,7 +273,7 @@ def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, no
     # A closest point on the border of the other surface, off the foot of the perpendicular, faces nothing.
     across = np.linalg.norm(np.cross(step, opposite.normals[foot.triangle]), axis=1)
     at_border = ((foot.barycentric < 1e-9) & opposite.border[foot.triangle]).any(1)
-    reach = max_gap + (sampled.thickness + other.thickness) / 2
+    reach = max_gap + sampled.half_thickness + other.half_thickness
     with np.errstate(invalid="ignore"):
         good = (foot.triangle >= 0) & (np.abs(along) <= reach) & ~(at_border & (across > 1e-3 * foot.distance + 1e-9))
     sign = np.where(along < 0, -1.0, 1.0)
@@ -302,7 +312,7 @@ def _pair(cloud, area, sampled, other, swap):
     weight = cloud.area / cloud.area.sum()
     n = weight @ cloud.normal
     n /= np.linalg.norm(n)
-    gap = weight @ cloud.distance - (sampled.thickness + other.thickness) / 2
+    gap = weight @ cloud.distance - sampled.half_thickness - other.half_thickness
     sides = [
         int(np.sign(weight @ np.einsum("ij,j->i", body.surface.normals[triangle], n) * sign))
         for body, triangle, sign in ((sampled, cloud.triangle, 1), (other, cloud.other_triangle, -1))

@@ -1,9 +1,4 @@
-"""The assembly: a scene put on its meshes, as rows over retained functionals.
-
-Each locator, clamp, weld, contact pair, corrective force and measurement becomes one or more *rows*: sparse combinations
-of the parts' retained functionals. The reduced model and the full finite-element reference both work from these rows, so
-they mean the same thing on both sides. A row that no stage uses and no report asks for is not made.
-"""
+"""The assembly: a scene put on its meshes, as parts with retained functionals and rows over them."""
 
 from __future__ import annotations
 
@@ -13,15 +8,14 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from mic.compliance.functional import Functionals
 from mic.compliance.part import Part, fixture_surface, part_surface
+from mic.errors import SceneError
 from mic.geometry.pairing import Side, find_pairs, node_pairs, pair_at
-from mic.geometry.surface import Patch
-from mic.scene import Scene, SceneError
+from mic.model.rows import AXES, Rows
+from mic.model.sources import sources
+from mic.scene import Scene
 
 __all__ = ["Assembly", "Contacts", "assemble"]
-
-REACH = 5.0  # mm: farther than this from its part, a point of the scene is refused rather than projected
 
 
 @dataclass(frozen=True)
@@ -66,8 +60,7 @@ class Assembly:
     scene : Scene
     parts : tuple of Part
     rows : dict of str to (r, F) csr_matrix
-        Rows over the stacked functionals of all parts (F in all), by what they stand for: ``"locator"``, ``"clamp"``,
-        ``"weld"``, ``"contact"``, ``"force"``, ``"measurement"``. A joint's row reads *second body minus first*.
+        Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
     labels : dict of str to list of str
         One name per row.
     contacts : Contacts
@@ -91,35 +84,6 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
-class _Retained:
-    """Collects the functionals of one part."""
-
-    def __init__(self):
-        self.patches, self.patch, self.direction, self.rotation, self.side, self.label = [], [], [], [], [], []
-
-    def add_patch(self, patch: Patch) -> int:
-        self.patches.append(patch)
-        return len(self.patches) - 1
-
-    def add(self, patch, direction, label, rotation=False, side=0) -> int:
-        self.patch.append(patch)
-        self.direction.append(np.asarray(direction, dtype=float))
-        self.rotation.append(rotation)
-        self.side.append(side)
-        self.label.append(label)
-        return len(self.patch) - 1
-
-    def freeze(self) -> Functionals:
-        return Functionals(
-            tuple(self.patches),
-            np.array(self.patch, dtype=np.int64),
-            np.array(self.direction, dtype=float).reshape(-1, 3),
-            np.array(self.rotation, dtype=bool),
-            np.array(self.side, dtype=float),
-            tuple(self.label),
-        )
-
-
 def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     """Mesh the parts, find the contact pairs and set up all rows.
 
@@ -129,7 +93,8 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     cache : Path
         Folder for generated meshes.
     every_node : bool
-        One contact pair per mesh vertex in the zones (:func:`mic.geometry.pairing.node_pairs`), not the pairs that the zones ask for.
+        One contact pair per mesh vertex in the zones (:func:`mic.geometry.pairing.node_pairs`), not the pairs that the
+        zones ask for.
 
     Raises
     ------
@@ -138,41 +103,20 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     """
     surfaces = {part.name: part_surface(part, scene.folder, cache) for part in scene.parts}
     fixtures = {fixture.name: fixture_surface(fixture, scene.folder) for fixture in scene.fixtures}
-    thickness = {part.name: part.thickness for part in scene.parts} | {name: 0.0 for name in fixtures}
-    bodies = surfaces | fixtures
-    retained = {part.name: _Retained() for part in scene.parts}
-    table: dict[str, list] = {key: [] for key in ("locator", "clamp", "weld", "contact", "force", "measurement")}
-    labels: dict[str, list[str]] = {key: [] for key in table}
-
-    def row(kind, label, *terms):
-        """terms: (part, functional, coefficient)"""
-        table[kind].append(terms)
-        labels[kind].append(label)
-
-    def single(kind, key, item):
-        """A row that reads one part at one point along one direction."""
-        surface = surfaces[item.part]
-        _on_part(key, item.point, item.part, surface)
-        body = retained[item.part]
-        patch = body.add_patch(surface.patch(item.point, item.radius))
-        row(kind, item.name, (item.part, body.add(patch, item.direction, f"{kind} {item.name}"), 1.0))
-
+    thickness = {part.name: part.thickness for part in scene.parts}
+    bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
+    bodies |= {name: Side(surface) for name, surface in fixtures.items()}
+    rows = Rows(surfaces)
     for i, locator in enumerate(scene.locators):
-        single("locator", f"locators[{i}]", locator)
+        rows.point("locator", f"locators[{i}]", locator)
     for i, clamp in enumerate(scene.clamps):
-        single("clamp", f"clamps[{i}]", clamp)
-    weld_size, weld_gap = [], []
-    for i, weld in enumerate(scene.welds):
-        gap = _weld_rows(f"welds[{i}]", weld, surfaces, thickness, retained, row)
-        weld_size.append(6 if weld.moment else 3)
-        weld_gap.append(gap)
-    contacts = _contact_rows(scene, bodies, thickness, retained, row, node_pairs if every_node else find_pairs)
-    for i, deviation in enumerate(scene.deviations):
-        if deviation.kind == "force":
-            single("force", f"deviations[{i}]", deviation)
+        rows.point("clamp", f"clamps[{i}]", clamp)
+    weld_gap = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
+    contacts = _contact_rows(scene, bodies, rows, node_pairs if every_node else find_pairs)
+    for source in sources(scene):
+        source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
-        single("measurement", f"measurements[{i}]", measurement)
-
+        rows.point("measurement", f"measurements[{i}]", measurement)
     parts = tuple(
         Part(
             part.name,
@@ -181,64 +125,46 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
             part.young,
             part.poisson,
             scene.element,
-            retained[part.name].freeze(),
+            rows.functionals(part.name),
         )
         for part in scene.parts
     )
-    start = dict(
-        zip([part.name for part in parts], np.concatenate([[0], np.cumsum([len(p.functionals) for p in parts])]))
-    )
-    width = sum(len(part.functionals) for part in parts)
-    rows = {}
-    for kind, entries in table.items():
-        triplets = [
-            (i, start[name] + functional, value) for i, terms in enumerate(entries) for name, functional, value in terms
-        ]
-        i, j, value = np.array(triplets).T if triplets else np.zeros((3, 0))
-        rows[kind] = csr_matrix((value, (i.astype(int), j.astype(int))), shape=(len(entries), width))
-    return Assembly(scene, parts, rows, labels, contacts, tuple(weld_size), np.array(weld_gap))
+    weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
+    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap))
 
 
-def _on_part(key, point, name, surface):
-    distance = float(surface.project(point).distance[0])
-    if distance > REACH:
-        raise SceneError(
-            f"{key}.point: {list(point)} lies {distance:.3g} mm off part {name!r} (at most {REACH} mm is allowed); "
-            "correct the coordinates or the part"
-        )
-
-
-def _weld_rows(key, weld, surfaces, thickness, retained, row):
+def _weld_rows(key, weld, bodies, rows: Rows) -> float:
     """Rows of one weld: n, t1, t2 translations at the middle of the gap, and the rotations where it carries moment.
 
     Both parts are read at the same material-free point, half of any nominal gap off their facing surfaces: otherwise
-    turning the welded assembly as a whole would strain the weld.
+    turning the welded assembly as a whole would strain the weld. Returns the nominal gap, mm.
     """
     for name in weld.parts:
-        _on_part(key, weld.point, name, surfaces[name])
+        rows.on_part(key, weld.point, name)
     try:
-        pair = pair_at(weld.point, weld.radius, *(Side(surfaces[name], thickness[name]) for name in weld.parts))
+        pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
         raise SceneError(f"{key}.point: {error}; correct the coordinates") from None
     functional = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
-        body = retained[name]
-        index = body.add_patch(patch)
-        middle = side * (1 + pair.gap / thickness[name])
+        number = rows.patch(name, patch)
+        middle = side * (1 + pair.gap / bodies[name].thickness)
         functional.append(
             [
-                body.add(index, pair.frame[:, j], f"weld {weld.name} {axis}", rotation, 0.0 if rotation else middle)
+                rows.functional(
+                    name, number, pair.frame[:, j], f"weld {weld.name} {axis}", rotation, 0.0 if rotation else middle
+                )
                 for rotation in ((False, True) if weld.moment else (False,))
-                for j, axis in enumerate(("n", "t1", "t2"))
+                for j, axis in enumerate(AXES)
             ]
         )
     first, second = weld.parts
     for j, (a, b) in enumerate(zip(*functional)):
-        row("weld", f"{weld.name} {('', 'r')[j // 3]}{('n', 't1', 't2')[j % 3]}", (first, a, -1.0), (second, b, 1.0))
+        rows.add("weld", f"{weld.name} {('', 'r')[j // 3]}{AXES[j % 3]}", (first, a, -1.0), (second, b, 1.0))
     return pair.gap
 
 
-def _contact_rows(scene, bodies, thickness, retained, row, find):
+def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
     friction = any(law != "frictionless" for law in scene.report.laws) and any(
         zone.friction > 0 for zone in scene.zones
@@ -247,29 +173,25 @@ def _contact_rows(scene, bodies, thickness, retained, row, find):
     resolved = any(stage.kind != "locate" for stage in scene.stages)
     pairs, zone_of = [], []
     for i, zone in enumerate(scene.zones if resolved else ()):
-        sides = [Side(bodies[name], thickness[name]) for name in zone.parts]
         try:
-            found = find(zone, *sides)
+            found = find(zone, *(bodies[name] for name in zone.parts))
         except ValueError as error:
             raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
         for pair in found:
             number = len(pairs)
             terms = [[] for _ in range(dimension)]
             for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
-                if name not in retained:
+                if bodies[name].rigid:
                     continue  # a rigid fixture does not move
-                body = retained[name]
-                index = body.add_patch(patch)
+                index = rows.patch(name, patch)
                 for j in range(dimension):
-                    reading = body.add(
-                        index,
-                        pair.frame[:, j],
-                        f"contact {number} {('n', 't1', 't2')[j]}",
-                        side=0 if zone.mid_surface else side,
+                    label = f"contact {number} {AXES[j]}"
+                    reading = rows.functional(
+                        name, index, pair.frame[:, j], label, side=0 if zone.mid_surface else side
                     )
                     terms[j].append((name, reading, sign))
             for j in range(dimension):
-                row("contact", f"{zone.name} {number} {('n', 't1', 't2')[j]}", *terms[j])
+                rows.add("contact", f"{zone.name} {number} {AXES[j]}", *terms[j])
             pairs.append(pair)
             zone_of.append(i)
     zone_of = np.array(zone_of, dtype=np.int64)

@@ -1,0 +1,128 @@
+"""Finite elements of all parts of an assembly, and the assembly's rows over their freedoms: ``row · blkdiag(L_p)``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.sparse import block_diag, csr_matrix, vstack
+
+from fem_reference.full.equilibrium import Equilibrium, Parts
+from fem_reference.provider import shell_part
+from mic.compliance.blocks import Blocks
+from mic.compliance.elimination import motion_size, statically_determinate
+
+__all__ = ["Discretisation", "System"]
+
+REDUNDANT = 1e-12  # squared distance of a normalised row from the span of the others
+CONTRADICTS = 1e-8  # of the largest value: by so much a redundant row may miss what the others prescribe
+
+
+@dataclass(frozen=True)
+class System:
+    """A stage's equilibrium: its bilateral rows (b, N), the independent ones, and the rest as combinations of these."""
+
+    rows: csr_matrix
+    kept: np.ndarray
+    combination: np.ndarray
+    names: list[str]
+    equilibrium: Equilibrium
+
+    def consistent(self, value: np.ndarray) -> np.ndarray:
+        """Values of the independent rows, once those of the others follow from them.
+
+        Raises
+        ------
+        ValueError
+            Naming the row that contradicts the others.
+        """
+        others = np.setdiff1d(np.arange(len(value)), self.kept)
+        misfit = np.abs(value[others] - self.combination @ value[self.kept])
+        bad = np.flatnonzero(misfit > CONTRADICTS * np.abs(value).max(initial=0.0))
+        if len(bad):
+            name = self.names[others[bad[0]]]
+            raise ValueError(f"{name} is redundant and contradicts the other rows by {misfit[bad[0]]:.2g}; remove it")
+        return value[self.kept]
+
+
+class Discretisation:
+    """Finite elements of all parts, and the assembly's rows over their freedoms.
+
+    Parameters
+    ----------
+    assembly : mic.model.assembly.Assembly
+    parts : sequence of mic.compliance.part.Part
+        Those of the assembly, or the same on other meshes.
+    comm : MPI.Comm
+
+    Attributes
+    ----------
+    parts : Parts
+    readings : (F, N) csr_matrix
+        The functionals of all parts over their freedoms.
+    rows : dict of str to (r, N) csr_matrix
+    rigid : Blocks
+        Readings of the parts' rigid motions by the functionals; it holds no compliance.
+    contact_stiffness : (m,) array
+        k = E t of each contact's softer sheet, N/mm.
+    """
+
+    def __init__(self, assembly, parts, comm):
+        self.assembly = assembly
+        shells = [shell_part(part, comm) for part in parts]
+        self.parts = Parts(shells, comm)
+        L = [shell.functional_matrix(part.functionals) for shell, part in zip(shells, parts)]
+        self.readings = block_diag(L, format="csr")
+        self.rows = {kind: (rows @ self.readings).tocsr() for kind, rows in assembly.rows.items()}
+        readings = tuple(np.asarray(reading @ shell.rigid_modes) for reading, shell in zip(L, shells))
+        self.rigid = Blocks(tuple(np.zeros((len(G), 0)) for G in readings), readings)
+        d = assembly.contacts.dimension
+        k = np.array([part.young * part.thickness for part in parts])
+        contact = assembly.rows["contact"]
+        body = np.searchsorted(assembly.offsets, contact.indices, side="right") - 1
+        edges = contact.indptr
+        self.contact_stiffness = np.array([k[body[edges[i] : edges[i + 1]]].min() for i in range(0, len(edges) - 1, d)])
+        self._systems: dict[str, System] = {}
+
+    def contact(self, u: np.ndarray) -> np.ndarray:
+        """(m, d) relative displacements δ of the contacts."""
+        return (self.rows["contact"] @ u).reshape(-1, self.assembly.contacts.dimension)
+
+    def vertex_fields(self, u: np.ndarray) -> dict[str, np.ndarray]:
+        """(n_points, 6) displacements and rotations at the vertices of each part, by name."""
+        return {
+            part.name: (shell.vertex_values @ u[lo:hi]).reshape(-1, 6)
+            for part, shell, lo, hi in zip(
+                self.assembly.parts, self.parts.shells, self.parts.offsets, self.parts.offsets[1:]
+            )
+        }
+
+    def system(self, plan) -> System:
+        """The system of a stage (`mic.process.plan.StagePlan`), set up once.
+
+        Raises
+        ------
+        FreeMotion
+            If its rows leave a part free to move.
+        """
+        if plan.name not in self._systems:
+            functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in plan.bilateral], format="csr")
+            statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
+            B = vstack([self.rows[kind][i] for kind, i in plan.bilateral], format="csr")
+            kept, combination = _independent(B)
+            names = [self.assembly.labels[kind][i] for kind, i in plan.bilateral]
+            equilibrium = Equilibrium(self.parts, B[kept], self.rows["contact"], self.assembly.contacts.dimension)
+            self._systems[plan.name] = System(B, kept, combination, names, equilibrium)
+        return self._systems[plan.name]
+
+
+def _independent(B):
+    """Rows that span all (ascending), and the others as combinations of them."""
+    scale = 1 / np.sqrt(np.asarray(B.multiply(B).sum(axis=1)).ravel())
+    gram = (B @ B.T).toarray() * np.outer(scale, scale)
+    _, pivot, rank, _ = lapack.dpstrf(gram, tol=REDUNDANT, lower=1)
+    kept = np.sort(pivot[:rank] - 1)
+    others = np.setdiff1d(np.arange(B.shape[0]), kept)
+    combination = np.linalg.solve(gram[np.ix_(kept, kept)], gram[np.ix_(kept, others)]).T
+    return kept, combination * scale[kept] / scale[others, None]

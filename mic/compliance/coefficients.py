@@ -1,0 +1,68 @@
+"""Influence coefficients of a part, the only thing that the production path needs from the finite elements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mic import store
+
+__all__ = ["InfluenceCoefficients"]
+
+FORMAT = store.Format("set of influence coefficients", 1, "delete the file, and they are computed again")
+
+
+@dataclass(frozen=True)
+class InfluenceCoefficients:
+    """Compliance of one free part at its retained functionals.
+
+    The readings of the functionals under forces ``f`` on them are ``y = H f + G q`` with ``Gᵀ f = 0``: `H` was
+    computed on some statically determinate support, whose reactions vanish because the forces, fixture reactions
+    included, balance; ``q`` is the rigid-body motion. ``H = L K⁻¹ Lᵀ`` is equation (2) of the paper.
+
+    Attributes
+    ----------
+    part : str
+    H : (n, n) array
+        Symmetric; mm/N for displacement rows under forces, rad/N, rad/(N mm) for rotations.
+    G : (n, 6) array
+        Readings of the six rigid-body modes (translations along x, y, z, rotations about x, y, z through the
+        centroid).
+    provenance : dict
+        What the coefficients were computed from (element, sizes, versions), for the record.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together or hold values that are not finite.
+    """
+
+    part: str
+    H: np.ndarray
+    G: np.ndarray
+    provenance: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        n = len(self.H)
+        if self.H.shape != (n, n) or self.G.shape != (n, 6):
+            raise ValueError(f"part {self.part!r}: H {self.H.shape} and G {self.G.shape} do not fit together")
+        if not (np.isfinite(self.H).all() and np.isfinite(self.G).all()):
+            raise ValueError(f"part {self.part!r}: the influence coefficients hold values that are not finite")
+
+    def save(self, path: Path) -> None:
+        """Write to one ``.npz`` file."""
+        store.save_arrays(path, FORMAT, {"part": self.part, "provenance": self.provenance}, {"H": self.H, "G": self.G})
+
+    @classmethod
+    def load(cls, path: Path) -> InfluenceCoefficients:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+        FormatError
+        """
+        header, arrays = store.load_arrays(path, FORMAT)
+        return cls(header["part"], arrays["H"], arrays["G"], header["provenance"])

@@ -1,0 +1,93 @@
+"""Who computes compliance: the border between the production path and any finite-element code.
+
+A provider is found by its entry point in the group ``mic.compliance``; `fem_reference` registers one there as any other
+package may. The production path names none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.compliance.part import Part
+from mic.errors import MissingProvider
+
+__all__ = ["GROUP", "Provider", "find", "installed"]
+
+GROUP = "mic.compliance"  #: of the entry points
+REMEDY = "on Debian: apt-get install python3-dolfinx; or copy a cache folder from a machine that has it"
+
+
+@runtime_checkable
+class Provider(Protocol):
+    """What computes the compliance of parts."""
+
+    def accepts(self, part: Part) -> bool:
+        """Whether it can compute this part."""
+        ...
+
+    def coefficients(self, parts: Sequence[Part], comm: Any = None) -> dict[str, InfluenceCoefficients]:
+        """Influence coefficients of the parts by name, whole on every process.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+        comm : mpi4py.MPI.Comm, optional
+            Processes that call together and share the parts out; default: all that were started.
+        """
+        ...
+
+    def field(self, part: Part, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements and rotations at the v vertices of the part's surface, mm and rad.
+
+        Parameters
+        ----------
+        part : Part
+        forces : (F, r) array
+            r self-balanced sets of forces on the part's functionals, N and N mm.
+
+        Returns
+        -------
+        solved : (v, 6, r) array
+            On the support that the coefficients were computed on.
+        rigid : (v, 6, 6) array
+            Of each rigid-body mode, mode last.
+        """
+        ...
+
+
+@cache
+def installed() -> tuple[dict[str, Provider], dict[str, str]]:
+    """The providers that can be loaded, by name, and for each of the others why it cannot."""
+    found, broken = {}, {}
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        try:
+            found[point.name] = point.load()()
+        except ImportError as error:
+            broken[point.name] = str(error)
+    return found, broken
+
+
+def find(part: Part) -> Provider:
+    """The first installed provider that accepts a part.
+
+    Raises
+    ------
+    MissingProvider
+        If there is none; the message says what is missing and how to install it.
+    """
+    found, broken = installed()
+    for provider in found.values():
+        if provider.accepts(part):
+            return provider
+    reasons = [f"{name}: {reason}" for name, reason in broken.items()]
+    reasons += [f"{name} does not know it" for name in found] or ["no package registers one"] * (not broken)
+    raise MissingProvider(
+        f"part {part.name!r}: its compliance must be computed by finite elements, and no provider of them is at hand "
+        f"({'; '.join(reasons)}); {REMEDY}"
+    )

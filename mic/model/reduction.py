@@ -1,0 +1,180 @@
+"""The reduction of an assembly: all that a Monte Carlo needs, and nothing of the finite elements.
+
+It can be saved, carried to a machine without any finite elements, loaded and evaluated there
+(:class:`mic.process.model.ReducedModel`).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from mic import store
+from mic.compliance.blocks import Blocks
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.model.assembly import Assembly, Contacts
+from mic.model.shape import shape_readings
+from mic.scene import Scene
+
+__all__ = ["Reduction"]
+
+FORMAT = store.Format("reduced model", 2, "build the model again")
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Compliance, rows and deviations of an assembly.
+
+    Attributes
+    ----------
+    scene : Scene
+    compliance : Blocks
+        H and G of the free parts at their retained functionals (equation (2)), F in all.
+    rows, labels, contacts, weld_size, weld_gap
+        As in :class:`mic.model.assembly.Assembly`.
+    shape : (F, p) array
+        Readings of the deviation of the parts' shapes per unit of each of the scene's p deviations (zero columns for
+        those that give no shape).
+    shape_forces : (F, p) array
+        Forces that make these shapes, reactions included, N and N mm.
+    """
+
+    scene: Scene
+    compliance: Blocks
+    rows: dict[str, csr_matrix]
+    labels: dict[str, list[str]]
+    contacts: Contacts
+    weld_size: tuple[int, ...]
+    weld_gap: np.ndarray
+    shape: np.ndarray
+    shape_forces: np.ndarray
+
+    @classmethod
+    def build(cls, assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> Self:
+        """Put the parts' influence coefficients together.
+
+        Parameters
+        ----------
+        assembly : Assembly
+        influence : dict
+            By part name.
+
+        Raises
+        ------
+        ValueError
+            If the coefficients belong to another assembly.
+        """
+        for part in assembly.parts:
+            if len(influence[part.name].H) != len(part.functionals):
+                raise ValueError(
+                    f"part {part.name!r}: the influence coefficients have {len(influence[part.name].H)} rows, "
+                    f"the assembly {len(part.functionals)} functionals: they belong to another scene"
+                )
+        own = [influence[part.name] for part in assembly.parts]
+        compliance = Blocks(tuple(one.H for one in own), tuple(one.G for one in own))
+        shape, forces = shape_readings(assembly, compliance)
+        return cls(
+            assembly.scene,
+            compliance,
+            assembly.rows,
+            assembly.labels,
+            assembly.contacts,
+            assembly.weld_size,
+            assembly.weld_gap,
+            shape,
+            forces,
+        )
+
+    @property
+    def parameters(self) -> list[str]:
+        """Names of the scene's deviations, the columns of every array of deviations."""
+        return [deviation.name for deviation in self.scene.deviations]
+
+    def deviations(self, values: Any) -> np.ndarray:
+        """(n, p) array of deviations from a dict by name (the rest at their means), one vector or an array.
+
+        Raises
+        ------
+        ValueError
+            For unknown names, wrong shapes, or values that are not finite.
+        """
+        mean = np.array([deviation.mean for deviation in self.scene.deviations])
+        if isinstance(values, dict):
+            unknown = sorted(set(values) - set(self.parameters))
+            if unknown:
+                raise ValueError(
+                    f"deviations: {unknown[0]!r} is not a deviation of this scene; known: {', '.join(self.parameters)}"
+                )
+            row = mean.copy()
+            for name, value in values.items():
+                row[self.parameters.index(name)] = value
+            values = row
+        array = np.atleast_2d(np.asarray(values, dtype=float))
+        if array.ndim != 2 or array.shape[1] != len(mean):
+            raise ValueError(
+                f"deviations: expected {len(mean)} values per sample ({', '.join(self.parameters)}), "
+                f"got shape {array.shape}"
+            )
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            raise ValueError(
+                f"deviations: sample {bad[0][0]}, {self.parameters[bad[0][1]]!r} is {array[tuple(bad[0])]}; "
+                "give a finite number"
+            )
+        return array
+
+    def save(self, path) -> None:
+        """Write to one ``.npz`` file."""
+        arrays = {"weld_gap": self.weld_gap, "shape": self.shape, "shape_forces": self.shape_forces}
+        arrays |= {f"H_{p}": H for p, H in enumerate(self.compliance.H)}
+        arrays |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
+        arrays |= {
+            f"rows_{kind}_{name}": getattr(matrix, name)
+            for kind, matrix in self.rows.items()
+            for name in ("data", "indices", "indptr")
+        }
+        arrays |= {f"contacts_{name}": getattr(self.contacts, name) for name in Contacts.__dataclass_fields__}
+        header = {
+            "scene": json.loads(self.scene.model_dump_json()),
+            "labels": self.labels,
+            "weld_size": self.weld_size,
+        }
+        store.save_arrays(Path(path), FORMAT, header, arrays)
+
+    @classmethod
+    def load(cls, path) -> Self:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+        FormatError
+            If the file was written by an incompatible version, is something else, or is damaged.
+        """
+        header, data = store.load_arrays(Path(path), FORMAT)
+        parts = range(len(header["scene"]["parts"]))
+        compliance = Blocks(tuple(data[f"H_{p}"] for p in parts), tuple(data[f"G_{p}"] for p in parts))
+        rows = {
+            kind: csr_matrix(
+                tuple(data[f"rows_{kind}_{name}"] for name in ("data", "indices", "indptr")),
+                shape=(len(labels), compliance.size),
+            )
+            for kind, labels in header["labels"].items()
+        }
+        contacts = {name: data[f"contacts_{name}"] for name in Contacts.__dataclass_fields__}
+        return cls(
+            Scene(**header["scene"]),
+            compliance,
+            rows,
+            header["labels"],
+            Contacts(**contacts | {"dimension": int(contacts["dimension"])}),
+            tuple(header["weld_size"]),
+            data["weld_gap"],
+            data["shape"],
+            data["shape_forces"],
+        )

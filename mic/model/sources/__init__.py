@@ -1,0 +1,23 @@
+"""Sources of deviation: one file a kind, registered here by the word that the scene uses for it.
+
+A deviation of shape is not a force. Per unit amplitude a source gives its part readings y⁰ of the retained
+functionals in the stress-free shape, so that with forces f and rigid motions q the functionals read ``y = H f + G q +
+Σ a y⁰`` (:mod:`mic.model.shape` finds y⁰ from the force that makes the shape), or it moves the fixture.
+"""
+
+from __future__ import annotations
+
+from mic.model.sources.clamp import ClampDeviation
+from mic.model.sources.force import CorrectiveForce
+from mic.model.sources.locator import LocatorPosition
+from mic.model.sources.source import Source
+
+__all__ = ["SOURCES", "Source", "sources"]
+
+#: Kind in the scene's ``[[deviations]]`` → class.
+SOURCES: dict[str, type[Source]] = {"force": CorrectiveForce, "locator": LocatorPosition, "clamp": ClampDeviation}
+
+
+def sources(scene) -> list[Source]:
+    """The sources of a scene, in the order of its deviations."""
+    return [SOURCES[item.kind](item, f"deviations[{i}]") for i, item in enumerate(scene.deviations)]

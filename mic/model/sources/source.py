@@ -1,0 +1,49 @@
+"""What a source of deviation is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from scipy.sparse import csr_matrix
+
+__all__ = ["Row", "Source"]
+
+Row = tuple[str, int]  #: a row by its kind and its number
+
+
+class Source:
+    """One of a scene's deviations: what a unit of its amplitude does to the assembly.
+
+    Amplitudes come from the scene's distributions (`mic.sampling`). What a source does is linear in them: it gives a
+    part another stress-free shape, it moves what a bilateral row prescribes, or it pushes. A kind of source overrides
+    what it does and leaves the rest.
+
+    Parameters
+    ----------
+    deviation
+        The scene's table.
+    key : str
+        Where it stands in the scene, for messages.
+    """
+
+    def __init__(self, deviation: Any, key: str):
+        self.deviation, self.key = deviation, key
+
+    def retain(self, rows: Any) -> None:
+        """Add the rows that the source needs to :class:`mic.model.rows.Rows`."""
+
+    def load(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> csr_matrix | None:
+        """Force (1, F) that shapes a part per unit amplitude, N, or None.
+
+        The part is held on its datum locators while the force acts; the deformed shape is then its stress-free shape.
+        """
+        return None
+
+    def target(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
+        """By how much bilateral rows are moved per unit amplitude, mm along the row."""
+        return {}
+
+    def push(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
+        """By how much the forces of clamp rows grow per unit amplitude, N along the row."""
+        return {}

@@ -1,0 +1,92 @@
+"""What the process hands out: contact solutions per stage, key characteristics, forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+__all__ = ["Evaluation", "Resolution"]
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Contact solution of one stage for n samples and m pairs of dimension d (3, or 1 where only normals are modelled).
+
+    Attributes
+    ----------
+    stage : str
+    force : (n, m, d) array
+        N; normal compression positive.
+    displacement : (n, m, d) array
+        mm; the normal component is the gap, the tangential ones the slip since the stage before.
+    state : (n, m) int8 array
+        A :class:`mic.contact.states.ContactState` each.
+    residual : (n,) array
+        The scale-free natural-map residual, the largest of the stage's increments.
+    converged : (n,) bool array
+        True where every increment met its tolerance.
+    iterations : (n,) int array
+    status : (n,) object array
+        Outcome of the last increment.
+    reaction : (n, b) array
+        Forces of the bilateral rows on the parts, N or N mm.
+    """
+
+    stage: str
+    force: np.ndarray
+    displacement: np.ndarray
+    state: np.ndarray
+    residual: np.ndarray
+    converged: np.ndarray
+    iterations: np.ndarray
+    status: np.ndarray
+    reaction: np.ndarray
+
+    @classmethod
+    def join(cls, pieces: Sequence[Resolution]) -> Resolution:
+        """Resolutions of one stage, put one after the other."""
+        return cls(stage=pieces[0].stage, **_stacked(pieces, cls))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Outcome of n assemblies.
+
+    Attributes
+    ----------
+    law : str
+    deviations : (n, p) array
+    resolutions : dict of str to Resolution
+        By stage, for the stages that resolve contact.
+    measurements : (n, k) array
+        Key characteristics in the scene's order, mm from nominal; empty where nothing reads them.
+    failed : (n,) bool array
+        Samples whose contact missed its tolerance in some stage.
+    functional_force : (n, F) array
+        All forces on the retained functionals in the last stage, those that made the parts' shapes included.
+    motion : (n, 6P) array
+        Rigid-body motions of the parts in the last stage, shape deviation included.
+    """
+
+    law: str
+    deviations: np.ndarray
+    resolutions: dict[str, Resolution]
+    measurements: np.ndarray
+    failed: np.ndarray
+    functional_force: np.ndarray
+    motion: np.ndarray
+
+    @classmethod
+    def join(cls, pieces: Sequence[Evaluation]) -> Evaluation:
+        """Evaluations of one law, put one after the other."""
+        stages = pieces[0].resolutions
+        resolutions = {stage: Resolution.join([piece.resolutions[stage] for piece in pieces]) for stage in stages}
+        return cls(law=pieces[0].law, resolutions=resolutions, **_stacked(pieces, cls))
+
+
+def _stacked(pieces, cls) -> dict[str, np.ndarray]:
+    """Every field that is an array with the sample as its first axis, put one after the other."""
+    arrays = [field.name for field in fields(cls) if field.type == "np.ndarray"]
+    return {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in arrays}

@@ -1,0 +1,89 @@
+"""The reduced model that users hold: a reduction that evaluates itself."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mic.model.reduction import Reduction
+from mic.process.actions import Joints
+from mic.process.evaluation import Evaluation
+from mic.process.process import Process
+from mic.process.stage import EliminatedStage, eliminate_stages
+
+__all__ = ["ReducedModel"]
+
+
+class ReducedModel(Reduction):
+    """The reduced model of an assembly; attributes as :class:`mic.model.reduction.Reduction`.
+
+    What is prepared for a contact law is prepared once and kept.
+    """
+
+    @property
+    def joints(self) -> Joints:
+        """Which rows the welds have."""
+        return Joints(tuple(self.weld_size))
+
+    @cached_property
+    def eliminations(self) -> list[EliminatedStage]:
+        """Every stage with its bilateral rows eliminated, once for all contact laws."""
+        return eliminate_stages(self)
+
+    @cached_property
+    def _processes(self) -> dict[tuple, Process]:
+        return {}
+
+    def process(self, law: str | None = None, tol: float = 1e-10, backend: str = "native", threads: int = 1) -> Process:
+        """The prepared process under a contact law (default: the first that the scene's report names).
+
+        The other arguments are those of :class:`mic.process.process.Process`.
+        """
+        key = (law or self.scene.report.laws[0], tol, backend, threads)
+        if key not in self._processes:
+            self._processes[key] = Process(self, *key)
+        return self._processes[key]
+
+    def evaluate(self, deviations: Any, law: str | None = None) -> Evaluation:
+        """Take one assembly, or a batch, through all stages.
+
+        Parameters
+        ----------
+        deviations : dict of str to float, (p,) array or (n, p) array
+            Values of the scene's deviations by name (the rest at their means), or in the order of :attr:`parameters`.
+        law : str, optional
+            Contact law; default: the first of the scene's report.
+
+        Raises
+        ------
+        ValueError
+            For unknown names, wrong shapes, or values that are not finite.
+        """
+        return self.process(law).evaluate(self.deviations(deviations))
+
+    @property
+    def H(self) -> np.ndarray:
+        """(F, F) compliance with all its zeros; deprecated, use :attr:`compliance`."""
+        return self._dense("H", 0)
+
+    @property
+    def G(self) -> np.ndarray:
+        """(F, 6P) rigid-body readings with all their zeros; deprecated, use :attr:`compliance`."""
+        return self._dense("G", 1)
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """(P + 1,) first functional of each part, and F at the end; deprecated, use :attr:`compliance`."""
+        warnings.warn("ReducedModel.offsets is now ReducedModel.compliance.offsets", DeprecationWarning, stacklevel=2)
+        return self.compliance.offsets
+
+    def _dense(self, name, index):
+        warnings.warn(
+            f"ReducedModel.{name} is kept by parts now: use ReducedModel.compliance (its dense() has the whole)",
+            DeprecationWarning,
+            stacklevel=3,
+        )
+        return self.compliance.dense()[index]

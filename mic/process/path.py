@@ -1,0 +1,51 @@
+"""The path by which a stage's load grows: friction depends on it.
+
+With s from 0 to 1 over a stage, bilateral rows go from what they read before to their targets, ``v(s) = v⁰ + s (v¹ −
+v⁰)``; clamp forces grow from what they were; rows let go and forces taken away fade, ``p(s) = p⁰ + s (p¹ − p⁰)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Increments", "Ramp"]
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Values and loads of n assemblies that grow together over a stage.
+
+    Attributes
+    ----------
+    value_start, value_end : (n, b) array
+        Of the bilateral rows, mm and rad.
+    load_start, load_end : (n, l) array
+        Of the load rows, N and N mm.
+    """
+
+    value_start: np.ndarray
+    value_end: np.ndarray
+    load_start: np.ndarray
+    load_end: np.ndarray
+
+    def at(self, s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Values and loads at s."""
+        return (
+            self.value_start + s * (self.value_end - self.value_start),
+            self.load_start + s * (self.load_end - self.load_start),
+        )
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Equal steps, each resolved by one backward-Euler step of the law."""
+
+    count: int
+
+    def steps(self) -> Iterator[float]:
+        """Ends of the steps: 1/count, 2/count, …, 1."""
+        for step in range(1, self.count + 1):
+            yield step / self.count

@@ -1,0 +1,56 @@
+"""The state that one stage hands to the next.
+
+Every stage is solved in total displacements from the stress-free parts, so only friction and welds carry memory: a weld
+keeps the relative displacement that it found, and slip is measured from where the contact was left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mic.process.actions import Row
+
+__all__ = ["ProcessState"]
+
+
+@dataclass(frozen=True)
+class ProcessState:
+    """n assemblies at the end of a stage.
+
+    Attributes
+    ----------
+    reading : dict of str to (n, r) array
+        What the rows of each kind read of the displacement, mm and rad.
+    force : (n, m, d) array
+        Contact forces, N.
+    left : (n, m, d) array
+        Relative displacement δ at which each contact was left, mm.
+    value : dict of (str, int) to (n,) array
+        Values that the bilateral rows hold.
+    reaction : dict of (str, int) to (n,) array
+        Forces of the bilateral rows on the parts, N or N mm.
+    push : dict of int to (n,) array
+        Forces of the clamp rows that push, N.
+    frozen : dict of int to (n,) array
+        Relative displacement that each weld row keeps.
+    failed : (n,) bool array
+        Samples whose contact missed its tolerance in some stage.
+    """
+
+    reading: Mapping[str, np.ndarray]
+    force: np.ndarray
+    left: np.ndarray
+    failed: np.ndarray
+    value: Mapping[Row, np.ndarray] = field(default_factory=dict)
+    reaction: Mapping[Row, np.ndarray] = field(default_factory=dict)
+    push: Mapping[int, np.ndarray] = field(default_factory=dict)
+    frozen: Mapping[int, np.ndarray] = field(default_factory=dict)
+
+    @classmethod
+    def start(cls, n: int, m: int, d: int, rows: Mapping[str, int]) -> ProcessState:
+        """Free, unloaded parts: n assemblies, m contacts of dimension d, and so many rows of each kind."""
+        reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
+        return cls(reading, np.zeros((n, m, d)), np.zeros((n, m, d)), np.zeros(n, dtype=bool))
