@@ -26,25 +26,6 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason="needs finite elements (dolfinx) or gmsh"))
 
 
-@pytest.fixture(scope="session", autouse=not FINITE_ELEMENTS)
-def shipped_compliance():
-    """Without finite elements the shipped compliance stands in, see support/shipped.py."""
-    from mic.compliance import influence
-    from support.shipped import Shipped
-
-    def compute(parts, cache, comm):
-        provider = Shipped()
-        for part in parts:
-            if not provider.accepts(part):
-                raise mic.errors.MissingProvider(part.name)
-            provider.coefficients([part])[part.name].save(influence._cached_file(part, cache))
-
-    patch = pytest.MonkeyPatch()
-    patch.setattr(influence, "_compute", compute)
-    yield
-    patch.undo()
-
-
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory):
     """A cache folder of its own, so that no test depends on what earlier runs left behind."""
@@ -54,6 +35,9 @@ def cache(tmp_path_factory):
 @pytest.fixture(scope="session")
 def lap_scene():
     return mic.load_scene(ROOT / "meshes" / "lap_joint")
+
+
+# Where no finite elements are installed, the compliance that tests/support/shipped.py provides takes their place.
 
 
 @pytest.fixture(scope="session")

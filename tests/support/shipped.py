@@ -16,7 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import mic
-from mic.compliance.influence import InfluenceCoefficients, influence_coefficients
+from mic.compliance.cache import influence_coefficients
+from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import MissingProvider
 from mic.model.assembly import assemble
 from mic.store import Format, load_arrays, save_arrays
