@@ -13,7 +13,7 @@ FINITE_ELEMENTS = importlib.util.find_spec("dolfinx") is not None
 
 
 def pytest_ignore_collect(collection_path):
-    """Without finite elements, a module that is marked ``fem`` as a whole is not even imported: its imports would fail."""
+    """Without finite elements, a module marked ``fem`` as a whole is not even imported: its imports would fail."""
     if FINITE_ELEMENTS or collection_path.suffix != ".py":
         return None
     return bool(re.search(r"^pytestmark = .*\bfem\b", collection_path.read_text(encoding="utf-8"), re.M)) or None

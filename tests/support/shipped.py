@@ -1,11 +1,11 @@
-"""Compliance of the small scenes, shipped with the tests: the program runs on it where no finite elements are installed.
+"""Compliance of the small scenes, shipped with the tests: the program runs on it where there are no finite elements.
 
-``tests/data/SCENE.npz`` holds the influence coefficients of each part of a scene, and where each of its functionals reads.
+``tests/data/SCENE.npz`` holds the influence coefficients of each part of a scene, and where each functional reads.
 A scene that keeps the parts and asks for no other functionals (other laws, stages, increments, friction) is served by
-selection of rows. The program finds this provider as it finds any other: by the entry point in ``tests/shipped.dist-info``.
+selection of rows. The program finds this provider as it finds any: by the entry point in ``tests/shipped.dist-info``.
 
-``PYTHONPATH=tests python -m support.shipped`` computes the files anew; that takes finite elements. It is needed when parts,
-meshes or functionals of the scenes change, and at no other time.
+``PYTHONPATH=tests python -m support.shipped`` computes the files anew; that takes finite elements. It is needed when
+parts, meshes or functionals of the scenes change, and at no other time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SAME = 1e-7  # mm, and components of unit vectors: readings that are closer than
 
 
 def places(part) -> np.ndarray:
-    """(F, 9) array: where each functional of a part reads: point, size of the patch, direction, rotation or not, side."""
+    """(F, 9) array: where each functional of a part reads: point, patch size, direction, rotation or not, side."""
     rows = []
     for patch in part.functionals.patches:
         at = part.surface.at(patch.triangle, patch.barycentric)
@@ -65,7 +65,9 @@ class Shipped:
         for part in parts:
             arrays, rows = self._rows(part)
             H, G = arrays[f"{part.name}:H"], arrays[f"{part.name}:G"]
-            found[part.name] = InfluenceCoefficients(part.name, H[np.ix_(rows, rows)], G[rows], {"element": part.element})
+            found[part.name] = InfluenceCoefficients(
+                part.name, H[np.ix_(rows, rows)], G[rows], {"element": part.element}
+            )
         return found
 
     def field(self, part, forces):
