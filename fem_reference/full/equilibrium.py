@@ -407,7 +407,7 @@ class Equilibrium:
         NoConvergence
             After `_MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
-        N = self.N
+        N, b = self.N, self.b
         x = np.concatenate([start.u, start.reaction, start.force.ravel()])
         δ = self._contact(x)
         state = law.state(δ)
@@ -475,7 +475,7 @@ class Equilibrium:
         along; after `_PATIENCE` iterations every step that changes a state is. A step that moves the bilateral rows
         is taken whole.
         """
-        N = self.N
+        N, b = self.N, self.b
         δ, dδ = self._contact(x), self._contact(dx)
         if not law.reverses(δ, δ + dδ) and (iteration < _PATIENCE or (law.state(δ + dδ) == state).all()):
             return 1.0
