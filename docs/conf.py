@@ -1,0 +1,56 @@
+"""Sphinx: the documentation is these pages, what the code says of itself, and a gallery that is run (script/docs)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mic
+
+sys.path.insert(0, str(Path(__file__).parent))  # pages.py, which writes the generated pages
+import pages  # noqa: E402  it stands beside this file
+
+project = "mic-contact"
+author = "The authors of mic-contact"
+copyright = "The authors of mic-contact"
+version = release = mic.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["gallery/*", "images/*.py"]
+suppress_warnings = ["config.cache"]  # the gallery's order is a function, which no cache can hold
+
+default_role = "literal"  # single backquotes name an argument or attribute
+autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the numpydoc sections say more: shapes, units, signs
+numpydoc_show_class_members = False
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "_generated/gallery",
+    "filename_pattern": r"\.py$",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "write_computation_times": False,
+    "remove_config_comments": True,
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "mic-contact"
+html_show_sourcelink = False
+html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+
+
+def setup(app):
+    """Write the generated pages before Sphinx looks for sources."""
+    pages.write(Path(__file__).parent / "_generated")
