@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -26,7 +27,7 @@ exclude_patterns = ["gallery/*", "images/*.py"]
 suppress_warnings = ["config.cache"]  # the gallery's order is a function, which no cache can hold
 
 default_role = "literal"  # single backquotes name an argument or attribute
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the numpydoc sections say more: shapes, units, signs
 numpydoc_show_class_members = False
@@ -51,6 +52,17 @@ html_show_sourcelink = False
 html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
 
 
+def references(app, what, name, obj, options, lines):
+    """A module's references are numbered once and cited by its functions; numpydoc would number each docstring's own."""
+    text = "\n".join(lines)
+    if what == "module":
+        text = re.sub(r"^(\w[^\n]*)\n-{3,}$", r".. rubric:: \1\n", text, flags=re.MULTILINE)
+        text = re.sub(r"^\.\. \[(\d+)\] ", r"- [\1] ", text, flags=re.MULTILINE)
+        text = re.sub(r"^   (?=\S)", "  ", text, flags=re.MULTILINE) if "- [1] " in text else text
+    lines[:] = re.sub(r"\[(\d+)\]_", r"[\1]", text).split("\n") if what == "module" or ".. [" not in text else lines[:]
+
+
 def setup(app):
     """Write the generated pages before Sphinx looks for sources."""
     pages.write(Path(__file__).parent / "_generated")
+    app.connect("autodoc-process-docstring", references, priority=100)  # before numpydoc

@@ -54,7 +54,7 @@ def api() -> dict[str, str]:
         lines += [f"## `{package}`: {job}", "", "```{toctree}", ":maxdepth: 1", ""]
         for name in public(package):
             lines.append(f"api/{name}")
-            pages[f"api/{name}.md"] = f"# `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"
+            pages[f"api/{name}.md"] = _module_page(name)
         lines += ["```", ""]
     return pages | {"api.md": "\n".join(lines)}
 
@@ -85,9 +85,9 @@ def scene() -> dict[str, str]:
 def results() -> dict[str, str]:
     """Every table and column of a results folder, from the declaration that writes and checks them."""
     if find_spec("mic.results.schema") is None:
-        return {"results.md": "# Results\n\nREADME.md tells what a results folder holds.\n"}
+        return {"../results.md": "# Results\n\nREADME.md tells what a results folder holds.\n"}
     text = importlib.import_module("mic.results.schema").reference()
-    return {"results.md": text if text.startswith("# ") else f"# Results\n\n{text}\n"}
+    return {"../results.md": text if text.startswith("# ") else f"# Results\n\n{text}\n"}  # one title, whoever gives it
 
 
 def verification() -> dict[str, str]:
@@ -102,6 +102,31 @@ def verification() -> dict[str, str]:
 
 def _module(name):
     return importlib.import_module(name)
+
+
+def _module_page(name) -> str:
+    """What a module defines, in full; what it hands on from another module, as a link there."""
+    module = _module(name)
+    own, elsewhere, aliases = [], [], []
+    for item in module.__all__:
+        thing = getattr(module, item)
+        home = getattr(thing, "__module__", name)
+        if (
+            isinstance(thing, (types.GenericAlias, types.UnionType)) or type(thing).__module__ == "typing"
+        ):  # autodoc takes them for classes
+            aliases.append(f"- `{item}` = `{thing}`")
+        elif isinstance(thing, types.ModuleType):
+            elsewhere.append(f"- {{py:mod}}`{thing.__name__}`")
+        elif home == name or not (inspect.isclass(thing) or inspect.isroutine(thing)):
+            own.append(item)
+        else:
+            elsewhere.append(f"- {{py:obj}}`{item} <{home}.{thing.__qualname__}>`")
+    members = f"   :members: {', '.join(own)}" if own else "   :no-members:"
+    lines = [f"# `{name}`", "", "```{eval-rst}", f".. automodule:: {name}", members, "```", ""]
+    for title, items in (("Names for types", aliases), ("Also to be had here", elsewhere)):
+        if items:
+            lines += [f"## {title}", "", *items, ""]
+    return "\n".join(lines)
 
 
 def _models(annotation) -> list[type[pydantic.BaseModel]]:
