@@ -2,8 +2,8 @@
 
     python benchmarks/influence.py [--dofs 200000] [--functionals 699] [--skip-columns] [--threads 1]
 
-The part is a doubly curved panel with a flange, the functionals displacements along x, y, z averaged over discs of 5 mm.
-H = L K⁻¹ Lᵀ by
+The part is a doubly curved panel with a flange, the functionals displacements along x, y, z averaged over discs of 5
+mm. H = L K⁻¹ Lᵀ by
 
 - `schur`: the Schur complement of the bordered matrix, as shipped, its own check included;
 - `sparse blocks`: MUMPS, blocks of sparse right-hand sides (the fall-back);
@@ -12,9 +12,9 @@ H = L K⁻¹ Lᵀ by
 - `cholmod`: scikit-sparse, supernodal, forward sweeps alone on dense blocks, Y = L_c⁻¹ P Lᵀ, H = YᵀY;
 - `pardiso`: pypardiso, dense blocks; both if installed.
 
-Times are the least of three runs (`columns`: one), processor time of the process with one BLAS thread, so that other work on the machine
-leaves little trace; wall-clock time stands beside it. Every run of a method follows one of the bare factorisation by MUMPS, and ratios are to
-the least of those.
+Times are the least of three runs (`columns`: one), processor time of the process with one BLAS thread, so that other
+work on the machine leaves little trace; wall-clock time stands beside it. Every run of a method follows one of the bare
+factorisation by MUMPS, and ratios are to the least of those.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ import numpy as np
 from petsc4py import PETSc
 from threadpoolctl import threadpool_limits
 
-from fem_reference.shell.factorisation import BLOCK, Factorisation, influence_matrix
+from fem_reference.shell.factorisation import BLOCK, Factorisation
+from fem_reference.shell.influence import influence_matrix
 from fem_reference.shell.part import ShellPart
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
@@ -151,7 +152,8 @@ def main():
     methods = [schur, sparse_blocks, dense_blocks, cholmod, pardiso] + ([] if arguments.skip_columns else [columns])
     times, ratios, reference = {}, {}, None
     print(
-        f"{'method':16s}{'total, s':>10s}{'wall, s':>9s}{'/ bare':>8s}{'/ schur':>9s}{'difference':>12s}{'asymmetry':>11s}{'MUMPS, MB':>11s}"
+        f"{'method':16s}{'total, s':>10s}{'wall, s':>9s}{'/ bare':>8s}{'/ schur':>9s}"
+        f"{'difference':>12s}{'asymmetry':>11s}{'MUMPS, MB':>11s}"
     )
     for method in methods:
         name, bare, total, elapsed = method.__name__.replace("_", " "), [], [], []
@@ -169,7 +171,8 @@ def main():
         asymmetry = abs(H - H.T).max() / abs(H).max()
         relative = times[name] / times["schur"]
         print(
-            f"{name:16s}{times[name]:10.2f}{min(elapsed):9.2f}{ratios[name]:8.2f}{relative:9.2f}{difference:12.1e}{asymmetry:11.1e}{memory:11.0f}",
+            f"{name:16s}{times[name]:10.2f}{min(elapsed):9.2f}{ratios[name]:8.2f}{relative:9.2f}"
+            f"{difference:12.1e}{asymmetry:11.1e}{memory:11.0f}",
             flush=True,
         )
     print(f"\npeak memory of the process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
@@ -178,7 +181,8 @@ def main():
     if "columns" in times:
         speedup = times["columns"] / times["schur"]
         print(
-            f"goal: at least {GOAL_SPEEDUP} times faster than column by column: {speedup:.0f}: {verdict(speedup >= GOAL_SPEEDUP)}"
+            f"goal: at least {GOAL_SPEEDUP} times faster than column by column: {speedup:.0f}: "
+            f"{verdict(speedup >= GOAL_SPEEDUP)}"
         )
     print(f"goal: ahead of all others: {verdict(min(times, key=times.get) == 'schur')}")
 

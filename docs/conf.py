@@ -9,7 +9,7 @@ from pathlib import Path
 import mic
 
 sys.path.insert(0, str(Path(__file__).parent))  # pages.py, which writes the generated pages
-import pages  # noqa: E402  it stands beside this file
+import pages
 
 project = "mic-contact"
 author = "The authors of mic-contact"
@@ -53,7 +53,7 @@ html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secon
 
 
 def references(app, what, name, obj, options, lines):
-    """A module's references are numbered once and cited by its functions; numpydoc would number each docstring's own."""
+    """A module numbers its references once, for all its functions; numpydoc would want them in each docstring."""
     text = "\n".join(lines)
     if what == "module":
         text = re.sub(r"^(\w[^\n]*)\n-{3,}$", r".. rubric:: \1\n", text, flags=re.MULTILINE)

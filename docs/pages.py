@@ -66,7 +66,7 @@ def scene() -> dict[str, str]:
     lines = [
         "# Keys of a scene",
         "",
-        "As the schema that validates a scene has them. Unknown keys are errors. [The scene reference](../scene.md) explains.",
+        "As the schema has them. Unknown keys are errors. [The scene reference](../scene.md) explains each.",
         "",
     ]
     for title, model in tables.items():

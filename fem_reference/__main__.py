@@ -1,4 +1,5 @@
-"""Solve one assembly of a scene by full finite elements: ``mpirun -n 2 python -m mpi4py -m fem_reference SCENE --sample 3``."""
+"""Solve one assembly of a scene by full finite elements: ``mpirun -n 2 python -m mpi4py -m fem_reference SCENE --sample
+3``."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ def main() -> int:
 
 def _print(scene, assembly, full):
     print(
-        f"{'stage':12}{'zone':16}{'open':>6}{'stick':>6}{'slip':>6}{'normal force, N':>18}{'largest, N':>12}{'RMS slip, mm':>14}"
+        f"{'stage':12}{'zone':16}{'open':>6}{'stick':>6}{'slip':>6}"
+        f"{'normal force, N':>18}{'largest, N':>12}{'RMS slip, mm':>14}"
     )
     for stage, resolution in full.resolutions.items():
         for number, zone in enumerate(scene.zones):
@@ -61,7 +63,8 @@ def _print(scene, assembly, full):
             force, slip = resolution.force[own], np.linalg.norm(resolution.displacement[own, 1:], axis=1)
             states = "".join(f"{count:6d}" for count in np.bincount(resolution.state[own], minlength=3))
             print(
-                f"{stage:12.12}{zone.name:16.16}{states}{force[:, 0].sum():18.4f}{force[:, 0].max():12.4f}{np.sqrt((slip**2).mean()):14.5f}"
+                f"{stage:12.12}{zone.name:16.16}{states}"
+                f"{force[:, 0].sum():18.4f}{force[:, 0].max():12.4f}{np.sqrt((slip**2).mean()):14.5f}"
             )
     for measurement, value in zip(scene.measurements, full.measurements):
         print(f"{measurement.name:28}{value:12.5f} mm")

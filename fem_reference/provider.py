@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
-from fem_reference.shell.factorisation import compute_influence
+from fem_reference.shell.influence import compute_influence
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.compliance.coefficients import InfluenceCoefficients
 

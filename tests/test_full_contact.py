@@ -1,27 +1,19 @@
 """The full contact solve against the reduced one, its convergence, its failures and its ranks."""
 
-import gc
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from mpi4py import MPI
+from support.processes import ROOT, on_processes
 
 import mic
 from fem_reference.full import equilibrium
-from fem_reference.full import model as contact
+from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.equilibrium import NoConvergence
 from fem_reference.full.model import ContactFailure, FullModel
-from mic.compliance.influence import influence_coefficients
+from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
-from mic.model.reduced import ReducedModel
 from mic.sampling.draw import draw
 
-HERE = Path(__file__).resolve()
+pytestmark = pytest.mark.fem
 
 
 def sized(scene, size):
@@ -64,6 +56,7 @@ def difference(full, reduced):
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 @pytest.mark.parametrize("name", ["lap", "hat"])
+@pytest.mark.slow
 def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, request):
     model, assembly = request.getfixturevalue(f"{name}_model"), request.getfixturevalue(name)
     for sample in draw(model.scene, 5, 0, 1):
@@ -84,6 +77,7 @@ def test_penalty_error_falls_at_first_order(lap, lap_model, law):
     assert error[-1] < 1e-4
 
 
+@pytest.mark.slow
 def test_agreement_holds_over_increments(scene, cache):
     """Slip is measured from increment to increment; the path differs from the single step, and in the same way."""
     scene = scene.model_copy(update={"stages": [stage.model_copy(update={"increments": 3}) for stage in scene.stages]})
@@ -93,6 +87,7 @@ def test_agreement_holds_over_increments(scene, cache):
     assert {solve.increment for solve in full.history} == {1, 2, 3}
 
 
+@pytest.mark.slow
 def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
     """What `difference` must not overlook: friction ignored, shape deviations of the wrong sign, gaps forgotten."""
     sample = draw(lap_model.scene, 5, 0, 1)[0]
@@ -101,19 +96,20 @@ def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
     without_friction = lap_model.evaluate(sample, "frictionless")
     assert difference(FullModel(lap).evaluate(sample, "coulomb"), without_friction) > 1e-3
     turned = FullModel(lap)
-    turned.__dict__["_shape"] = -turned._shape
+    turned.unit_shapes = -FullModel(lap).unit_shapes
     assert difference(turned.evaluate(sample, "coulomb"), reduced) > 1e-3
-    displacement = contact.ContactLaw.displacement
+    displacement = equilibrium.ContactLaw.displacement
 
     def without_gap(self, δ):
         return displacement(self, δ) - self.gap[:, None] * np.array([1, 0, 0])
 
-    monkeypatch.setattr(contact.ContactLaw, "displacement", without_gap)
+    monkeypatch.setattr(equilibrium.ContactLaw, "displacement", without_gap)
     assert difference(FullModel(lap).evaluate(sample, "coulomb"), reduced) > 1e-3
 
 
 def test_newton_converges_quadratically(lap, scene):
-    """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one squared."""
+    """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one
+    squared."""
     ratios = []
     for sample in draw(scene, 5, 0, 3):
         for solve in FullModel(lap, augmented=False).evaluate(sample).history:
@@ -147,42 +143,22 @@ if MPI.COMM_WORLD.rank == 0:
 """
 
 
-@pytest.fixture(scope="module")
-def serial(tmp_path_factory):
-    return _on_ranks(1, tmp_path_factory.mktemp("serial"))
-
-
-def _on_ranks(processes, folder):
-    if shutil.which("mpirun") is None:
-        pytest.skip("mpirun is not installed")
-    command = [
-        "mpirun",
-        "--oversubscribe",
-        "-n",
-        str(processes),
-        sys.executable,
-        "-m",
-        "mpi4py",
-        "-c",
-        RANKS,
-        str(HERE.parents[1] / "meshes" / "lap_joint"),
-        str(folder),
-        str(folder / "result.npz"),
-    ]
-    environment = os.environ | {
-        "OMPI_ALLOW_RUN_AS_ROOT": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "OMP_NUM_THREADS": "1",
-    }
-    done = subprocess.run(command, env=environment, cwd=HERE.parents[1], capture_output=True, text=True, timeout=300)
+def on_ranks(processes, folder):
+    done = on_processes(processes, "-c", RANKS, ROOT / "meshes" / "lap_joint", folder, folder / "result.npz")
     assert done.returncode == 0, done.stdout + done.stderr
     with np.load(folder / "result.npz") as data:
         return [data[name] for name in data.files]
 
 
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    return on_ranks(1, tmp_path_factory.mktemp("serial"))
+
+
 @pytest.mark.parametrize("processes", [2, 4])
+@pytest.mark.slow
 def test_equal_on_any_number_of_processes(processes, serial, tmp_path):
-    for ours, theirs in zip(_on_ranks(processes, tmp_path), serial):
+    for ours, theirs in zip(on_ranks(processes, tmp_path), serial):
         assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
         assert np.abs(theirs).max() > 0
 
@@ -190,7 +166,7 @@ def test_equal_on_any_number_of_processes(processes, serial, tmp_path):
 def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch):
     sample = draw(scene, 5, 0, 1)[0]
     whole = FullModel(lap).evaluate(sample)
-    newton = contact.Equilibrium.newton
+    newton = equilibrium.Equilibrium.newton
     refused = []
 
     def refuse_long_steps(self, start, p, v, law):
@@ -199,7 +175,7 @@ def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch
             raise NoConvergence("refused by the test")
         return newton(self, start, p, v, law)
 
-    monkeypatch.setattr(contact.Equilibrium, "newton", refuse_long_steps)
+    monkeypatch.setattr(equilibrium.Equilibrium, "newton", refuse_long_steps)
     cut = FullModel(lap).evaluate(sample)
     fractions = [solve.fraction for solve in cut.history if solve.stage == "clamp" and solve.augmentation == 0]
     assert fractions == list(np.arange(1, 9) / 8)
@@ -210,7 +186,7 @@ def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch
 
 
 def test_a_failure_names_stage_increment_contact_and_remedy(lap, scene, monkeypatch):
-    monkeypatch.setattr(equilibrium, "_MAX_ITERATIONS", 1)
+    monkeypatch.setattr(equilibrium, "MAX_ITERATIONS", 1)
     with pytest.raises(
         ContactFailure,
         match=r"stage 'clamp', increment 1 of 1, at 0 of its load, worst at contact 'lap \d+': "
@@ -227,7 +203,8 @@ def test_a_part_that_nothing_holds_is_refused(scene, cache):
 
 
 def test_redundant_locators(scene, cache, lap):
-    """A second locator at the same place changes nothing while it agrees with the first, and is refused when it does not."""
+    """A second locator at the same place changes nothing while it agrees with the first, and is refused when it does
+    not."""
     sample = draw(scene, 5, 0, 1)[0]
     twin = scene.locators[0].model_copy(update={"name": "twin"})
     doubled = assemble(scene.model_copy(update={"locators": [*scene.locators, twin]}), cache)
@@ -242,8 +219,10 @@ def test_redundant_locators(scene, cache, lap):
         FullModel(assemble(contradicting, cache)).evaluate(sample)
 
 
+@pytest.mark.slow
 def test_deviated_meshes_tend_to_the_nominal_one(lap, scene):
-    """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the deviation."""
+    """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the
+    deviation."""
     sample = draw(scene, 5, 0, 1)[0]
     off = []
     for scale in (0.01, 0.1, 1.0):
@@ -254,14 +233,15 @@ def test_deviated_meshes_tend_to_the_nominal_one(lap, scene):
 
 
 def test_deviated_frames_turn_with_the_surface(lap, scene):
-    """A part tilted as a whole: normals turn by the tilt, gaps open by the distance, and the stiffness is that of the tilted part."""
+    """A part tilted as a whole: normals turn by the tilt, gaps open by the distance, and the stiffness is that of the
+    tilted part."""
     angle = 0.02
     fields = {part.name: np.zeros((len(part.surface.points), 6)) for part in lap.parts}
     for part in lap.parts:  # about the y axis, exactly
         x, _, z = part.surface.points.T
         fields[part.name][:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
         fields[part.name][:, 2] = np.cos(angle) * z - np.sin(angle) * x - z
-    parts = contact._deviated_parts(lap, fields)
+    parts = deviated_parts(lap, fields)
     normals = [
         i
         for i, label in enumerate(lap.parts[0].functionals.label)
@@ -269,29 +249,45 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
     ]
     turned = np.array([np.sin(angle), 0, np.cos(angle)])
     np.testing.assert_allclose(parts[0].functionals.direction[normals], np.tile(turned, (len(normals), 1)), atol=1e-12)
-    assert np.abs(contact._opening(lap, "contact", parts)[::3]).max() < 1e-9
+    assert np.abs(opening(lap, "contact", parts)[::3]).max() < 1e-9
     fields["upper"][:, :3] += 0.1 * turned
-    np.testing.assert_allclose(
-        contact._opening(lap, "contact", contact._deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9
-    )
+    np.testing.assert_allclose(opening(lap, "contact", deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9)
 
 
 def test_every_node_of_the_zone(scene, cache):
-    """One pair per vertex of the first part; all pairs stand for the zone's area, and both routes agree as with few pairs."""
+    """One pair per vertex of the first part; all pairs stand for the zone's area, and both routes agree as with few
+    pairs."""
     assembly = assemble(scene, cache, every_node=True)
     overlap = assembly.parts[0].surface.points[assembly.parts[0].surface.points[:, 0] >= 60]
     np.testing.assert_allclose(np.sort(assembly.contacts.point, axis=0), np.sort(overlap, axis=0), atol=1e-9)
-    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
+    model = mic.ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
     sample = draw(scene, 5, 0, 1)[0]
     assert difference(FullModel(assembly).evaluate(sample), model.evaluate(sample)) < 1e-6
 
 
-def test_factors_are_freed_with_their_model(lap):
-    """Hundreds of MB each: a study that makes a model per sample would run out of memory."""
-    model = FullModel(lap, comm=MPI.COMM_SELF)
-    model.evaluate(draw(lap.scene, 5, 0, 1)[0])
-    factors = [system.equilibrium._factor for system in model._nominal._systems.values()]
-    assert factors and all(factors)
-    del model
+MEMORY = """
+import gc, sys
+from pathlib import Path
+from mpi4py import MPI
+import mic
+from fem_reference.full.model import FullModel
+from mic.model.assembly import assemble
+from mic.sampling.draw import draw
+
+scene = mic.load_scene(sys.argv[1])
+scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
+assembly = assemble(scene, Path(sys.argv[2]))
+for _ in range(8):
+    FullModel(assembly, comm=MPI.COMM_SELF).evaluate(draw(scene, 5, 0, 1)[0])
     gc.collect()
-    assert not any(factors)
+    print(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6)
+"""
+
+
+@pytest.mark.slow
+def test_factors_are_freed_with_their_model(tmp_path):
+    """A study that makes a model per sample would run out of memory: here 17 MB each, in earnest hundreds."""
+    done = on_processes(1, "-c", MEMORY, ROOT / "meshes" / "lap_joint", tmp_path)
+    assert done.returncode == 0, done.stderr
+    memory = [float(line) for line in done.stdout.split()]
+    assert memory[-1] - memory[2] < 20, f"MB after each model: {memory}"

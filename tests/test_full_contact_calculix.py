@@ -1,13 +1,15 @@
-"""Frictional contact against CalculiX: leaves pressed over half their length, friction that gives way little by little."""
+"""Frictional contact against CalculiX: leaves pressed over half their length, friction that gives way little by
+little."""
 
 import numpy as np
 import pytest
-from test_full_contact_analytic import E, bend_leaves
+from support.strips import E, bend_leaves
 
 from fem_reference.peers import calculix
 from fem_reference.peers.calculix_contact import leaves
 
-pytestmark = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
+needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
+pytestmark = [pytest.mark.fem, needs_ccx]
 
 LENGTH, WIDTH, DEPTH, PRESSURE, FRICTION = 100.0, 5.0, 2.0, 1.0, 0.3
 SLIP_LOAD = 4 / 3 * FRICTION * PRESSURE * WIDTH * DEPTH

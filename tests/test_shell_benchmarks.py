@@ -1,7 +1,7 @@
 """Published shell problems on both elements, with the observed convergence.
 
-"Ratio" is the computed displacement over the reference. Kirchhoff theory (DKT + OPT) and Reissner–Mindlin theory (P2 × CR) differ where
-a structure is thick or carries torsion in open strips; each case says so where it matters.
+"Ratio" is the computed displacement over the reference. Kirchhoff theory (DKT + OPT) and Reissner–Mindlin theory (P2 ×
+CR) differ where a structure is thick or carries torsion in open strips; each case says so where it matters.
 """
 
 from __future__ import annotations
@@ -10,9 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from shell_bench import at, grid, observed_rates, read, supported_solution, vertex, vertex_load
+from support.panels import grid
+from support.shells import at, read, supported_solution, vertex, vertex_load
 
 from fem_reference.shell.part import ShellPart
+
+pytestmark = pytest.mark.fem
+
+
+def observed_rates(sizes, errors):
+    """Slopes of log error over log size between successive meshes."""
+    return np.diff(np.log(np.abs(errors))) / np.diff(np.log(sizes))
 
 
 def near(values, target):
@@ -20,7 +28,8 @@ def near(values, target):
 
 
 def line_load(part, on_line, along, force):
-    """Force (3,) spread evenly over the vertices for which `on_line` holds, ends with half a share, ordered by `along`."""
+    """Force (3,) spread evenly over the vertices for which `on_line` holds, ends with half a share, ordered by
+    `along`."""
     vertices = np.flatnonzero(on_line(part.surface.points))
     order = vertices[np.argsort(part.surface.points[vertices, along])]
     position = part.surface.points[order, along]
@@ -50,8 +59,8 @@ def scordelis_lo(element, n):
 def pinched_cylinder(element, n):
     """Two opposite forces on a cylinder with end diaphragms; deflection under the force.
 
-    1.8248e-5, thin-shell series (Flügge; Belytschko et al. 1985, Comput. Methods Appl. Mech. Engrg 51, 221–258). With transverse shear the
-    deflection under a point force has no limit: P2 × CR passes through the reference on its way.
+    1.8248e-5, thin-shell series (Flügge; Belytschko et al. 1985, Comput. Methods Appl. Mech. Engrg 51, 221–258). With
+    transverse shear the deflection under a point force has no limit: P2 × CR passes through the reference on its way.
     """
     R, L, t = 300.0, 600.0, 3.0
     shape = lambda X, Y: np.column_stack([R * np.sin(np.pi / 2 * X), Y * L / 2, R * np.cos(np.pi / 2 * X)])
@@ -67,8 +76,8 @@ def pinched_cylinder(element, n):
 def pinched_hemisphere(element, n):
     """Hemisphere with an 18° hole, pulled and pushed at its equator; deflection under the force.
 
-    0.093 (Simo, Fox and Rifai 1989, Comput. Methods Appl. Mech. Engrg 73, 53–92), 0.094 (MacNeal and Harder 1985, Finite Elem. Anal.
-    Des. 1, 3–20): their mean, each within 0.6 %.
+    0.093 (Simo, Fox and Rifai 1989, Comput. Methods Appl. Mech. Engrg 73, 53–92), 0.094 (MacNeal and Harder 1985,
+    Finite Elem. Anal. Des. 1, 3–20): their mean, each within 0.6 %.
     """
     R, t = 10.0, 0.04
 
@@ -88,10 +97,11 @@ def pinched_hemisphere(element, n):
 
 def twisted_beam(thickness, direction, force, reference):
     def case(element, n):
-        """Beam twisted by 90° over its length, clamped, under a force at its tip in the strip's plane there or across it.
+        """Beam twisted by 90° over its length, clamped, under a force at its tip in the strip's plane there or across
+        it.
 
-        Thick, t = 0.32 (MacNeal and Harder 1985): 0.005424 and 0.001754 with beam theory. Thin, t = 0.0032 (Belytschko, Wong and Chiang
-        1992, Comput. Methods Appl. Mech. Engrg 96, 93–107): 0.005256 and 0.001294 under 1e-6.
+        Thick, t = 0.32 (MacNeal and Harder 1985): 0.005424 and 0.001754 with beam theory. Thin, t = 0.0032 (Belytschko,
+        Wong and Chiang 1992, Comput. Methods Appl. Mech. Engrg 96, 93–107): 0.005256 and 0.001294 under 1e-6.
         """
 
         def shape(X, Y):
@@ -110,7 +120,8 @@ def raasch_hook(element, n):
     """Curved thick strip (t = 2, width 20, radii 14 and 46) under a transverse unit force at its tip.
 
     4.9352 with solids, 5.02 with shear-flexible shells (Knight 1997, Raasch challenge for shell
-    elements, AIAA Journal 35, 375–381). The hook works in torsion, and Kirchhoff theory lacks the torsional edge layers, about 0.63 t/b = 6 % of the strip's torsional stiffness: it ends 4.5 % low.
+    elements, AIAA Journal 35, 375–381). The hook works in torsion, and Kirchhoff theory lacks the torsional edge
+    layers, about 0.63 t/b = 6 % of the strip's torsional stiffness: it ends 4.5 % low.
     """
     width, first, second = 20.0, np.pi / 3 * 14, np.radians(150) * 46
     centre = 60 * np.array([np.sin(np.pi / 3), np.cos(np.pi / 3)])
@@ -130,7 +141,8 @@ def raasch_hook(element, n):
 
 
 def cook_membrane(element, n):
-    """Cook's tapered panel in plane stress, ν = 1/3, tip deflection 23.96 (Cook 1974, J. Struct. Div. ASCE 100, 1851–1863; converged)."""
+    """Cook's tapered panel in plane stress, ν = 1/3, tip deflection 23.96 (Cook 1974, J. Struct. Div. ASCE 100,
+    1851–1863; converged)."""
     shape = lambda X, Y: np.column_stack([48 * X, 44 * X + (44 - 28 * X) * Y, 0 * X])
     part = ShellPart(grid(n, n, shape), 1.0, 1.0, 1 / 3, element)
     load = line_load(part, lambda x: near(x[:, 0], 48), 1, [0, 1, 0])
@@ -140,7 +152,8 @@ def cook_membrane(element, n):
 
 
 def clamped_circular_plate(element, n):
-    """Uniform pressure p on a clamped disc of radius R: w(0) = p R⁴/(64 D), plus p R²/(4 · 5/6 G t) with transverse shear; exact."""
+    """Uniform pressure p on a clamped disc of radius R: w(0) = p R⁴/(64 D), plus p R²/(4 · 5/6 G t) with transverse
+    shear; exact."""
     t, young, poisson = 0.02, 1e6, 0.3
 
     def shape(X, Y):  # square onto disc, concentric squares to circles
@@ -161,8 +174,8 @@ def clamped_circular_plate(element, n):
 def folded_strip(element, n):
     """L-shaped strip, ν = 0, clamped at the foot of its post a, loaded downwards at the end of its arm b.
 
-    Beam theory is exact: δ = P (b³/3 + a b²)/(E I), plus P a/(E A) from the post and P b/(5/6 G A) with transverse shear.
-    A fold that does not hand the moment on, or twists through it, misses a b².
+    Beam theory is exact: δ = P (b³/3 + a b²)/(E I), plus P a/(E A) from the post and P b/(5/6 G A) with transverse
+    shear. A fold that does not hand the moment on, or twists through it, misses a b².
     """
     a, b, width, t, young = 30.0, 20.0, 10.0, 1.0, 210000.0
 
@@ -180,7 +193,8 @@ def folded_strip(element, n):
 
 
 def square_tube(element, n):
-    """Thin square tube in torsion: θ = T L/(4 A² G t/s) (Bredt), the corners' folds carrying the shear flow round. ν = 0.3.
+    """Thin square tube in torsion: θ = T L/(4 A² G t/s) (Bredt), the corners' folds carrying the shear flow round. ν =
+    0.3.
 
     A square tube does not warp, so the formula is exact but for the walls' own torsion, (t/b)²/3 of it.
     """
@@ -198,7 +212,7 @@ def square_tube(element, n):
     load = np.zeros(part.ndof)
     end = np.flatnonzero(near(points[:, 0], length))
     for v in end:  # the flow on half a cell to either side of the vertex
-        for half in (-1, 1):
+        for _ in (-1, 1):
             wall = [points[w] - points[v] for w in end if near(np.linalg.norm(points[w] - points[v]), side / n)]
             for towards in wall:
                 sense = np.sign(np.cross(points[v] + towards / 2, towards)[0])

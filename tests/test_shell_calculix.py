@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
-from shell_bench import at, grid, supported_solution
+from support.panels import grid
+from support.shells import at, supported_solution
 
 from fem_reference.peers import calculix
 from fem_reference.shell.part import ShellPart
+
+pytestmark = pytest.mark.fem
 
 needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 
@@ -49,7 +52,8 @@ def peer():
 def test_compliance_of_a_folded_part(element, tolerance, peer):
     """Patch compliances against the largest of their row and column.
 
-    Most agree to 0.5 %; the largest difference is the self-compliance of the place 10 mm from the clamp, the stiffest one.
+    Most agree to 0.5 %; the largest difference is the self-compliance of the place 10 mm from the clamp, the stiffest
+    one.
     """
     surface = angle_section(4)
     part = ShellPart(surface, T, E, NU, element)

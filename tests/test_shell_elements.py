@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
-from shell_bench import at, grid, supported_solution, vertex
+from support.panels import grid
+from support.shells import at, supported_solution, vertex
 
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.geometry.surface import Surface
+
+pytestmark = pytest.mark.fem
 
 E, NU, T = 210000.0, 0.3, 0.8
 
@@ -17,7 +20,8 @@ def rotation_matrix():
 
 
 def flat_patch(size, stretch=1.0):
-    """Distorted flat mesh of side lengths (10 stretch, 8), turned in space; the frame's columns are its x, y and normal."""
+    """Distorted flat mesh of side lengths (10 stretch, 8), turned in space; the frame's columns are its x, y and
+    normal."""
     frame = rotation_matrix()
     surface = grid(
         size,
@@ -209,11 +213,12 @@ def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
 def test_pinched_ring_from_thick_to_thin(element, t, jitter):
     """t/R = 1e-1 … 1e-5 with triangle sides along the generators, 1e-1 … 1e-3 without. ν = 0.
 
-    Flat triangles askew to the generators cannot bend without stretching once their rise h²/(8R) = 0.03 mm exceeds the thickness,
-    whatever the element: at t/R = 1e-4 on the jittered mesh both are some 20 % too stiff, at 1e-5 90 %.
+    Flat triangles askew to the generators cannot bend without stretching once their rise h²/(8R) = 0.03 mm exceeds the
+    thickness, whatever the element: at t/R = 1e-4 on the jittered mesh both are some 20 % too stiff, at 1e-5 90 %.
 
     Thin-ring theory, bending and stretching of a quarter under P/2 at the crown (Timoshenko, Strength of Materials):
-    δ/2 = P R³/(8 E I) (π − 8/π) + π P R/(8 E b t), δ the change of the pinched diameter; transverse shear adds π P R/(8 · 5/6 G b t).
+    δ/2 = P R³/(8 E I) (π − 8/π) + π P R/(8 E b t), δ the change of the pinched diameter; transverse shear adds π P R/(8
+    · 5/6 G b t).
     """
     R, b = 100.0, 40.0
     shape = lambda X, Y: np.column_stack([R * np.sin(np.pi / 2 * X), b * Y, R * np.cos(np.pi / 2 * X)])

@@ -12,6 +12,8 @@ from verification.scene import choose, verify_scene
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
+pytestmark = pytest.mark.fem
+
 INTERCEPT, SLOPE, NOISE = 0.5, 1.2, 0.15  # x = INTERCEPT + SLOPE y + NOISE e
 MEAN, SIGMA = INTERCEPT + SLOPE * 5.0, np.hypot(SLOPE * 2.0, NOISE)  # with y normal, of mean 5 and σ 2
 

@@ -1,4 +1,5 @@
-"""The verification package: its framework on cheap studies, its pages, and proof that its limits catch planted errors."""
+"""The verification package: its framework on cheap studies, its pages, and proof that its limits catch planted
+errors."""
 
 import json
 import os
@@ -13,9 +14,12 @@ from verification import run as runs
 from verification.report import write_report
 from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Team, studies
 
+pytestmark = pytest.mark.fem
+
 ROOT = FOLDER.parent
 
-# Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI tests.
+# Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI
+# tests.
 CHEAP = """
 import sys
 from pathlib import Path
@@ -51,7 +55,8 @@ def broken(context):
 
 def studies():
     common = dict(claim="c", reference="r", seconds=(1, 1))
-    return [Study(1, "Means", acceptance=(Acceptance("mean", "Small.", 0.1), Acceptance("sum", "Small.", 0.01)), run=means, name="means", **common),
+    limits = Acceptance("mean", "Small.", 0.1), Acceptance("sum", "Small.", 0.01)
+    return [Study(1, "Means", acceptance=limits, run=means, name="means", **common),
             Study(2, "Strips", acceptance=(Acceptance("force", "Small.", 10.0),), run=strips, name="strips", **common),
             Study(3, "Broken", acceptance=(Acceptance("total", "Ten.", 10.0),), run=broken, name="broken", **common)]
 
@@ -207,7 +212,8 @@ def test_page_opens_with_claim_reference_and_acceptance_numbers(name):
     assert page.startswith(study.opening()), f"verification/{name}/README.md must open with:\n\n{study.opening()}"
 
 
-# --- planted errors ------------------------------------------------------------------------------------------------------
+# --- planted errors
+# ------------------------------------------------------------------------------------------------------
 
 
 def kept(folder):
@@ -258,9 +264,9 @@ def friction_ignored(monkeypatch):
 
 
 def welds_forgotten(monkeypatch):
-    from mic.process import process
+    from mic.process import stage
 
-    plan = process.plan_stages
+    plan = stage.plan_stages
 
     def without(*arguments):
         return [
@@ -268,7 +274,7 @@ def welds_forgotten(monkeypatch):
             for item in plan(*arguments)
         ]
 
-    monkeypatch.setattr(process, "plan_stages", without)
+    monkeypatch.setattr(stage, "plan_stages", without)
 
 
 def thickness_doubled(monkeypatch):

@@ -5,14 +5,17 @@ from __future__ import annotations
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from mic.scene import SceneError
+from mic import cache_folder
+from mic.scene import SceneError, load_scene
+from verification.report import write_report
 from verification.run import run as run_studies
-from verification.run import team
+from verification.run import team, write_summary
+from verification.scene import verify_scene
 from verification.study import studies
 
 app = typer.Typer(
@@ -52,20 +55,15 @@ def list_studies():
 
 @app.command()
 def run(
-    names: Annotated[
-        Optional[list[str]], typer.Argument(help="Studies to run; default: all.", show_default=False)
-    ] = None,
+    names: Annotated[list[str] | None, typer.Argument(help="Studies to run; default: all.", show_default=False)] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results/verification"),
     quick: Annotated[bool, typer.Option("--quick", help="Small meshes and few samples.")] = False,
 ):
     """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
 
-    Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run. Under
-    `mpirun -n N` each study is shared out over N processes.
+    Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run.
+    Under `mpirun -n N` each study is shared out over N processes.
     """
-    from verification.report import write_report
-    from verification.run import write_summary
-
     workers = team()
     run_studies(_chosen(names), out, quick, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
@@ -86,7 +84,7 @@ def scene(
         typer.Option(min=1, help="Samples to solve by full finite elements; three at least for confidence intervals."),
     ] = 5,
     out: Annotated[
-        Optional[Path],
+        Path | None,
         typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE-verified.", show_default=False),
     ] = None,
     nominal: Annotated[
@@ -100,13 +98,10 @@ def scene(
 ):
     """Verify your own scene: run its Monte Carlo, solve a few samples by full finite elements, and correct mean and 6σ.
 
-    The samples are chosen by the Monte Carlo: one typical, then extreme and random ones by turns. Full solves that the folder holds already are kept:
-    call again to complete an interrupted run, or with more samples. Under `mpirun -n N` the samples are shared out over N processes.
+    The samples are chosen by the Monte Carlo: one typical, then extreme and random ones by turns. Full solves that the
+    folder holds already are kept: call again to complete an interrupted run, or with more samples. Under `mpirun -n N`
+    the samples are shared out over N processes.
     """
-    from mic import cache_folder
-    from mic.scene import load_scene
-    from verification.scene import verify_scene
-
     workers = team()
     loaded = load_scene(scene)
     folder = out or Path("results") / f"{loaded.name}-verified"
@@ -120,8 +115,6 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)],
 ):
     """Write summary.json and report.html of a run folder again."""
-    from verification.report import write_report
-
     print(f"report: {write_report(folder)}")
 
 

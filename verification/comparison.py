@@ -8,25 +8,27 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from mic.compliance.influence import influence_coefficients
+from mic.compliance.cache import influence_coefficients
 from mic.contact import certify
 from mic.model.assembly import Assembly, assemble
-from mic.model.reduced import ReducedModel
-from mic.process.process import Evaluation
+from mic.process.evaluation import Evaluation
+from mic.process.model import ReducedModel
 from mic.scene import Scene
 
 __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "relative", "zone_slip"]
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
-    """The reduced model of a scene and the assembly that it came from, made by the production path on this process alone."""
+    """The reduced model of a scene and the assembly that it came from, made by the production path on this process
+    alone."""
     assembly = assemble(scene, cache)
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]), assembly
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a reduced outcome is from the full one, over all stages; each relative to the full outcome's largest value.
+    """How far a reduced outcome is from the full one, over all stages; each relative to the full outcome's largest
+    value.
 
     Attributes
     ----------
@@ -66,7 +68,7 @@ def difference(reduced: Evaluation, sample: int, full) -> Difference:
 
     Parameters
     ----------
-    reduced : mic.process.process.Evaluation
+    reduced : mic.process.evaluation.Evaluation
     sample : int
     full : fem_reference.full.model.FullEvaluation
     """
@@ -82,8 +84,8 @@ def difference(reduced: Evaluation, sample: int, full) -> Difference:
 def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, float]:
     """Residual, by stage, of the full solve's contact forces in the reduced contact problem.
 
-    A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however far
-    apart. Stages must be resolved in one increment.
+    A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however
+    far apart. Stages must be resolved in one increment.
 
     Parameters
     ----------

@@ -1,13 +1,15 @@
-"""One style for the report's figures."""
+"""Figures of studies: one style, one way to a file."""
 
 from __future__ import annotations
+
+import io
 
 import matplotlib
 
 matplotlib.use("svg")
-import matplotlib.pyplot as plt  # noqa: E402  (the backend is chosen first: no display is needed)
+import matplotlib.pyplot as plt
 
-__all__ = ["panels"]
+__all__ = ["panels", "svg"]
 
 STYLE = {
     "font.size": 10,
@@ -27,3 +29,12 @@ def panels(count: int, width: float = 5.2, height: float = 3.8):
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(1, count, figsize=(width * count, height), squeeze=False, layout="constrained")
     return figure, list(axes[0])
+
+
+def svg(figure) -> bytes:
+    """A figure as SVG, the same bytes for the same drawing; the figure is closed."""
+    buffer = io.BytesIO()
+    with plt.rc_context(STYLE):
+        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
+    plt.close(figure)
+    return buffer.getvalue()

@@ -1,8 +1,8 @@
 """Running studies into a folder that is readable, and can be taken up again, at any moment.
 
-A run folder holds ``studies/NAME/`` (``result.json``, figures as SVG, tables as CSV), written in one stroke when a study has finished, ``cache/``,
-and ``summary.json`` and ``report.html`` at the end. A study is run again when its result was made by another version of
-the code, or by the other of the full and the quick version.
+A run folder holds ``studies/NAME/`` (``result.json``, figures as SVG, tables as CSV), written in one stroke when a
+study has finished, ``cache/``, and ``summary.json`` and ``report.html`` at the end. A study is run again when its
+result was made by another version of the code, or by the other of the full and the quick version.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mic.sampling.montecarlo import communicator, versions
+from mic import examples
+from mic.results.folder import versions
+from mic.sampling.ranks import communicator
+from verification.plots import svg
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
 
-JUDGED_PACKAGES = ("mic", "fem_reference", "meshes")
+JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
 
 
@@ -44,7 +47,7 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     """
     folder = Path(folder)
     first = team.rank == 0
-    base = _digest([FOLDER.parent / package for package in JUDGED_PACKAGES])
+    base = _digest(JUDGED)
     cache = folder / "cache" / base
     if first:
         for old in (folder / "cache").glob("*"):
@@ -77,14 +80,16 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
             )
             for item in judged:
                 say(
-                    f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} ({item.acceptance.bound} "
+                    f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} "
+                    f"({item.acceptance.bound} "
                     f"{item.limit:.3g}{'' if item.acceptance.unit == '1' else ' ' + item.acceptance.unit})"
                 )
     team.wait()
 
 
 def read_results(folder: Path) -> list[dict]:
-    """Stored results of a run folder, in the order of the report; each as ``result.json`` holds it, with its ``folder``."""
+    """Stored results of a run folder, in the order of the report; each as ``result.json`` holds it, with its
+    ``folder``."""
     found = []
     for path in sorted(Path(folder).glob("studies/*/result.json")):
         found.append(json.loads(path.read_text()) | {"folder": path.parent})
@@ -156,10 +161,7 @@ def _store(target: Path, study: Study, judged: list[Judged], record: dict) -> No
         }
         if finding.figure is not None:
             entry["figure"] = f"{finding.name}.svg"
-            finding.figure.savefig(
-                partial / entry["figure"], format="svg", bbox_inches="tight", metadata={"Date": None}
-            )
-            _close(finding.figure)
+            (partial / entry["figure"]).write_bytes(svg(finding.figure))
         if finding.table is not None:
             entry["table"] = f"{finding.name}.csv"
             finding.table.to_csv(partial / entry["table"], index=False)
@@ -176,12 +178,6 @@ def _store(target: Path, study: Study, judged: list[Judged], record: dict) -> No
     (partial / "result.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
     shutil.rmtree(target, ignore_errors=True)
     partial.replace(target)
-
-
-def _close(figure):
-    import matplotlib.pyplot as plt
-
-    plt.close(figure)
 
 
 def _number(value) -> float | None:

@@ -1,14 +1,14 @@
-"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean and 6σ.
+"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
+and 6σ.
 
-The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second call takes up where the
-first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
+The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second
+call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
 import math
 import time
@@ -23,13 +23,14 @@ from threadpoolctl import threadpool_limits
 
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.results import statistics
+from mic.results.folder import versions
 from mic.results.outcome import read_outcome
+from mic.runs import sample_into
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import run as monte_carlo
-from mic.sampling.montecarlo import versions
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
-from verification.plots import panels
+from verification.plots import panels, svg
+from verification.report import number, table_cells
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
@@ -126,10 +127,10 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
         model, assembly = reduced_and_assembly(scene, cache)
         prepared = time.perf_counter()
-        monte_carlo(model, folder / "reduced", scene.report.laws, samples, seed)
+        sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
         evaluated = time.perf_counter()
         outcome = read_outcome(folder / "reduced")
-        cheap = {law: _quantities(outcome.valid(law)) for law in outcome.laws}
+        cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         base = cheap.get(truth, next(iter(cheap.values())))
         if base.shape[1] == 0 or len(base) == 0:
             raise ValueError(
@@ -190,7 +191,7 @@ def _with_truth(scene):
 
 def _model_key(model):
     digest = hashlib.sha256(model.scene.model_dump_json(exclude={"monte_carlo", "report", "description"}).encode())
-    for array in (model.H, model.G, model.shape, model.contacts.gap, model.contacts.frame):
+    for array in (*model.compliance.H, *model.compliance.G, model.shape, model.contacts.gap, model.contacts.frame):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
@@ -222,10 +223,18 @@ def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
     return result
 
 
-def _quantities(valid) -> pd.DataFrame:
+def _quantities(outcome, law) -> pd.DataFrame:
     """Slips and measurements of the valid samples, indexed by sample."""
-    columns = [name for name in valid.columns if name.startswith(("slip:", "measurement:"))]
-    return valid.set_index("sample")[columns]
+    columns = {
+        f"slip:{stage}:{zone}": outcome.slip(law, stage, zone)
+        for stage in outcome.stages
+        for zone in outcome.zones
+        if outcome.has_slip
+    }
+    columns |= {
+        f"measurement:{item.name}": outcome.measured(law, item.name) for item in outcome.model.scene.measurements
+    }
+    return pd.DataFrame(columns, index=outcome.sample_numbers(law))
 
 
 def _of_full(model, result) -> dict[str, float]:
@@ -248,8 +257,7 @@ def _sample_rows(outcome, model, choice, result) -> list[dict]:
     axes = ("n", "t1", "t2")[: model.contacts.dimension]
     truth, rows = _of_full(model, result), []
     for law in outcome.laws:
-        valid = outcome.valid(law)
-        place = np.flatnonzero(valid["sample"].to_numpy() == choice.sample)
+        place = np.flatnonzero(outcome.sample_numbers(law) == choice.sample)
         if not len(place):
             continue
         force, states = [], 0
@@ -257,7 +265,7 @@ def _sample_rows(outcome, model, choice, result) -> list[dict]:
             mine = np.stack([outcome.contact(law, stage, f"f_{axis}")[place[0]] for axis in axes], axis=-1)
             force.append(relative(mine, result[f"force:{stage}"]))
             states += int((outcome.contact(law, stage, "state")[place[0]] != result[f"state:{stage}"]).sum())
-        row = valid.iloc[place[0]]
+        row = _quantities(outcome, law).iloc[place[0]]
         slips, measured = ([name for name in truth if name.startswith(kind)] for kind in ("slip:", "measurement:"))
         rows.append(
             {
@@ -304,7 +312,8 @@ def _estimate(name, estimate):
 
 
 def _figure(table, truth):
-    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the reduced ones."""
+    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the
+    reduced ones."""
     laws = list(dict.fromkeys(table["law"]))
     names = list(dict.fromkeys(table["quantity"]))
     figure, (left, right) = panels(2, 6.0, 1.4 + 0.26 * len(names))
@@ -348,14 +357,7 @@ def _figure(table, truth):
 def _page(summary, per_sample, table, truth) -> str:
     image = None
     if len(table) and "corrected mean" in table:
-        figure, buffer = _figure(table, truth), io.BytesIO()
-        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
-        image = base64.b64encode(buffer.getvalue()).decode()
-        import matplotlib.pyplot as plt
-
-        plt.close(figure)
-    from verification.report import number, table_cells
-
+        image = base64.b64encode(svg(_figure(table, truth))).decode()
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -372,7 +374,8 @@ def _page(summary, per_sample, table, truth) -> str:
 
 
 def worst(table) -> list[dict]:
-    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees it."""
+    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees
+    it."""
     found = []
     kind = table["quantity"].str.split(":").str[0]
     leading = (

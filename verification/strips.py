@@ -1,18 +1,17 @@
 """Scenes of flat rectangular sheets, for cases that can be worked out by hand.
 
-A sheet lies in a plane z = const, from ``x`` to ``x + length`` and from y = 0 to ``width``; its mesh is written to a file, so that a
-case goes the way of a user's own part.
+A sheet lies in a plane z = const, from ``x`` to ``x + length`` and from y = 0 to ``width``; its mesh is written to a
+file, so that a case goes the way of a user's own part.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
-import meshio
 import numpy as np
 
+from mic.geometry.readers.vtu import write_vtu
 from mic.geometry.structured import extrude
 from mic.scene import Scene
 
@@ -30,16 +29,13 @@ def write_mesh(folder: Path, points: np.ndarray, triangles: np.ndarray) -> str:
     triangles : (k, 3) int array
     """
     points, triangles = np.ascontiguousarray(points, dtype=float), np.ascontiguousarray(triangles, dtype=np.int64)
-    name = hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()[:16] + ".vtk"
-    folder.mkdir(parents=True, exist_ok=True)
+    name = hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()[:16] + ".vtu"
     if not (folder / name).is_file():
-        temporary = folder / f"{os.getpid()}-{name}"
-        meshio.write(temporary, meshio.Mesh(points, [("triangle", triangles)]), file_format="vtk")
-        temporary.replace(folder / name)
+        write_vtu(folder / name, points, triangles)
     return name
 
 
-def build(folder: Path, sheets: dict, turn=np.eye(3), **tables) -> Scene:
+def build(folder: Path, sheets: dict, turn: np.ndarray | None = None, **tables) -> Scene:
     """A scene of flat sheets.
 
     Parameters
@@ -49,7 +45,7 @@ def build(folder: Path, sheets: dict, turn=np.eye(3), **tables) -> Scene:
     sheets : dict
         By part name: ``x, z, length, width, size`` (mm) of the mesh, and the keys of the scene's part.
     turn : (3, 3) array
-        Rotation of the meshes about the origin; the other keys are not turned.
+        Rotation of the meshes about the origin (none by default); the other keys are not turned.
     tables
         The other keys of the scene.
     """
@@ -57,7 +53,7 @@ def build(folder: Path, sheets: dict, turn=np.eye(3), **tables) -> Scene:
     for name, sheet in sheets.items():
         x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))
         points, triangles = extrude([(0.0, z), (width, z)], x, length, size)
-        mesh = write_mesh(folder, points @ np.asarray(turn).T, triangles)
+        mesh = write_mesh(folder, points if turn is None else points @ np.asarray(turn).T, triangles)
         parts.append({"name": name, "mesh": mesh} | {key: sheet[key] for key in ("thickness", "young", "poisson")})
     return Scene(parts=parts, folder=folder, **tables)
 

@@ -1,7 +1,7 @@
 """What a study is, and how the studies of this package are found.
 
-A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that opens with the study's claim, its
-reference and its acceptance numbers (:meth:`Study.opening`). It measures numbers; the limits were declared before.
+A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that opens with the study's claim,
+its reference and its acceptance numbers (:meth:`Study.opening`). It measures numbers; the limits were declared before.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import importlib
 import math
 import sys
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Literal
+from typing import Literal
 
-from mic.model.reduced import ReducedModel
+from mic.process.model import ReducedModel
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 
@@ -117,7 +118,8 @@ class Team:
         """``[function(item) for item in items]``, shared out over the ranks; the whole list on every rank.
 
         Every rank must call it with the same items. Each item is worked on by itself, so the number of ranks leaves no
-        trace in the results. An exception on one rank ends all, with its traceback: the others would wait for that rank for ever.
+        trace in the results. An exception on one rank ends all, with its traceback: the others would wait for that rank
+        for ever.
         """
         items = list(items)
         if self.size == 1:
@@ -146,8 +148,8 @@ class Context:
     quick : bool
         Whether small meshes and few samples are asked for.
     cache : Path
-        Folder for meshes and influence coefficients. It belongs to one version of the code, so that coefficients computed by
-        another are never judged.
+        Folder for meshes and influence coefficients. It belongs to one version of the code, so that coefficients
+        computed by another are never judged.
     team : Team
     """
 
@@ -199,7 +201,8 @@ class Study:
         limits = {acceptance.name: acceptance for acceptance in self.acceptance}
         if sorted(finding.name for finding in findings) != sorted(limits):
             raise ValueError(
-                f"study {self.name!r} measured {sorted(f.name for f in findings)}, its acceptance numbers are {sorted(limits)}"
+                f"study {self.name!r} measured {sorted(f.name for f in findings)}, its acceptance numbers are "
+                f"{sorted(limits)}"
             )
         return [Judged(finding, limits[finding.name], limits[finding.name].at(context.quick)) for finding in findings]
 

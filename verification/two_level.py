@@ -1,6 +1,7 @@
 """Many cheap samples and a few dear ones, put together: the regression (control-variate) estimate.
 
-Each of N samples has a cheap result y (the reduced model); n of them also have the dear result x (the full finite elements). With
+Each of N samples has a cheap result y (the reduced model); n of them also have the dear result x (the full finite
+elements). With
 
     x = α + β y + e,        e of zero mean and variance σ_e², given y,
 
@@ -12,16 +13,17 @@ and least squares over the n pairs (β̂, residual variance s_e² with n − 2 d
               var σ̂² = 4 β̂² s_y⁴ s_e²/S_yy + (1 − s_y²/S_yy)² 2 s_e⁴/(n − 2) + β̂⁴ var s_y²
               var s_y² = [m₄ − s_y⁴ (N − 3)/(N − 1)]/N,     m₄ the fourth central moment
 
-Intervals are Student's, with the degrees of freedom that Welch and Satterthwaite give to the sum of variances; that of σ is taken on
-ln σ, so that it stays positive. Nothing in (1) and (2) asks that the n samples be drawn at random: they may be *chosen by y*, since e is
-judged given y. Extreme samples make S_yy large and β̂ sharp; that the relation is a straight line is then what one relies on.
-Where y does not vary over the n samples, β = 1 and the residuals have n − 1 degrees of freedom.
+Intervals are Student's, with the degrees of freedom that Welch and Satterthwaite give to the sum of variances; that of
+σ is taken on ln σ, so that it stays positive. Nothing in (1) and (2) asks that the n samples be drawn at random: they
+may be *chosen by y*, since e is judged given y. Extreme samples make S_yy large and β̂ sharp; that the relation is a
+straight line is then what one relies on. Where y does not vary over the n samples, β = 1 and the residuals have n − 1
+degrees of freedom.
 
 References
 ----------
 Cochran (1977), Sampling Techniques, 3rd ed., Wiley, chapter 7: regression estimators.
-Lavenberg, Welch (1981), A perspective on the use of control variables …, Management Science 27, 322–335: the interval of (1).
-Peherstorfer, Willcox, Gunzburger (2018), Survey of multifidelity methods …, SIAM Review 60, 550–591.
+Lavenberg, Welch (1981), A perspective on the use of control variables …, Management Science 27, 322–335: the interval
+of (1). Peherstorfer, Willcox, Gunzburger (2018), Survey of multifidelity methods …, SIAM Review 60, 550–591.
 """
 
 from __future__ import annotations
@@ -89,7 +91,8 @@ def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
     N, n = len(y_all), len(x)
     if n < 1 or N < 2 or len(y) != n:
         raise ValueError(
-            f"two-level estimate: got {N} cheap and {n} dear results for {len(y)} chosen samples; at least 2 and 1 are needed"
+            f"two-level estimate: got {N} cheap and {n} dear results for {len(y)} chosen samples; at least 2 and 1 "
+            "are needed"
         )
     if not (np.isfinite(y_all).all() and np.isfinite(x).all()):
         raise ValueError("two-level estimate: results must be finite; leave failed samples out")

@@ -2,7 +2,8 @@
 Wheelhouse
 ==========
 
-Inner and outer wheelhouse with three contact zones along the arch: a synthetic assembly of the paper's kind, on a coarse mesh here.
+Inner and outer wheelhouse with three contact zones along the arch: a synthetic assembly of the paper's kind, here on
+a coarse mesh.
 """
 
 from pathlib import Path
@@ -23,16 +24,15 @@ model = mic.reduce(scene)
 # Contact forces of one assembly after clamping: few of the candidate pairs carry load.
 evaluation = model.evaluate(draw(scene, seed=1, first=0, count=20), "coulomb")
 force = evaluation.resolutions["clamp"].force[0, :, 0]
-figure = plt.figure(figsize=(9, 4.5), layout="constrained")
-axis = figure.add_subplot(121, projection="3d")
-point = model.contacts.point
-dots = axis.scatter(*point.T, c=force, s=12, cmap="viridis")
-axis.set(xlabel="x (mm)", ylabel="y", zlabel="z", box_aspect=np.ptp(point, axis=0) + 50)
-figure.colorbar(dots, label="normal force (N)", shrink=0.6)
+figure, axis = plt.subplots(figsize=(8, 4), layout="constrained")
+dots = axis.scatter(model.contacts.point[:, 0], model.contacts.point[:, 2], c=force, s=25, cmap="viridis")
+axis.set(xlabel="x (mm)", ylabel="z (mm)", aspect="equal")
+figure.colorbar(dots, label="normal force (N)")
+plt.show()
 
 # %%
 # Key characteristics of all twenty assemblies, beside their tolerances.
-axis = figure.add_subplot(122)
+figure, axis = plt.subplots(figsize=(8, 3.5), layout="constrained")
 for j, item in enumerate(scene.measurements):
     axis.plot(np.full(len(evaluation.measurements), j), evaluation.measurements[:, j], "o", ms=3, color="C0")
     axis.hlines([item.lower, item.upper], j - 0.3, j + 0.3, color="C3")

@@ -52,7 +52,7 @@ __all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "
 
 OPEN, STICK, SLIP = 0, 1, 2
 
-_MAX_ITERATIONS = 60
+MAX_ITERATIONS = 60
 _PATIENCE = 25  # iterations with full steps
 _TOLERANCE = 1e-11  # of the largest force in the system
 _WORST_ROUNDING = 1e-7
@@ -405,14 +405,14 @@ class Equilibrium:
         Raises
         ------
         NoConvergence
-            After `_MAX_ITERATIONS`, or where the tangent cannot be factorised.
+            After `MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
         N, b = self.N, self.b
         x = np.concatenate([start.u, start.reaction, start.force.ravel()])
         δ = self._contact(x)
         state = law.state(δ)
         history = []
-        for iteration in range(_MAX_ITERATIONS):
+        for iteration in range(MAX_ITERATIONS):
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
             self._update(by_δ, by_f)
             F = self._residual(x, p, v, contact)
@@ -430,7 +430,7 @@ class Equilibrium:
                 return self._unpack(x), history
         worst = int(np.argmax(np.abs(contact).max(axis=1))) if self.m else None
         raise NoConvergence(
-            f"no convergence in {_MAX_ITERATIONS} iterations: residual {residual:.1e} of the largest force, "
+            f"no convergence in {MAX_ITERATIONS} iterations: residual {residual:.1e} of the largest force, "
             f"{changed} contacts still change state",
             worst,
         )

@@ -1,7 +1,7 @@
 """Linear shells by CalculiX: its input written, ccx run, its results read. Debian: apt-get install calculix-ccx.
 
-CalculiX has no shell theory of its own: it expands each quadratic triangle S6 into a solid wedge and ties them at folds, so that
-nothing but the geometry is shared with `fem_reference.shell.element`.
+CalculiX has no shell theory of its own: it expands each quadratic triangle S6 into a solid wedge and ties them at
+folds, so that nothing but the geometry is shared with `fem_reference.shell.element`.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ def _deck(surface, thickness, young, poisson, clamped, forces) -> str:
 
 
 def read(text: str, n: int, printed=None) -> np.ndarray:
-    """The tables "displacements (vx,vy,vz) for set …" of a .dat file: (p, 3, steps) of the printed nodes, by default all n."""
+    """The tables "displacements (vx,vy,vz) for set …" of a .dat file: (p, 3, steps) of the printed nodes, by default
+    all n."""
     printed = np.arange(1, n + 1) if printed is None else np.asarray(printed)
     cases = []
     for line in text.splitlines():

@@ -1,12 +1,13 @@
-"""A frictional contact case by CalculiX: two leaves of solid elements, pressed together over a part of their length, and bent.
+"""A frictional contact case by CalculiX: two leaves of solid elements, pressed together over a part of their length,
+and bent.
 
-Where the leaves are pressed, friction makes them act as one until it gives way; elsewhere each bends on its own. No closed form is at
-hand for the partial slip in between. Solids (C3D20R) with surface-to-surface penalty contact share nothing with
-`fem_reference.full.equilibrium`: neither element, nor surface, nor algorithm.
+Where the leaves are pressed, friction makes them act as one until it gives way; elsewhere each bends on its own. No
+closed form is at hand for the partial slip in between. Solids (C3D20R) with surface-to-surface penalty contact share
+nothing with `fem_reference.full.equilibrium`: neither element, nor surface, nor algorithm.
 
-CalculiX 2.20 takes each load in one increment here. Leaves pressed and slipping all over have a closed form, which it meets to 0.3 %
-in this way; in smaller increments its friction grows with their number (deflections 3 % too small with 4, 5 % with 20), with
-surface-to-surface and with mortar contact, though the exact answer depends on no path.
+CalculiX 2.20 takes each load in one increment here. Leaves pressed and slipping all over have a closed form, which it
+meets to 0.3 % in this way; in smaller increments its friction grows with their number (deflections 3 % too small with
+4, 5 % with 20), with surface-to-surface and with mortar contact, though the exact answer depends on no path.
 """
 
 from __future__ import annotations

@@ -1,6 +1,13 @@
-"""Every call that differs between the supported dolfinx versions: 0.5 (Debian 12) and 0.9 (Debian 13).
+"""Every call that differs between the supported dolfinx versions, which `fem_reference.shell.versions` names.
 
-Nothing else in the project looks at a version number.
+Nothing else in the project looks at a version number. What changed, in order:
+
+====  =============================================================================================================
+0.9   since 0.5: ``basix.ufl`` for UFL's element classes, arrays for adjacency lists, ``functionspace`` for
+      ``FunctionSpace``, ``jit_options`` for ``jit_params``, and ``create_mesh`` calls its element ``e``
+0.10  ``create_mesh`` takes the element before the points: both are passed by name
+0.11  ``Geometry.dofmaps``, one for each cell type; ``Geometry.dofmap`` warns
+====  =============================================================================================================
 """
 
 from __future__ import annotations
@@ -17,17 +24,10 @@ from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
-SUPPORTED = {(0, 5): "Debian 12", (0, 9): "Debian 13"}
+from fem_reference.shell.versions import supported
 
-_version = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
-if _version not in SUPPORTED:
-    raise ImportError(
-        f"fem_reference: dolfinx {dolfinx.__version__} is not supported; install one of "
-        + ", ".join(f"{major}.{minor} ({system})" for (major, minor), system in SUPPORTED.items())
-        + " with apt-get install python3-dolfinx"
-    )
-
-_LEGACY = _version == (0, 5)  # UFL's own element classes, adjacency lists; afterwards basix.ufl and plain arrays
+_VERSION = supported(dolfinx.__version__)
+_LEGACY = _VERSION < (0, 6)  # UFL's own element classes, adjacency lists; afterwards basix.ufl and plain arrays
 if not _LEGACY:
     import basix.ufl
 
@@ -57,7 +57,9 @@ def shell_mesh(comm: MPI.Comm, points: np.ndarray, triangles: np.ndarray) -> dme
     else:
         coordinates = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,))
     with _quietly():
-        return dmesh.create_mesh(comm, triangles, points, ufl.Mesh(coordinates))
+        if _LEGACY:
+            return dmesh.create_mesh(comm, triangles, points, ufl.Mesh(coordinates))
+        return dmesh.create_mesh(comm, cells=triangles, x=points, e=ufl.Mesh(coordinates))
 
 
 def lagrange_6(mesh: dmesh.Mesh) -> fem.FunctionSpace:
@@ -84,10 +86,19 @@ def _function_space(mesh, element) -> fem.FunctionSpace:
         return (fem.FunctionSpace if _LEGACY else fem.functionspace)(mesh, element)
 
 
-def cell_dofs(dofmap) -> np.ndarray:
-    """Local numbers of each cell's freedoms, (cells, freedoms per cell), of a dof map or of the mesh geometry's."""
-    table = getattr(dofmap, "list", dofmap)
-    return np.asarray(table.array.reshape(table.num_nodes, -1) if _LEGACY else table)
+def cell_dofs(space: fem.FunctionSpace) -> np.ndarray:
+    """Local numbers of each cell's freedoms (cells, freedoms per cell) in a function space."""
+    return _table(space.dofmap.list)
+
+
+def cell_points(mesh: dmesh.Mesh) -> np.ndarray:
+    """Local numbers of each cell's points (cells, 3) in the mesh's geometry."""
+    geometry = mesh.geometry
+    return _table(geometry.dofmap if _VERSION < (0, 11) else geometry.dofmaps[0])
+
+
+def _table(dofmap) -> np.ndarray:
+    return np.asarray(dofmap.array.reshape(dofmap.num_nodes, -1) if _LEGACY else dofmap)
 
 
 def compile_form(form) -> fem.Form:

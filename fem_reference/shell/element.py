@@ -13,24 +13,26 @@ with ε the membrane strain, κ = sym ∇β the curvature and C plane stress,
 Two elements, chosen because they share nothing but (1) and (2):
 
 `dkt_opt`
-    (u, θ) linear, six freedoms per vertex. Kirchhoff plate theory held at discrete points (DKT: Batoz, Bathe and Ho 1980) and
-    Felippa's optimal membrane triangle with drilling freedoms (OPT: Felippa 2003). No shear strain, no penalty.
+    (u, θ) linear, six freedoms per vertex. Kirchhoff plate theory held at discrete points (DKT: Batoz, Bathe and Ho
+    1980) and Felippa's optimal membrane triangle with drilling freedoms (OPT: Felippa 2003). No shear strain, no
+    penalty.
 
 `p2_cr`
-    u quadratic, θ Crouzeix–Raviart (Campello, Pimenta and Wriggers 2003; Bleyer, Numerical Tours of Computational Mechanics
-    with FEniCS). Reissner–Mindlin theory with a drilling penalty.
+    u quadratic, θ Crouzeix–Raviart (Campello, Pimenta and Wriggers 2003; Bleyer, Numerical Tours of Computational
+    Mechanics with FEniCS). Reissner–Mindlin theory with a drilling penalty.
 
 All integrands are of degree two at most and one quadrature degree is used throughout: FFCx 0.5 generates
 wrong matrices where one integral mixes degrees.
 
 References
 ----------
-Batoz, Bathe, Ho (1980), A study of three-node triangular plate bending elements, Int. J. Numer. Meth. Engng 15, 1771–1812.
-Felippa (2003), A study of optimal membrane triangles with drilling freedoms, Comput. Methods Appl. Mech. Engrg 192,
+Batoz, Bathe, Ho (1980), A study of three-node triangular plate bending elements, Int. J. Numer. Meth. Engng 15,
+1771–1812. Felippa (2003), A study of optimal membrane triangles with drilling freedoms, Comput. Methods Appl. Mech.
+Engrg 192,
 2125–2168.
-Allman (1984), A compatible triangular element including vertex rotations for plane elasticity analysis, Comput. Struct. 19, 1–8.
-Campello, Pimenta, Wriggers (2003), A triangular finite shell element based on a fully nonlinear shell formulation,
-Comput. Mech. 31, 505–518.
+Allman (1984), A compatible triangular element including vertex rotations for plane elasticity analysis, Comput. Struct.
+19, 1–8. Campello, Pimenta, Wriggers (2003), A triangular finite shell element based on a fully nonlinear shell
+formulation, Comput. Mech. 31, 505–518.
 """
 
 from __future__ import annotations
@@ -56,7 +58,8 @@ class Material(NamedTuple):
 
 
 class Triangle(NamedTuple):
-    """Geometry of one flat triangle in its own frame. Vertices, edges and barycentric coordinates are cyclic: 0, 1, 2."""
+    """Geometry of one flat triangle in its own frame. Vertices, edges and barycentric coordinates are cyclic: 0, 1,
+    2."""
 
     frame: ufl.core.expr.Expr  #: P = [e1 e2] (3, 2): columns in the plane, e1 along the edge 0→1
     normal: ufl.core.expr.Expr  #: e3
@@ -175,13 +178,13 @@ def opt_strain(T: Triangle, v: Kinematics, material: Material):
 
         ε_b = sym ∇u + α_b A/3 Σ_k (ωj − ωi) ∇λk ⊗ ∇λk
 
-    Higher-order part, of zero mean: linear in the deviatoric rotations ω̃i = ωi − ½(∂u2/∂x1 − ∂u1/∂x2) and set by the strain along
-    each edge, of which −sym ∇λi ⊗ ∇λj is the tensor that the other two edges do not feel,
+    Higher-order part, of zero mean: linear in the deviatoric rotations ω̃i = ωi − ½(∂u2/∂x1 − ∂u1/∂x2) and set by the
+    strain along each edge, of which −sym ∇λi ⊗ ∇λj is the tensor that the other two edges do not feel,
 
         ε_h = −√β0 A Σ_k s_k sym(∇λi ⊗ ∇λj),     s_k = (1 − 3λj) ω̃i − (1 − 3λi) ω̃j + (λi − λj) ω̃k
 
-    This is the ANDES template of Felippa (2003) with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2), in a form free of coordinates:
-    his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on integration, and ε_b, ε_h do not couple.
+    This is the ANDES template of Felippa (2003) with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2), in a form free of
+    coordinates: his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on integration, and ε_b, ε_h do not couple.
     """
     α_b = 3 / 2
     λ, dλ, A = T.barycentric, T.gradient, T.area

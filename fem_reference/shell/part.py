@@ -1,8 +1,8 @@
 """One sheet-metal part as a finite-element body: stiffness, functionals, rigid modes, pinned solves.
 
-Units mm, N, MPa, radians. A part is free: it has no supports of its own. Where a solve needs one, six nodal displacement
-components that suppress exactly the rigid motions are *pinned*. The reactions of such a statically determinate
-support vanish under self-equilibrated loads, so that nothing but a rigid motion depends on the choice.
+Units mm, N, MPa, radians. A part is free: it has no supports of its own. Where a solve needs one, six nodal
+displacement components that suppress exactly the rigid motions are *pinned*. The reactions of such a statically
+determinate support vanish under self-equilibrated loads, so that nothing but a rigid motion depends on the choice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from scipy.sparse import coo_matrix, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat, element
-from fem_reference.shell.factorisation import Factorisation, FactorisationError, influence_matrix
+from fem_reference.shell.factorisation import Factorisation, FactorisationError
+from fem_reference.shell.influence import influence_matrix
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
@@ -96,7 +97,8 @@ class ShellPart:
         unused = np.setdiff1d(np.arange(len(surface.points)), surface.triangles)
         if len(unused):
             raise ValueError(
-                f"point {unused[0]} belongs to no triangle ({len(unused)} such points): mic.geometry.repair.repair drops them"
+                f"point {unused[0]} belongs to no triangle ({len(unused)} such points): mic.geometry.repair.repair "
+                "drops them"
             )
         pieces = _pieces(surface.triangles)
         if pieces > 1:
@@ -120,7 +122,7 @@ class ShellPart:
         cells = np.arange(topology.index_map(2).size_local)
         if self.element == "dkt-opt":
             self._space = compat.lagrange_6(self._mesh)
-            nodes = compat.cell_dofs(self._space.dofmap)[cells]
+            nodes = compat.cell_dofs(self._space)[cells]
             nodes = self._space.dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
             both = 6 * nodes[:, :, None] + np.arange(6)
             displacement, rotation = both[:, :, :3], both[:, :, 3:]
@@ -132,7 +134,7 @@ class ShellPart:
             )
         # the surface's triangle of each cell, and which of its corners each corner of the cell is
         triangle = np.asarray(topology.original_cell_index)[cells]
-        vertex = np.asarray(geometry.input_global_indices)[compat.cell_dofs(geometry.dofmap)[cells]]
+        vertex = np.asarray(geometry.input_global_indices)[compat.cell_points(self._mesh)[cells]]
         triangle, vertex, displacement, rotation = (
             np.concatenate(self.comm.allgather(table)) for table in (triangle, vertex, displacement, rotation)
         )
@@ -157,7 +159,7 @@ class ShellPart:
 
     def _component_dofs(self, field: int, component: int) -> np.ndarray:
         """Global freedoms (cells, nodes) of one component of one field of a mixed space."""
-        local = compat.cell_dofs(self._space.sub(field).sub(component).dofmap)
+        local = compat.cell_dofs(self._space.sub(field).sub(component))
         return self._space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
 
     @cached_property
@@ -354,16 +356,17 @@ class ShellPart:
     def _check_conditioning(self, factorisation: Factorisation) -> None:
         """Move the pins rigidly and see whether the part follows: the exact answer to six solves is known.
 
-        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. The smooth rigid motions show the loss of digits at its worst,
-        and a part that holds a mechanism does not follow at all.
+        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. The smooth rigid motions show the loss of digits at its
+        worst, and a part that holds a mechanism does not follow at all.
         """
         exact = self.rigid_modes[self._free]
         followed = factorisation.solve(-self._stiffness_csr[self._free][:, self.pins] @ self.rigid_modes[self.pins])
         error = (abs(followed - exact).max(axis=0) / abs(exact).max(axis=0)).max()
         if not error < RIGID_MOTION_TOLERANCE:
             raise FactorisationError(
-                f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed {RIGID_MOTION_TOLERANCE:.0e}): the part "
-                "holds a mechanism, or is too thin for its size in double precision"
+                f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed "
+                f"{RIGID_MOTION_TOLERANCE:.0e}): the part holds a mechanism, or is too thin for its size in double "
+                "precision"
             )
 
     def solve(self, nodal_forces: np.ndarray) -> np.ndarray:

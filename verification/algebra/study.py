@@ -25,7 +25,7 @@ def compare(model, assembly, law, sample, penalties) -> list[dict]:
 
     Parameters
     ----------
-    model : mic.model.reduced.ReducedModel
+    model : mic.process.model.ReducedModel
     assembly : mic.model.assembly.Assembly
     law : str
     sample : int
@@ -112,8 +112,8 @@ def run(context):
         Finding(
             "order",
             max(abs(order - 1) for order in orders),
-            f"Least-squares orders from {min(orders):.4f} to {max(orders):.4f} over ε/k = "
-            f"{penalties[0]:.0e} … {penalties[-1]:.0e}, k = E t of the softer sheet.",
+            f"Least-squares orders from {min(orders):.4f} to {max(orders):.4f} over ε/k = {penalties[0]:.0e} … "
+            f"{penalties[-1]:.0e}, k = E t of the softer sheet.",
             figure,
             rows,
         ),
@@ -140,8 +140,12 @@ def run(context):
 STUDY = Study(
     order=10,
     title="Algebra",
-    claim="On the same mesh, with the same pairs and the same law, the reduced model finds what the full finite elements find, through all stages.",
-    reference="Full frictional contact finite elements (fem_reference): Newton's method on all freedoms, by penalty and by augmented Lagrangian; no "
+    claim=(
+        "On the same mesh, with the same pairs and the same law, the reduced model finds what the full finite "
+        "elements find, through all stages."
+    ),
+    reference="Full frictional contact finite elements (fem_reference): Newton's method on all freedoms, by penalty "
+    "and by augmented Lagrangian; no "
     "influence coefficients. Lap joint, hat on a plate with a rigid stop, wheelhouse; Coulomb and frictionless.",
     acceptance=(
         Acceptance(
@@ -149,7 +153,10 @@ STUDY = Study(
         ),
         Acceptance(
             "penalty",
-            "At the stiffest penalty, largest difference of forces, gaps, slips and measurements over the largest value.",
+            (
+                "At the stiffest penalty, largest difference of forces, gaps, slips and measurements over the largest "
+                "value."
+            ),
             1e-6,
             quick=1e-5,
         ),

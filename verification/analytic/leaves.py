@@ -1,15 +1,16 @@
 """Two leaves pressed together and bent: Goodman and Klumpp's layered cantilever, as one half of a beam on two supports.
 
-The leaves, each of depth h, width b and length 2 L, lie on each other, are supported at both ends and loaded by 2 P in the
-middle, a half of it on each leaf. By symmetry the middle neither turns nor slips, so each half is a cantilever of length L with the tip load P.
-The clamping pressure p is brought on by opposite forces on the two leaves, one couple for each contact pair.
+The leaves, each of depth h, width b and length 2 L, lie on each other, are supported at both ends and loaded by 2 P in
+the middle, a half of it on each leaf. By symmetry the middle neither turns nor slips, so each half is a cantilever of
+length L with the tip load P. The clamping pressure p is brought on by opposite forces on the two leaves, one couple for
+each contact pair.
 
-While the leaves stick they are one beam of depth 2 h; its shear stress at the interface, 3 P / (4 b h), is the same along the whole span, so
-that all of it begins to slip at once, at P = 4/3 μ p b h. After that the friction stress μ p on each leaf's face, half a depth off
-its axis, works as a distributed couple against the load [1]_.
+While the leaves stick they are one beam of depth 2 h; its shear stress at the interface, 3 P / (4 b h), is the same
+along the whole span, so that all of it begins to slip at once, at P = 4/3 μ p b h. After that the friction stress μ p
+on each leaf's face, half a depth off its axis, works as a distributed couple against the load [1]_.
 
-.. [1] L. E. Goodman, J. H. Klumpp: Analysis of slip damping with reference to turbine-blade vibration, J. Appl. Mech. 23
-       (1956) 421-429.
+.. [1] L. E. Goodman, J. H. Klumpp: Analysis of slip damping with reference to turbine-blade vibration, J. Appl. Mech.
+       23 (1956) 421-429.
 """
 
 from __future__ import annotations
@@ -73,8 +74,8 @@ class Leaves:
     def exact(self, loads) -> np.ndarray:
         """Deflections (mm) along a load history from zero (N), each load one after the other.
 
-        A sliding leaf pair turns round by sticking, and slides back after twice the slip load: the pair is a spring in series with
-        a spring beside a slider, that is kinematic hardening (Masing).
+        A sliding leaf pair turns round by sticking, and slides back after twice the slip load: the pair is a spring in
+        series with a spring beside a slider, that is kinematic hardening (Masing).
         """
         deflection, slid, found = 0.0, 0.0, []
         # δ = k1 P + s with the sliding part s; the slider holds while |P - s / (k2 - k1)| <= P_s.
@@ -94,7 +95,8 @@ class Leaves:
         return 2 * 4 * self.slip_load * (peak - self.slip_load) * (self.sliding_compliance - self.stuck_compliance)
 
     def exact_slips(self, load: float, x) -> np.ndarray:
-        """Sliding freely, the upper leaf's face moves along x against the lower's by h times the slope, mm; mean over each pair's cell."""
+        """Sliding freely, the upper leaf's face moves along x against the lower's by h times the slope, mm; mean over
+        each pair's cell."""
         x, cell = np.asarray(x), 2 * self.length / self.columns
         bending = self.young * self.width * self.depth**3 / 12
         return np.sign(x) * self.depth * load / 2 * (self.length * np.abs(x) - x**2 / 2 - cell**2 / 24) / bending
@@ -112,7 +114,8 @@ class Leaves:
 
 
 def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increments: int = 1, mid_surface: bool = False):
-    """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next load.
+    """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next
+    load.
 
     A deviation for each load's clamps can take them away again, so that one batch shows the state after every load.
 
@@ -187,7 +190,8 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
         points=[(xi, b / 2, 0.0) for xi in x],
         mid_surface=mid_surface,
     )
-    # A row of points across the width: a nugget of any length along the span would shorten the stretched part of the leaves.
+    # A row of points across the width: a nugget of any length along the span would shorten the stretched part of the
+    # leaves.
     welds = (
         [
             dict(name=f"W{i}{j}", parts=("lower", "upper"), point=(at, yj, 0), radius=0, moment=False)

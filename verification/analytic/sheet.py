@@ -48,9 +48,9 @@ class Sheet:
     def dragged(self, forces) -> np.ndarray:
         """Displacement (mm) of the pulled end along a history of forces (N), each reversal from the largest so far.
 
-        Slip starts at the end and reaches as far as friction needs to take up the force, ``a = Q / (μ p b)``; the end has then
-        moved by ``Q a / (2 E A)``. On the way back the friction turns round from the end: twice the curve at half the
-        change (Masing), as Cattaneo and Mindlin found for spheres.
+        Slip starts at the end and reaches as far as friction needs to take up the force, ``a = Q / (μ p b)``; the end
+        has then moved by ``Q a / (2 E A)``. On the way back the friction turns round from the end: twice the curve at
+        half the change (Masing), as Cattaneo and Mindlin found for spheres.
         """
         EA = self.young * self.width * self.depth
 
@@ -78,9 +78,11 @@ def _scene(
     deviations=(),
     stages=(),
 ):
-    """A sheet whose lower face lies `gap` above a round pad; points and directions of the arguments lie in the sheet's own frame.
+    """A sheet whose lower face lies `gap` above a round pad; points and directions of the arguments lie in the sheet's
+    own frame.
 
-    It is held by supports in its normal direction at its corners (or across its whole ends), two at its side, and a stop at its far end.
+    It is held by supports in its normal direction at its corners (or across its whole ends), two at its side, and a
+    stop at its far end.
     """
     L, b, h = sheet.length, sheet.width, sheet.depth
     ends = (0, L)
@@ -142,8 +144,8 @@ def _converged(evaluation):
 def incline_reaction(sheet: Sheet, context, angle: float) -> tuple[float, float]:
     """Force on the stop below a sheet on an incline, and what it must be, both over the weight.
 
-    The closed form ``max(0, sin α - μ cos α)`` holds whatever the sheet's stiffness: each piece of it slides, or stays, by itself. The
-    incline is turned about the vertical as well, so that no axis of it is one of the scene.
+    The closed form ``max(0, sin α - μ cos α)`` holds whatever the sheet's stiffness: each piece of it slides, or stays,
+    by itself. The incline is turned about the vertical as well, so that no axis of it is one of the scene.
 
     Parameters
     ----------
@@ -157,8 +159,8 @@ def incline_reaction(sheet: Sheet, context, angle: float) -> tuple[float, float]
     pitch = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     turn = yaw @ pitch
     weight = sheet.pressure * sheet.width * sheet.length
-    # The weight acts on the very points that the pairs read, and the stop lies in line with them: each pair answers its own piece of
-    # the weight, and the supports at the corners and at the side carry nothing.
+    # The weight acts on the very points that the pairs read, and the stop lies in line with them: each pair answers its
+    # own piece of the weight, and the supports at the corners and at the side carry nothing.
     zone = {"points": _centres(sheet), "mid_surface": True, "patch": 0.0}
     bare = _scene(sheet, context.cache / "meshes", turn, 0.0, [], zone)
     points = assemble(bare, context.cache).contacts.point @ turn
@@ -229,8 +231,8 @@ def dragged_ends(sheet: Sheet, context, forces) -> np.ndarray:
 def stop_force(sheet: Sheet, context, load: float, gap: float, alter=lambda scene: scene) -> tuple[float, float]:
     """Force (N) on a stop under the middle of a sheet on two supports, and what beam theory says.
 
-    The middle, loaded by `load` (N), would sink by ``F L³ / (48 E I)``; what of the load is not needed to sink by the gap (mm) goes
-    into the stop. `alter` may change the scene before it is solved.
+    The middle, loaded by `load` (N), would sink by ``F L³ / (48 E I)``; what of the load is not needed to sink by the
+    gap (mm) goes into the stop. `alter` may change the scene before it is solved.
     """
     L, b = sheet.length, sheet.width
     y, share = strips.line(0, b, 1 + 2 * max(1, round(b / sheet.size / 2)))

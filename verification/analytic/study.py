@@ -48,8 +48,8 @@ def layered_cantilever(context):
         Finding(
             "cantilever",
             error,
-            f"Slip load {leaves.slip_load:.3g} N, {leaves.columns} pairs. Stuck, the beam yields by {stuck:.4f} of what one beam of "
-            "double depth would; sliding freely it would yield by four times as much.",
+            f"Slip load {leaves.slip_load:.3g} N, {leaves.columns} pairs. Stuck, the beam yields by {stuck:.4f} of "
+            "what one beam of double depth would; sliding freely it would yield by four times as much.",
             figure,
             table,
         ),
@@ -172,13 +172,18 @@ def run(context):
 STUDY = Study(
     order=80,
     title="Analytic truth",
-    claim="Where contact and friction have a closed solution the reduced model finds it: sticking, sliding, turning round, with memory.",
-    reference="Closed forms, computed where they are used; neither production nor the finite-element reference is the judge.",
+    claim=(
+        "Where contact and friction have a closed solution the reduced model finds it: sticking, sliding, turning "
+        "round, with memory."
+    ),
+    reference=(
+        "Closed forms, computed where they are used; neither production nor the finite-element reference is the judge."
+    ),
     acceptance=(
         Acceptance(
             "cantilever",
-            "Layered cantilever with slip between the leaves (Goodman and Klumpp), before, at and after the slip load, loading and "
-            "unloading: largest error of the deflection over the largest deflection.",
+            "Layered cantilever with slip between the leaves (Goodman and Klumpp), before, at and after the slip "
+            "load, loading and unloading: largest error of the deflection over the largest deflection.",
             0.003,
             quick=0.008,
         ),
@@ -190,7 +195,10 @@ STUDY = Study(
         ),
         Acceptance(
             "slip",
-            "Leaves without friction slide on each other by their depth times the slope: largest error over the largest slip.",
+            (
+                "Leaves without friction slide on each other by their depth times the slope: largest error over the "
+                "largest slip."
+            ),
             0.003,
             quick=0.006,
         ),
@@ -199,14 +207,14 @@ STUDY = Study(
         ),
         Acceptance(
             "incline",
-            "A sheet on an incline stays below the angle of friction, and leans on its stop with W (sin α - μ cos α) above it: largest error "
-            "over the weight.",
+            "A sheet on an incline stays below the angle of friction, and leans on its stop with W (sin α - μ cos α) "
+            "above it: largest error over the weight.",
             1e-4,
         ),
         Acceptance(
             "partial-slip",
-            "A pressed sheet dragged at its end slips as far as friction needs (shear lag; Cattaneo and Mindlin's law on the way back): "
-            "largest error of the end's displacement over the largest displacement.",
+            "A pressed sheet dragged at its end slips as far as friction needs (shear lag; Cattaneo and Mindlin's "
+            "law on the way back): largest error of the end's displacement over the largest displacement.",
             0.003,
         ),
         Acceptance(

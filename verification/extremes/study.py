@@ -1,4 +1,5 @@
-"""How far the sizes, materials, gaps and meshes may go before an answer is no longer right, and whether the program says so."""
+"""How far the sizes, materials, gaps and meshes may go before an answer is no longer right, and whether the program
+says so."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from matplotlib.patches import Rectangle
 
 from fem_reference.shell.factorisation import FactorisationError
 from mic.contact import ContactSolver
@@ -99,7 +101,8 @@ UNITS = {
 
 
 def units(context, name):
-    """The same strip in other consistent units of length and force; what a scene calls mm and N is what the user makes of it."""
+    """The same strip in other consistent units of length and force; what a scene calls mm and N is what the user makes
+    of it."""
     length, force = UNITS[name]
     sheet = Sheet(
         length=200 * length, width=10 * length, depth=length, size=5 * length, young=210e3 * force / length**2
@@ -108,7 +111,8 @@ def units(context, name):
 
 
 def unequal(context, value):
-    """Two contacting parts whose moduli differ by this factor, as a contact problem: compliances of both sides added."""
+    """Two contacting parts whose moduli differ by this factor, as a contact problem: compliances of both sides
+    added."""
     rng = np.random.default_rng(5)
     soft, stiff = compliant(40, rng, 1e3), compliant(40, rng, 1e3)
     return manufactured_error(soft + stiff / value, np.full(40, 0.3))
@@ -130,12 +134,14 @@ def scaled(context, mu, scale):
 
 
 def manufactured_error(S, mu):
-    """Worst violation of Coulomb's law over four samples, formed here anew: gap, cone, complementarity and slip direction, relative."""
+    """Worst violation of Coulomb's law over four samples, formed here anew: gap, cone, complementarity and slip
+    direction, relative."""
     problem = manufactured(S, mu, 4, np.random.default_rng(11))
     solution = ContactSolver(problem.S, problem.mu).solve(problem.b)
     if not solution.converged.all():
         raise ArithmeticError(
-            f"{(~solution.converged).sum()} of 4 samples did not converge and say so (residual {solution.residual.max():.1e})"
+            f"{(~solution.converged).sum()} of 4 samples did not converge and say so (residual "
+            f"{solution.residual.max():.1e})"
         )
     m = len(mu)
     f, u = solution.force.reshape(-1, m, 3), (solution.force @ S + problem.b).reshape(-1, m, 3)
@@ -211,7 +217,7 @@ def heat_map(table):
     figure, (axis,) = panels(1, width=9.5, height=0.42 * len(names) + 0.8)
     for row, name in enumerate(names):
         for column, (_, cell) in enumerate(table[table["sweep"] == name].iterrows()):
-            axis.add_patch(plt_rectangle(column, row, colours[cell["outcome"]]))
+            axis.add_patch(tile(column, row, colours[cell["outcome"]]))
             value = cell["value"] if isinstance(cell["value"], str) else f"{cell['value']:g}"
             second = "refused" if cell["outcome"] == "refused" else f"{cell['error']:.0e}"
             axis.text(column + 0.5, row + 0.32, value, ha="center", va="center", fontsize=8.5)
@@ -224,14 +230,13 @@ def heat_map(table):
     )
     axis.set_yticklabels(names)
     axis.grid(False)
-    handles = [plt_rectangle(0, 0, colour) for colour in colours.values()]
+    handles = [tile(0, 0, colour) for colour in colours.values()]
     axis.legend(handles, colours, ncols=3, loc="lower right", bbox_to_anchor=(1, 1))
     return figure
 
 
-def plt_rectangle(x, y, colour):
-    from matplotlib.patches import Rectangle
-
+def tile(x, y, colour):
+    """A square of the map, its left upper corner at (x, y)."""
     return Rectangle((x + 0.02, y + 0.03), 0.96, 0.94, facecolor=colour, edgecolor="none")
 
 
@@ -259,8 +264,14 @@ def run(context):
 STUDY = Study(
     order=90,
     title="Extremes",
-    claim="At the extremes of size, material, friction, gap, mesh and units an answer is right, or it is refused with a reason; none is silently wrong.",
-    reference="Closed forms (strip on a stop, sheet on an incline); manufactured contact solutions, judged by a check of Coulomb's law that is written anew here.",
+    claim=(
+        "At the extremes of size, material, friction, gap, mesh and units an answer is right, or it is refused "
+        "with a reason; none is silently wrong."
+    ),
+    reference=(
+        "Closed forms (strip on a stop, sheet on an incline); manufactured contact solutions, judged by a "
+        "check of Coulomb's law that is written anew here."
+    ),
     acceptance=(
         Acceptance("wrong", "Cells whose answer is neither right nor refused with a reason: their number.", 0),
         Acceptance("refused", "Refusals are the exception: their share of all cells.", 0.15),

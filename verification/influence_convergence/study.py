@@ -1,4 +1,5 @@
-"""How accurate influence coefficients are on a mesh of given size, block by block, for patch and for nodal functionals."""
+"""How accurate influence coefficients are on a mesh of given size, block by block, for patch and for nodal
+functionals."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ BLOCKS = {
     "weld spin": ([(36, 24), (72, 72), (132, 48)], 5.0),
     "measurement": ([(12, 12), (108, 84), (132, 24), (132, 72)], 5.0),
 }
-#: The spin of a weld is shown, not judged: a couple about the normal spread over a patch is carried by the drilling freedom, which the
-#: elements define differently; a continuum has no such load
+#: The spin of a weld is shown, not judged: a couple about the normal spread over a patch is carried by the drilling
+#: freedom, which the elements define differently; a continuum has no such load
 JUDGED_BLOCKS = [block for block in BLOCKS if block != "weld spin"]
 
 
@@ -105,8 +106,8 @@ def held_in_the_mean(surface: Surface) -> Functionals:
 def self_compliances(size: float, element: str) -> dict:
     """Self-compliances (m,) of the rows of every block, patch and nodal, on one mesh: {(block, nodal): array}.
 
-    Those of the panel held in the mean: with B the six rows of `held_in_the_mean`, a row's unit load is balanced by C = G G_B⁻¹ of
-    them, and its reading freed of the rigid motion likewise,
+    Those of the panel held in the mean: with B the six rows of `held_in_the_mean`, a row's unit load is balanced by C =
+    G G_B⁻¹ of them, and its reading freed of the rigid motion likewise,
 
         S = [I, −C] H [I, −C]ᵀ,
 
@@ -162,9 +163,10 @@ def run(context):
 
     judged = sizes.index(JUDGED)
     note = (
-        f"Largest relative error of a self-compliance against the mesh of {finest['dkt-opt']:g} mm. From {sizes[-1]:g} mm to that mesh, "
-        f"tangential nodal self-compliances still grow by {100 * growth['tangential', True]:.1f} %, those of patches by "
-        f"{100 * growth['tangential', False]:.2f} %. P2 × CR on {finest['p2-cr']:g} mm, another element and a shear-flexible theory, stands in the last column."
+        f"Largest relative error of a self-compliance against the mesh of {finest['dkt-opt']:g} mm. From "
+        f"{sizes[-1]:g} mm to that mesh, tangential nodal self-compliances still grow by "
+        f"{100 * growth['tangential', True]:.1f} %, those of patches by {100 * growth['tangential', False]:.2f} %. P2 "
+        f"× CR on {finest['p2-cr']:g} mm, another element and a shear-flexible theory, stands in the last column."
     )
     patch_findings = [Finding(block, float(errors[block, False][judged])) for block in JUDGED_BLOCKS]
     patch_findings[0] = Finding("normal", patch_findings[0].measured, note, figure, table)
@@ -179,10 +181,13 @@ def run(context):
 STUDY = Study(
     order=45,
     title="Influence coefficients and the mesh",
-    claim="Averaged over patches, influence coefficients converge with the mesh in every block; at nodes, tangential ones do not.",
+    claim=(
+        "Averaged over patches, influence coefficients converge with the mesh in every block; at nodes, tangential "
+        "ones do not."
+    ),
     reference=(
-        "A doubly curved, flanged panel on nested meshes: DKT + OPT at 0.75 mm, and P2 × CR at 1.5 mm as another element. "
-        "Self-compliances of the panel held in the mean, free of the choice of pins."
+        "A doubly curved, flanged panel on nested meshes: DKT + OPT at 0.75 mm, and P2 × CR at 1.5 mm as another "
+        "element. Self-compliances of the panel held in the mean, free of the choice of pins."
     ),
     acceptance=(
         Acceptance(

@@ -135,17 +135,19 @@ def run(context):
     def words(law):
         row = published[law]
         return (
-            f"{law}: forces off by up to {row['force']:.0%} of the largest ({row['force when clamped']:.0%} when clamped), total normal force by up to {row['total normal force']:.0%}, "
-            f"{row['changed states']:.0%} of the touching contacts in another state, mean zone slip by {row['mean zone slip']:+.1%}, "
-            f"measurements by up to {row['measurement']:.1%} of the largest, gaps of up to {row['gap at loaded contacts, mm']:.3f} mm at loaded contacts"
+            f"{law}: forces off by up to {row['force']:.0%} of the largest ({row['force when clamped']:.0%} when "
+            f"clamped), total normal force by up to {row['total normal force']:.0%}, {row['changed states']:.0%} of "
+            f"the touching contacts in another state, mean zone slip by {row['mean zone slip']:+.1%}, measurements by "
+            f"up to {row['measurement']:.1%} of the largest, gaps of up to {row['gap at loaded contacts, mm']:.3f} mm "
+            "at loaded contacts"
         )
 
     return [
         Finding(
             "truth",
             max(checks),
-            f"{len(checks)} full solves, lap joint at μ from {min(FRICTION)} to {max(FRICTION)} among them: it is Coulomb's law "
-            "that the finite elements obey, and the reduced coulomb with them.",
+            f"{len(checks)} full solves, lap joint at μ from {min(FRICTION)} to {max(FRICTION)} among them: it is "
+            "Coulomb's law that the finite elements obey, and the reduced coulomb with them.",
         ),
         Finding(
             "coulomb-gap", rows["gap under coulomb, mm"].max(), "Over all assemblies, frictions, samples and stages."
@@ -159,22 +161,24 @@ def run(context):
         Finding(
             "opening",
             published["associated"]["gap at loaded contacts, mm"],
-            f"Wheelhouse, μ = {PUBLISHED[1]}, worst of {samples} samples. Where nothing slides much, (13) and Coulomb's law agree; the more a loaded contact "
-            "slides and the larger μ, the farther they part. " + "; ".join(words(law) for law in LAWS) + ".",
+            f"Wheelhouse, μ = {PUBLISHED[1]}, worst of {samples} samples. Where nothing slides much, (13) and "
+            "Coulomb's law agree; the more a loaded contact slides and the larger μ, the farther they part. "
+            + "; ".join(words(law) for law in LAWS)
+            + ".",
             figure,
             rows,
         ),
         Finding(
             "associated-force",
             published["associated"]["force"],
-            "On the same assembly; frictionless: "
-            f"{published['frictionless']['force']:.0%}. The frictionless law has no tangential forces at all, and so the error of μ at least.",
+            f"On the same assembly; frictionless: {published['frictionless']['force']:.0%}. The frictionless law has "
+            "no tangential forces at all, and so the error of μ at least.",
         ),
         Finding(
             "associated-slip",
             abs(published["associated"]["mean zone slip"]),
-            "In fairness to (13): the mean zone slip, which the paper tabulates, suffers "
-            f"less than the forces do; frictionless: {published['frictionless']['mean zone slip']:+.1%}.",
+            "In fairness to (13): the mean zone slip, which the paper tabulates, suffers less than the forces do; "
+            f"frictionless: {published['frictionless']['mean zone slip']:+.1%}.",
         ),
     ]
 
@@ -182,8 +186,13 @@ def run(context):
 STUDY = Study(
     order=20,
     title="Law",
-    claim="Programme (13) is not Coulomb's law: it opens sliding contacts under load. This is by how much it, and leaving friction out, change the answer.",
-    reference="Full frictional contact finite elements, and reduced coulomb where these have certified it; μ = 0.05 … 0.8.",
+    claim=(
+        "Programme (13) is not Coulomb's law: it opens sliding contacts under load. This is by how much it, and "
+        "leaving friction out, change the answer."
+    ),
+    reference=(
+        "Full frictional contact finite elements, and reduced coulomb where these have certified it; μ = 0.05 … 0.8."
+    ),
     acceptance=(
         Acceptance(
             "truth", "The reduced coulomb is what the full finite elements find: largest relative difference.", 1e-8
@@ -191,7 +200,10 @@ STUDY = Study(
         Acceptance("coulomb-gap", "Under Coulomb's law no loaded contact is open: largest gap.", 1e-9, unit="mm"),
         Acceptance(
             "identity",
-            "Solutions of (13) open by μ times the slip, as its optimality conditions say: largest departure over the largest gap.",
+            (
+                "Solutions of (13) open by μ times the slip, as its optimality conditions say: largest departure over "
+                "the largest gap."
+            ),
             1e-6,
         ),
         Acceptance(

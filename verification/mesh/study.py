@@ -50,9 +50,9 @@ def converge(size, value) -> Convergence:
 
         p = |ln|ε₃₂/ε₂₁| + ln((r₂₁ᵖ − 1)/(r₃₂ᵖ − 1))| / ln r₂₁
 
-    The index is F |ε₂₁|/(r₂₁ᵖ − 1). As Oberkampf and Roy advise [2]_, F = 1.25 with the formal order where p is within a tenth of it, and
-    elsewhere F = 3 with p kept within 0.5 … FORMAL. Where the values oscillate (ε₃₂/ε₂₁ < 0) nothing is extrapolated: if the
-    oscillation dies down the limit lies between the last two values, and the index is 3 |ε₂₁|.
+    The index is F |ε₂₁|/(r₂₁ᵖ − 1). As Oberkampf and Roy advise [2]_, F = 1.25 with the formal order where p is within
+    a tenth of it, and elsewhere F = 3 with p kept within 0.5 … FORMAL. Where the values oscillate (ε₃₂/ε₂₁ < 0) nothing
+    is extrapolated: if the oscillation dies down the limit lies between the last two values, and the index is 3 |ε₂₁|.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ def converge(size, value) -> Convergence:
 
     References
     ----------
-    .. [1] Celik et al.: Procedure for estimation and reporting of uncertainty due to discretization in CFD applications, J. Fluids
-           Eng. 130 (2008) 078001.
+    .. [1] Celik et al.: Procedure for estimation and reporting of uncertainty due to discretization in CFD
+           applications, J. Fluids Eng. 130 (2008) 078001.
     .. [2] Oberkampf, Roy: Verification and Validation in Scientific Computing, 2010, section 8.7.
     """
     h3, h2, h1 = size
@@ -212,8 +212,8 @@ def run(context):
         Finding(
             "wheelhouse-slip-index",
             slips["index"].max(),
-            f"{(slips['kind'] == 'oscillating').sum()} of {len(slips)} oscillate: contact forces "
-            "follow the facets of the mesh, and slips follow the forces.",
+            f"{(slips['kind'] == 'oscillating').sum()} of {len(slips)} oscillate: contact forces follow the facets of "
+            "the mesh, and slips follow the forces.",
         )
     )
     findings.append(
@@ -230,8 +230,14 @@ def run(context):
 STUDY = Study(
     order=50,
     title="Mesh",
-    claim="Key characteristics and zone slips converge as the elements become smaller, and the error that a mesh leaves is known.",
-    reference="Richardson extrapolation over three meshes; on the lap joint a fourth mesh judges the index. Contact pairs stand at the same points on all meshes.",
+    claim=(
+        "Key characteristics and zone slips converge as the elements become smaller, and the error that a mesh "
+        "leaves is known."
+    ),
+    reference=(
+        "Richardson extrapolation over three meshes; on the lap joint a fourth mesh judges the index. Contact "
+        "pairs stand at the same points on all meshes."
+    ),
     acceptance=(
         Acceptance("lap-order", "Median observed order of means and 6σ on the lap joint.", 1.5, bound="at least"),
         Acceptance(
@@ -241,15 +247,18 @@ STUDY = Study(
         ),
         Acceptance(
             "wheelhouse-index",
-            "Largest grid convergence index of the key characteristics' 6σ on the wheelhouse's fine mesh, over the largest 6σ.",
+            (
+                "Largest grid convergence index of the key characteristics' 6σ on the wheelhouse's fine mesh, over the "
+                "largest 6σ."
+            ),
             0.04,
             quick=0.4,
         ),
         Acceptance("wheelhouse-slip-index", "The same of the zone slips' 6σ.", 0.2, quick=0.6),
         Acceptance(
             "wheelhouse-medium",
-            "How far the key characteristics' 6σ on the wheelhouse's medium mesh is from the extrapolated limit at most, over the "
-            "largest 6σ.",
+            "How far the key characteristics' 6σ on the wheelhouse's medium mesh is from the extrapolated limit at "
+            "most, over the largest 6σ.",
             0.04,
             quick=0.2,
         ),

@@ -20,7 +20,8 @@ TYPICAL = 1.0  # mm, of a stamped part
 
 
 def scaled(assembly, full, size):
-    """Deviations of the scene's first sample with its shapes scaled so that the largest displacement is `size` mm, and nothing else moved."""
+    """Deviations of the scene's first sample with its shapes scaled so that the largest displacement is `size` mm, and
+    nothing else moved."""
     scene = assembly.scene
     shaped = np.array([deviation.kind == "force" for deviation in scene.deviations])
     deviations = np.where(shaped, draw(scene, scene.monte_carlo.seed, 0, 1)[0], 0.0)
@@ -29,14 +30,16 @@ def scaled(assembly, full, size):
 
 
 def stretching(assembly, full) -> float:
-    """Bound on what geometric nonlinearity does: membrane energy of the strains that linear kinematics leaves out, over the strain energy.
+    """Bound on what geometric nonlinearity does: membrane energy of the strains that linear kinematics leaves out, over
+    the strain energy.
 
-    In each flat triangle, with ∇w the gradient of the displacement normal to it once the part's rigid motion is taken out, the strain ½ ∇w ⊗ ∇w of
-    von Kármán comes on top of the linear membrane strain. The energy of this part alone,
+    In each flat triangle, with ∇w the gradient of the displacement normal to it once the part's rigid motion is taken
+    out, the strain ½ ∇w ⊗ ∇w of von Kármán comes on top of the linear membrane strain. The energy of this part alone,
 
         U = Σ ½ A ε : D : ε,      ε = ½ ∇w ⊗ ∇w,      D = E t/(1 − ν²) [plane stress],
 
-    is put on a displacement that was found without it. A plate free to move in its plane gives way and keeps much less: hence a bound.
+    is put on a displacement that was found without it. A plate free to move in its plane gives way and keeps much less:
+    hence a bound.
     """
     stage = next(iter(full.resolutions))
     added, fields = 0.0, full.field(stage)
@@ -143,8 +146,9 @@ def run(context):
         Finding(
             "measurement",
             typical["measurement"].max(),
-            f"At {TYPICAL} mm: {each(typical, 'measurement', '.2%')}. At {max(sizes)} mm: {each(large, 'measurement', '.1%')}. "
-            f"Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}, their normal parts: {each(typical, 'normal force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
+            f"At {TYPICAL} mm: {each(typical, 'measurement', '.2%')}. At {max(sizes)} mm: "
+            f"{each(large, 'measurement', '.1%')}. Forces at {TYPICAL} mm: {each(typical, 'force', '.1%')}, their "
+            f"normal parts: {each(typical, 'normal force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
             f"{(rows['failure'] != '').sum()} of {len(rows)} pairs of full solves failed.",
             figure,
             rows,
@@ -157,13 +161,17 @@ def run(context):
         Finding(
             "same-mesh",
             solved["same mesh"].max(),
-            "What is left when the full solve keeps the nominal mesh: the differences above come from the geometry alone.",
+            (
+                "What is left when the full solve keeps the nominal mesh: the differences above come from the geometry "
+                "alone."
+            ),
         ),
         Finding(
             "stretching",
             least["stretching"].max(),
-            f"At {min(sizes)} mm. At {TYPICAL} mm: {each(typical, 'stretching', '.1%')}; at {max(sizes)} mm: {each(large, 'stretching', '.1%')}. The bound takes the linear displacement as it is and "
-            "adds the membrane energy of the rotations' squares; a real sheet gives way in its plane, so the truth is less.",
+            f"At {min(sizes)} mm. At {TYPICAL} mm: {each(typical, 'stretching', '.1%')}; at {max(sizes)} mm: "
+            f"{each(large, 'stretching', '.1%')}. The bound takes the linear displacement as it is and adds the "
+            "membrane energy of the rotations' squares; a real sheet gives way in its plane, so the truth is less.",
         ),
     ]
 
@@ -171,15 +179,24 @@ def run(context):
 STUDY = Study(
     order=60,
     title="Nominal stiffness",
-    claim="One stiffness, that of the nominal mesh, serves all deviated parts: its error grows with the deviations and is this large.",
-    reference="Full frictional contact finite elements on meshes that carry the deviated shape, with its stiffness, normals and gaps; deviations of 0.1 … 10 mm.",
+    claim=(
+        "One stiffness, that of the nominal mesh, serves all deviated parts: its error grows with the deviations "
+        "and is this large."
+    ),
+    reference=(
+        "Full frictional contact finite elements on meshes that carry the deviated shape, with its stiffness, "
+        "normals and gaps; deviations of 0.1 … 10 mm."
+    ),
     acceptance=(
         Acceptance(
             "measurement", f"Key characteristics at deviations of {TYPICAL} mm: largest relative difference.", 0.1
         ),
         Acceptance(
             "growth",
-            "Smaller deviations leave smaller differences, at first order or better: lowest observed order up to there.",
+            (
+                "Smaller deviations leave smaller differences, at first order or better: lowest observed order up to "
+                "there."
+            ),
             0.8,
             bound="at least",
         ),
@@ -190,8 +207,8 @@ STUDY = Study(
         ),
         Acceptance(
             "stretching",
-            f"Geometric nonlinearity at deviations of {min(DEVIATIONS)} mm: bound on the membrane energy that linear kinematics leaves out, "
-            "over the strain energy.",
+            f"Geometric nonlinearity at deviations of {min(DEVIATIONS)} mm: bound on the membrane energy that linear "
+            "kinematics leaves out, over the strain energy.",
             0.1,
         ),
     ),

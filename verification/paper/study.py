@@ -164,7 +164,10 @@ def run(context):
         Finding(
             "calibration",
             float(calibration),
-            "On 500 samples that were not used to calibrate; 6σ of 500 samples is itself uncertain, see the table of the trend.",
+            (
+                "On 500 samples that were not used to calibrate; 6σ of 500 samples is itself uncertain, see the "
+                "table of the trend."
+            ),
             table=fitted,
         ),
         Finding(
@@ -172,13 +175,16 @@ def run(context):
             float(worst),
             "Friction under the paper's law leaves "
             + ", ".join(
-                f"{ratio['associated'][0, z]:.2f} of the mean and {ratio['associated'][1, z]:.2f} of the spread in {name} (paper: "
-                f"{published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})"
+                f"{ratio['associated'][0, z]:.2f} of the mean and {ratio['associated'][1, z]:.2f} of the spread in "
+                f"{name} (paper: {published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})"
                 for z, name in enumerate(names)
             )
-            + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's geometry, locators and clamp forces are not "
-            "published: agreement of the frictionless column is a calibration and proves nothing; that friction lowers mean and spread in all zones is a "
-            "prediction that could have failed; the amount is a property of this geometry and its clamps, and no agreement of amounts is claimed.",
+            + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's "
+            "geometry, locators and clamp forces are not "
+            "published: agreement of the frictionless column is a calibration and proves nothing; that friction "
+            "lowers mean and spread in all zones is a "
+            "prediction that could have failed; the amount is a property of this geometry and its clamps, and no "
+            "agreement of amounts is claimed.",
             figure,
             table,
         ),
@@ -190,8 +196,10 @@ def run(context):
         Finding(
             "slip-force",
             float(np.quantile(forces, 0.95) / measured["calculated_high"]),
-            f"{len(forces)} active contacts carry {forces.min():.2g} to {forces.max():.3g} N (paper: measured {measured['measured_low']:g} to {measured['measured_high']:g} N, "
-            f"calculated {measured['calculated_low']:g} to {measured['calculated_high']:g} N); {inside:.0%} of them lie in the range that the paper calculated.",
+            f"{len(forces)} active contacts carry {forces.min():.2g} to {forces.max():.3g} N (paper: measured "
+            f"{measured['measured_low']:g} to {measured['measured_high']:g} N, calculated "
+            f"{measured['calculated_low']:g} to {measured['calculated_high']:g} N); {inside:.0%} of them lie in the "
+            "range that the paper calculated.",
             force_figure,
         ),
     ]
@@ -200,8 +208,14 @@ def run(context):
 STUDY = Study(
     order=100,
     title="The paper's case",
-    claim="With the corrective forces calibrated on the paper's frictionless column alone, friction lowers mean and spread of the slip in all three zones, as in the paper.",
-    reference="Table 1 and section 4.2 of the paper, whose geometry is another: the values are set beside each other, only the trend is claimed.",
+    claim=(
+        "With the corrective forces calibrated on the paper's frictionless column alone, friction lowers mean and "
+        "spread of the slip in all three zones, as in the paper."
+    ),
+    reference=(
+        "Table 1 and section 4.2 of the paper, whose geometry is another: the values are set beside each "
+        "other, only the trend is claimed."
+    ),
     acceptance=(
         Acceptance(
             "calibration",
@@ -210,17 +224,26 @@ STUDY = Study(
         ),
         Acceptance(
             "trend",
-            "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to frictionless, both laws.",
+            (
+                "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to "
+                "frictionless, both laws."
+            ),
             1.0,
         ),
         Acceptance(
             "laws",
-            "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative difference.",
+            (
+                "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative "
+                "difference."
+            ),
             0.08,
         ),
         Acceptance(
             "slip-force",
-            "Friction forces are of the published size: the 95 % quantile over the active contacts, over the largest published.",
+            (
+                "Friction forces are of the published size: the 95 % quantile over the active contacts, over the "
+                "largest published."
+            ),
             1.0,
         ),
     ),

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from mpi4py import MPI
 
+from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.process.process import Process
 from mic.sampling.draw import draw
@@ -78,7 +80,8 @@ def refine(context, name, counts, samples):
 
 
 def reversal(context):
-    """The layered cantilever loaded to twice its slip load and unloaded, each way in one step or many, or straight to the end."""
+    """The layered cantilever loaded to twice its slip load and unloaded, each way in one step or many, or straight to
+    the end."""
     leaves = Leaves(size=5.0, columns=20)
     loads = np.array([2.0, 0.0]) * leaves.slip_load
     exact = leaves.exact(loads)
@@ -90,11 +93,8 @@ def reversal(context):
 
 
 def against_full(context, counts):
-    """Forces of the reduced model and of the full finite elements on the coarse lap joint, for each number of increments."""
-    from mpi4py import MPI
-
-    from fem_reference.full.model import FullModel
-
+    """Forces of the reduced model and of the full finite elements on the coarse lap joint, for each number of
+    increments."""
     rows = []
     for count in counts:
         scene = with_increments(shipped("lap_joint", "coarse"), count)
@@ -153,7 +153,10 @@ def run(context):
         Finding(
             "key-characteristic",
             float(one["key characteristic / 6σ"].max()),
-            f"Contact forces differ by up to {one['force'].max():.2g} of their norm, {one['changed states'].max():.2g} of the contacts change state.",
+            (
+                f"Contact forces differ by up to {one['force'].max():.2g} of their norm, "
+                f"{one['changed states'].max():.2g} of the contacts change state."
+            ),
         ),
         Finding(
             "converged",
@@ -164,7 +167,10 @@ def run(context):
         Finding(
             "reversal",
             float(abs(skipped[-1] - exact[-1]) / abs(exact[-1])),
-            f"The leaves keep a deflection of {exact[-1]:.3g} mm; gone straight to the same load they keep {skipped[-1]:.2g} mm.",
+            (
+                f"The leaves keep a deflection of {exact[-1]:.3g} mm; gone straight to the same load they keep "
+                f"{skipped[-1]:.2g} mm."
+            ),
         ),
         Finding("full", float(full["force: reduced - full, relative"].max()), table=full),
     ]
@@ -197,12 +203,21 @@ def deflections_table(exact, found, skipped):
 STUDY = Study(
     order=30,
     title="Path",
-    claim="One step per stage changes slips and key characteristics by no more than the numbers below; a load that turns round needs a stage for each way.",
-    reference="The same stages cut into many increments; the layered cantilever's closed form; the full finite elements with the same increments.",
+    claim=(
+        "One step per stage changes slips and key characteristics by no more than the numbers below; a load that "
+        "turns round needs a stage for each way."
+    ),
+    reference=(
+        "The same stages cut into many increments; the layered cantilever's closed form; the full finite "
+        "elements with the same increments."
+    ),
     acceptance=(
         Acceptance(
             "slip",
-            "Zone slip by one step per stage against many: largest mean difference over the scene's largest mean zone slip.",
+            (
+                "Zone slip by one step per stage against many: largest mean difference over the scene's largest mean "
+                "zone slip."
+            ),
             0.12,
         ),
         Acceptance(
@@ -212,12 +227,18 @@ STUDY = Study(
         ),
         Acceptance(
             "converged",
-            "The last halving of the increments changes forces, slips and key characteristics by little: largest relative change.",
+            (
+                "The last halving of the increments changes forces, slips and key characteristics by little: largest "
+                "relative change."
+            ),
             0.04,
         ),
         Acceptance(
             "one-way",
-            "On the layered cantilever, up in one step and back in another agree with many increments: difference over the largest deflection.",
+            (
+                "On the layered cantilever, up in one step and back in another agree with many increments: difference "
+                "over the largest deflection."
+            ),
             1e-3,
         ),
         Acceptance(
@@ -228,7 +249,10 @@ STUDY = Study(
         ),
         Acceptance(
             "full",
-            "With any number of increments the reduced model follows the full finite elements: largest relative difference of the forces.",
+            (
+                "With any number of increments the reduced model follows the full finite elements: largest relative "
+                "difference of the forces."
+            ),
             1e-6,
         ),
     ),

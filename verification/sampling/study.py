@@ -18,7 +18,8 @@ def with_zones(scene, **changes):
 
 
 def summary(context, scene, samples):
-    """Statistics of one version of the wheelhouse: mean slip of each zone, key characteristics, largest and total normal force."""
+    """Statistics of one version of the wheelhouse: mean slip of each zone, key characteristics, largest and total
+    normal force."""
     model = context.model(scene)
     evaluation = model.evaluate(draw(scene, 5, 0, samples))
     ok = ~evaluation.failed
@@ -105,8 +106,8 @@ def run(context):
         Finding(
             "density-kc",
             float(at_102["key characteristic / tolerance"]),
-            f"Over 6σ, which is small here beside the tolerance, it is {at_102['key characteristic / 6σ']:.2g}; σ itself changes by "
-            f"{at_102['σ of key characteristic']:.2g}.",
+            f"Over 6σ, which is small here beside the tolerance, it is {at_102['key characteristic / 6σ']:.2g}; σ "
+            f"itself changes by {at_102['σ of key characteristic']:.2g}.",
         ),
         Finding(
             "patch",
@@ -119,14 +120,15 @@ def run(context):
         Finding(
             "mid-surface",
             stiffness.iloc[1]["over one beam"],
-            "On the wheelhouse, pairs on the mid-surfaces change the zone slip by "
-            f"{middle['zone slip']:.2g} and key characteristics by {middle['key characteristic / tolerance']:.2g} of the tolerance.",
+            f"On the wheelhouse, pairs on the mid-surfaces change the zone slip by {middle['zone slip']:.2g} and key "
+            f"characteristics by {middle['key characteristic / tolerance']:.2g} of the tolerance.",
         ),
     ]
 
 
 def cantilever(context):
-    """Compliance of two leaves stuck by friction, read on their surfaces and on their mid-surfaces, over that of one beam of double depth."""
+    """Compliance of two leaves stuck by friction, read on their surfaces and on their mid-surfaces, over that of one
+    beam of double depth."""
     leaves = Leaves(size=5.0, columns=20)
     rows = []
     for name, mid_surface in (("facing surfaces", False), ("mid-surfaces", True)):
@@ -145,13 +147,19 @@ def cantilever(context):
 STUDY = Study(
     order=40,
     title="Sampling of the interface",
-    claim="About a hundred pairs with patch averages on the sheets' facing surfaces stand for the continuous interface to the numbers below; the spread of key characteristics asks for more.",
+    claim=(
+        "About a hundred pairs with patch averages on the sheets' facing surfaces stand for the continuous "
+        "interface to the numbers below; the spread of key characteristics asks for more."
+    ),
     reference="The same wheelhouse with ever more pairs; the same pairs on a finer mesh; beam theory for the surfaces.",
     acceptance=(
         Acceptance("density", "Zone slip with 102 pairs against the densest interface: relative difference.", 0.1),
         Acceptance(
             "density-kc",
-            "Key characteristics with 102 pairs against the densest interface: difference of the means over the tolerance.",
+            (
+                "Key characteristics with 102 pairs against the densest interface: difference of the means over the "
+                "tolerance."
+            ),
             0.04,
         ),
         Acceptance(
@@ -159,12 +167,18 @@ STUDY = Study(
         ),
         Acceptance(
             "surfaces",
-            "Read on the facing surfaces, two stuck leaves are as stiff as one beam of double depth: compliance over that beam's.",
+            (
+                "Read on the facing surfaces, two stuck leaves are as stiff as one beam of double depth: compliance "
+                "over that beam's."
+            ),
             1.01,
         ),
         Acceptance(
             "mid-surface",
-            "Read on the mid-surfaces they are not: compliance over that of one beam, four where friction does not couple the leaves at all.",
+            (
+                "Read on the mid-surfaces they are not: compliance over that of one beam, four where friction does not "
+                "couple the leaves at all."
+            ),
             3.9,
             bound="at least",
         ),

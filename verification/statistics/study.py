@@ -1,11 +1,12 @@
-"""How well a finite number of samples knows the mean, σ, 6σ and Cpk, and whether the intervals that are reported hold."""
+"""How well a finite number of samples knows the mean, σ, 6σ and Cpk, and whether the intervals that are reported
+hold."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 
-from mic.results import statistics
+from mic.results import capability, statistics
 from mic.sampling.draw import draw
 from verification.plots import panels
 from verification.scenes import shipped
@@ -19,7 +20,7 @@ ESTIMATES = ("mean", "sigma", "six_sigma", "cpk")
 def estimate(name, x, limits):
     """One of mic's estimates, by name."""
     if name == "cpk":
-        return statistics.centred_capability(x, *limits)
+        return capability.centred_capability(x, *limits)
     return getattr(statistics, name)(x)
 
 
@@ -34,7 +35,8 @@ def truth(mean, sigma, limits):
 
 
 def repeat(draw_samples, known, limits, count, repetitions, block=500):
-    """Relative error of each estimate in each repetition, and the share of repetitions whose interval held the truth."""
+    """Relative error of each estimate in each repetition, and the share of repetitions whose interval held the
+    truth."""
     errors, covered = {name: [] for name in ESTIMATES}, dict.fromkeys(ESTIMATES, 0)
     for first in range(0, repetitions, block):
         x = draw_samples(count, min(block, repetitions - first))
@@ -159,7 +161,8 @@ def run(context):
             "scene-coverage",
             lowest,
             f"{samples} samples of the coarse wheelhouse under Coulomb's law are the population; {draws} "
-            "times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess kurtosis above 0); the intervals take that from the samples.",
+            "times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess kurtosis above 0); the "
+            "intervals take that from the samples.",
             table=table,
         ),
     ]
@@ -168,18 +171,30 @@ def run(context):
 STUDY = Study(
     order=70,
     title="Statistics",
-    claim="Mean, σ, 6σ and Cpk come with intervals that hold the truth as often as they say, and their error falls as the theory says.",
-    reference="Populations whose values are known exactly: the normal distribution, and a large set of wheelhouse samples taken as the whole population.",
+    claim=(
+        "Mean, σ, 6σ and Cpk come with intervals that hold the truth as often as they say, and their error falls "
+        "as the theory says."
+    ),
+    reference=(
+        "Populations whose values are known exactly: the normal distribution, and a large set of wheelhouse "
+        "samples taken as the whole population."
+    ),
     acceptance=(
         Acceptance(
             "rate",
-            "The error of each estimate falls with the square root of the number of samples: largest departure of the fitted rate from -1/2.",
+            (
+                "The error of each estimate falls with the square root of the number of samples: largest departure of "
+                "the fitted rate from -1/2."
+            ),
             0.02,
             quick=0.05,
         ),
         Acceptance(
             "coverage",
-            "Intervals said to hold at 95 % do, on normal samples: largest departure of the share that held, over all counts and estimates.",
+            (
+                "Intervals said to hold at 95 % do, on normal samples: largest departure of the share that held, over "
+                "all counts and estimates."
+            ),
             0.012,
             quick=0.02,
         ),
@@ -191,7 +206,10 @@ STUDY = Study(
         ),
         Acceptance(
             "scene-coverage",
-            "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: lowest share.",
+            (
+                "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: "
+                "lowest share."
+            ),
             0.92,
             bound="at least",
         ),

@@ -1,4 +1,5 @@
-"""What accuracy costs: every knob, one at a time, and the named settings, against the finest run; all on one machine in one run."""
+"""What accuracy costs: every knob, one at a time, and the named settings, against the finest run; all on one machine in
+one run."""
 
 from __future__ import annotations
 
@@ -13,15 +14,16 @@ import pandas as pd
 from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
+from mic import examples
 from mic.results import statistics
 from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
-from verification.study import FOLDER, Acceptance, Finding, Study
+from verification.study import Acceptance, Finding, Study
 
-WHEELHOUSE = FOLDER.parent / "meshes" / "wheelhouse"
+WHEELHOUSE = examples.folder("wheelhouse")
 LAWS = ("coulomb", "associated", "frictionless")
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
@@ -150,7 +152,8 @@ def cost(line, samples) -> float:
 
 
 def cheapest(lines, target):
-    """The cheapest version and number of samples whose error and sampling error together keep the target; None if there is none."""
+    """The cheapest version and number of samples whose error and sampling error together keep the target; None if there
+    is none."""
     fitting = [
         (cost(line, count), line, count)
         for _, line in lines.iterrows()
@@ -236,7 +239,10 @@ def advice(lines, full) -> pd.DataFrame:
             rows.append(
                 {
                     "6σ to": f"{target:.0%}",
-                    "run": f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} before any sampling error",
+                    "run": (
+                        f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} "
+                        "before any sampling error"
+                    ),
                     "samples": float("nan"),
                     "cost, s": float("nan"),
                     "full solves would take, s": float("nan"),
@@ -268,7 +274,8 @@ def in_words(table) -> str:
         + (
             f"{line['run']}."
             if not line["samples"] > 0
-            else f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would take {line['full solves would take, s'] / 3600:.1f} h, "
+            else f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would "
+            f"take {line['full solves would take, s'] / 3600:.1f} h, "
             f"{line['times cheaper']:.0f} times as much."
         )
         for _, line in table.iterrows()
@@ -340,8 +347,8 @@ def run(context):
         Finding(
             "draft",
             settings.loc["draft", "error of 6σ"],
-            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} increments; "
-            f"the same {plan['samples']} samples for all versions, so that sampling errors cancel. "
+            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} "
+            f"increments; the same {plan['samples']} samples for all versions, so that sampling errors cancel. "
             + ("Quick version: the named sizes are replaced by coarser ones." if context.quick else ""),
             picture(coulomb, kept, samples),
             lines,
@@ -379,8 +386,12 @@ def run(context):
 STUDY = Study(
     order=110,
     title="The trade",
-    claim="Accuracy can be bought knob by knob; three named settings buy it well, and anyone can read off what 6σ to 1, 2, 5 or 10 % takes.",
-    reference="The wheelhouse, finer in every knob than any setting, on the same samples. All errors include the settings' meshes; those of the truth are the "
+    claim=(
+        "Accuracy can be bought knob by knob; three named settings buy it well, and anyone can read off what 6σ to "
+        "1, 2, 5 or 10 % takes."
+    ),
+    reference="The wheelhouse, finer in every knob than any setting, on the same samples. All errors include the "
+    "settings' meshes; those of the truth are the "
     "mesh study's. One machine, one run, every version from nothing.",
     acceptance=(
         Acceptance(

@@ -1,0 +1,107 @@
+"""Influence coefficients H = L K⁻¹ Lᵀ of one matrix, and of many parts shared out over processes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mpi4py import MPI
+from scipy.sparse import csr_matrix
+
+from fem_reference.shell.factorisation import (
+    BLOCK,
+    Factorisation,
+    FactorisationError,
+    NoSchurComplement,
+    OutOfMemory,
+)
+
+if TYPE_CHECKING:  # a part computes its own coefficients by `influence_matrix`
+    from fem_reference.shell.part import ShellPart
+    from mic.compliance.functional import Functionals
+
+__all__ = ["compute_influence", "influence_matrix"]
+
+
+def compute_influence(
+    parts: Mapping[str, Callable[[], ShellPart]],
+    functionals: Mapping[str, Functionals],
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """H (n, n) and G (n, 6) of every part, the parts shared out over the processes.
+
+    Each part is factorised on one process alone (a serial factorisation per part beats a distributed one at these
+    sizes), so that the result does not depend on how many there are. The Schur complement leaves no right-hand sides to
+    share out further; processes beyond the number of parts have nothing to do.
+
+    Parameters
+    ----------
+    parts
+        What builds each part, on `MPI.COMM_SELF`; called only on the process that owns the part.
+    functionals
+        The retained functionals of each part, by the same names.
+    comm
+        The processes to share the work; the result is whole on each.
+    """
+    # the dearest first, each to the process with the least to do
+    load = np.zeros(comm.size)
+    owner = {}
+    for name in sorted(parts, key=lambda name: -len(functionals[name])):
+        owner[name] = int(np.argmin(load))
+        load[owner[name]] += 1 + len(functionals[name])
+    mine = {name: parts[name]().influence(functionals[name]) for name in parts if owner[name] == comm.rank}
+    shared = {}
+    for piece in comm.allgather(mine):
+        shared.update(piece)
+    return {name: shared[name] for name in parts}
+
+
+def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factorisation]:
+    """H = L K⁻¹ Lᵀ (n, n) for sparse SPD K (m, m) and sparse L (n, m), with the factorisation that gave it.
+
+    By the Schur complement; where that cannot be had, for want of memory or of a PETSc that gives it, by sweeps of
+    sparse right-hand sides. A few columns are solved once more, and their residuals formed with K itself.
+
+    Raises
+    ------
+    FactorisationError
+        If the factorisation fails or H does not pass that check.
+    """
+    n = L.shape[0]
+    factorisation = None
+    if n:
+        try:
+            factorisation = Factorisation(K, L)
+            H = factorisation.influence
+        except (OutOfMemory, NoSchurComplement) as problem:
+            warnings.warn(f"{problem}. Falling back to blocks of right-hand sides, several times slower", stacklevel=2)
+    if factorisation is None:
+        factorisation = Factorisation(K)
+        H = np.empty((n, n))
+        for first in range(0, n, BLOCK):
+            H[:, first : first + BLOCK] = L @ factorisation.solve_sparse(L[first : first + BLOCK])
+        H = 0.5 * (H + H.T)
+    _check(H, K, L, factorisation)
+    return H, factorisation
+
+
+def _check(H, K, L, factorisation, columns: int = 3) -> None:
+    """Raise unless a few columns of H agree with solves whose residual is small in the sense of Rigal and Gaches."""
+    # a functional that reads pinned freedoms alone has an empty row and H = 0
+    loaded = np.flatnonzero(np.diff(L.indptr))
+    if not len(loaded):
+        return
+    chosen = loaded[np.unique(np.linspace(0, len(loaded) - 1, columns).astype(int))]
+    B = L[chosen].T.toarray()
+    X = factorisation.solve_sparse(L[chosen])
+    norm_K = abs(K).sum(axis=1).max()
+    backward = abs(K @ X - B).max(axis=0) / (norm_K * abs(X).max(axis=0) + abs(B).max(axis=0))
+    difference = abs(L @ X - H[:, chosen]).max() / abs(H).max()
+    if not (np.all(backward < 1e-11) and difference < 1e-8):
+        raise FactorisationError(
+            f"influence coefficients fail their check: backward error {max(backward):.1e} (allowed 1e-11), "
+            f"difference from separate solves {difference:.1e} of the largest (allowed 1e-8); the stiffness is too "
+            "badly conditioned"
+        )

@@ -1,0 +1,50 @@
+"""Curved panels, their meshes, and the functionals that tests read on them."""
+
+import numpy as np
+
+from mic.compliance.functional import Functionals
+from mic.geometry.surface import Surface
+
+E, NU, T = 210000.0, 0.3, 1.2  # MPa, 1, mm
+PLACES = [[10.0, 10.0, 3.0], [45.0, 20.0, 8.0], [20.0, 40.0, 8.0]]
+
+
+def grid(nx, ny, shape, jitter=0.0, pattern="right"):
+    """Triangulated unit square (X, Y), nx × ny cells, carried into space by `shape`(X, Y) → (n, 3).
+
+    Interior vertices move by up to `jitter` cells first (always in the same way). `pattern` "right" divides all cells
+    along the same diagonal, "cross" in alternation.
+    """
+    X, Y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, nx + 1), np.linspace(0, 1, ny + 1), indexing="ij"))
+    random = np.random.default_rng(20)
+    inside_x, inside_y = (X > 1e-9) & (X < 1 - 1e-9), (Y > 1e-9) & (Y < 1 - 1e-9)
+    X = X + inside_x * jitter / nx * random.uniform(-1, 1, X.shape)
+    Y = Y + inside_y * jitter / ny * random.uniform(-1, 1, Y.shape)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
+    a = i * (ny + 1) + j
+    b, c, d = a + ny + 1, a + ny + 2, a + 1
+    other = ((i + j) % 2 == 1) if pattern == "cross" else np.zeros(len(i), dtype=bool)
+    first = np.where(other[:, None], np.column_stack([a, b, d]), np.column_stack([a, b, c]))
+    second = np.where(other[:, None], np.column_stack([b, c, d]), np.column_stack([a, c, d]))
+    return Surface(shape(X, Y), np.concatenate([first, second]))
+
+
+def panel(n=8):
+    """A doubly curved panel of 60 × 50 mm, n × n cells of irregular shape."""
+    return grid(
+        n, n, lambda X, Y: np.column_stack([60 * X, 50 * Y, 8 * np.sin(2 * X + Y)]), jitter=0.2, pattern="cross"
+    )
+
+
+def functionals(surface, places, radius):
+    """Twelve rows at every place: displacements at the three levels (side −1, 0, 1) and rotations, x, y, z each."""
+    patches = tuple(surface.patch(place, radius) for place in places)
+    n = len(patches)
+    return Functionals(
+        patches=patches,
+        patch=np.repeat(np.arange(n), 12),
+        direction=np.tile(np.eye(3), (4 * n, 1)),
+        rotation=np.tile([False] * 9 + [True] * 3, n),
+        side=np.tile(np.repeat([-1, 0, 1, 0], 3), n),
+        label=tuple(f"row {i}" for i in range(12 * n)),
+    )
