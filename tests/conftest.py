@@ -1,5 +1,8 @@
-"""Fixtures shared by the tests: scenes that are cheap enough to run everywhere."""
+"""Fixtures shared by the tests: scenes that are cheap enough to run everywhere, with finite elements or without."""
 
+import importlib.util
+import os
+import re
 from pathlib import Path
 
 import pytest
@@ -7,6 +10,26 @@ import pytest
 import mic
 
 ROOT = Path(__file__).resolve().parents[1]
+FINITE_ELEMENTS = importlib.util.find_spec("dolfinx") is not None
+
+
+def pytest_configure():
+    """Processes that a test starts find the shipped compliance as the tests themselves do."""
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
+
+
+def pytest_ignore_collect(collection_path):
+    """Without finite elements, a module marked ``fem`` as a whole is not even imported: its imports would fail."""
+    if FINITE_ELEMENTS or collection_path.suffix != ".py":
+        return None
+    return bool(re.search(r"^pytestmark = .*\bfem\b", collection_path.read_text(encoding="utf-8"), re.M)) or None
+
+
+def pytest_collection_modifyitems(items):
+    """Without finite elements, what is marked ``fem`` is skipped, and says so."""
+    for item in items:
+        if not FINITE_ELEMENTS and item.get_closest_marker("fem"):
+            item.add_marker(pytest.mark.skip(reason="needs finite elements (dolfinx) or gmsh"))
 
 
 @pytest.fixture(scope="session")
@@ -18,6 +41,9 @@ def cache(tmp_path_factory):
 @pytest.fixture(scope="session")
 def lap_scene():
     return mic.load_scene(ROOT / "meshes" / "lap_joint")
+
+
+# Where no finite elements are installed, the compliance that tests/support/shipped.py provides takes their place.
 
 
 @pytest.fixture(scope="session")

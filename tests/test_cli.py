@@ -31,6 +31,7 @@ def command(cache, tmp_path):
     return call
 
 
+@pytest.mark.fem
 def test_run_check_report(command, tmp_path):
     checked = command("check", LAP).stdout
     assert (

@@ -72,6 +72,7 @@ def test_forces_balance_on_every_part(lap_model, evaluation):
     assert np.abs(lap_model.compliance.resultants(evaluation.functional_force)).max() < 1e-9 * scale
 
 
+@pytest.mark.fem
 def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, cache, evaluation):
     from fem_reference.shell.part import ShellPart
 
@@ -116,6 +117,7 @@ def test_one_sample_has_a_mean_and_no_spread(lap_model):
     assert factor.rank == 0 and (factor.mean_force == 1).all() and factor.samples == 1
 
 
+@pytest.mark.fem
 def test_fields_on_disk(folder):
     written = write_fields(folder)
     read, skipped = read_fields(folder)
@@ -130,6 +132,7 @@ def test_fields_on_disk(folder):
     assert (folder / "fields" / "lower.vtu").is_file()
 
 
+@pytest.mark.fem
 def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
     write_fields(folder)
     path = folder / "fields" / "coulomb-lower.vtu"
@@ -147,6 +150,7 @@ def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
         aside.rename(aside.with_name(f"{0:06d}-{SAMPLES - 1:06d}.parquet"))
 
 
+@pytest.mark.fem
 def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkeypatch):
     (folder / "fields" / "fields.npz").unlink(missing_ok=True)
 
@@ -161,6 +165,7 @@ def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkey
     assert len(write_fields(folder)) == 4  # tried again once they are there
 
 
+@pytest.mark.fem
 def test_cut_fields_are_refused_in_one_sentence_and_computed_anew(folder):
     write_fields(folder)
     path = folder / "fields" / "fields.npz"

@@ -39,6 +39,7 @@ def smallest_angles(points, triangles):
     return np.min(angles, axis=0)
 
 
+@pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_mesh_is_one_oriented_sheet(medium, case):
     points, triangles = medium[case]
@@ -55,6 +56,7 @@ def test_mesh_is_one_oriented_sheet(medium, case):
     assert cKDTree(points).query_pairs(1e-6) == set()
 
 
+@pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_triangles_are_well_shaped(medium, case):
     angles = smallest_angles(*medium[case])
@@ -62,6 +64,7 @@ def test_triangles_are_well_shaped(medium, case):
     assert np.percentile(angles, 5) > 35
 
 
+@pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_building_is_deterministic(medium, case):
     name, part = case
@@ -81,6 +84,7 @@ def test_unusable_arguments_are_refused(name):
 # --- wheelhouse ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fem
 @pytest.mark.parametrize(
     "resolution, low, high", [("coarse", 3000, 4500), ("medium", 10000, 12500), ("fine", 30000, 40000)]
 )
@@ -133,6 +137,7 @@ def distance_to(points, triangles, queries, normals):
     return t[np.arange(len(t)), best]
 
 
+@pytest.mark.fem
 def test_meshes_of_the_flanges_are_one_thickness_apart(medium):
     inner, outer, normal = (a.reshape(-1, 3) for a in wheelhouse.flange_point(ARCH[1:-1], ACROSS[1:-1]))
     middle = (inner + outer) / 2
@@ -143,6 +148,7 @@ def test_meshes_of_the_flanges_are_one_thickness_apart(medium):
     assert np.abs(below + wheelhouse.THICKNESS / 2).max() < 0.01
 
 
+@pytest.mark.fem
 def test_flange_elements_resolve_a_contact_patch(medium):
     middle = np.concatenate(wheelhouse.flange_point(ARCH[2:-2], ACROSS[2:-2])[0])
     for part in wheelhouse.PARTS:
@@ -152,6 +158,7 @@ def test_flange_elements_resolve_a_contact_patch(medium):
         assert np.sqrt(areas[near] * 4 / np.sqrt(3)).max() < 4.0  # a patch 12 mm across spans at least three elements
 
 
+@pytest.mark.fem
 def test_triangle_normals_agree_with_the_analytic_ones(medium):
     places = [("inner", region) for region in ("flange", "tread", "face", "hem")]
     places += [("outer", region) for region in ("flange", "panel", "step", "brim", "wall")]
@@ -169,12 +176,14 @@ def test_triangle_normals_agree_with_the_analytic_ones(medium):
     assert tread[2] < -0.9 and panel[2] > 0.9  # towards the wheel, away from the wheel
 
 
+@pytest.mark.fem
 def test_sheets_do_not_penetrate(medium):
     """Nowhere are the mid-surfaces closer than on the flange."""
     distance, _ = cKDTree(medium["wheelhouse", "inner"][0]).query(medium["wheelhouse", "outer"][0])
     assert distance.min() > 0.99 * wheelhouse.THICKNESS
 
 
+@pytest.mark.fem
 def test_wheel_has_room(medium):
     for part in wheelhouse.PARTS:
         points = medium["wheelhouse", part][0]
@@ -182,6 +191,7 @@ def test_wheel_has_room(medium):
         assert np.hypot(tread[:, 0], tread[:, 2]).min() > 315
 
 
+@pytest.mark.fem
 def test_layout_lies_on_the_parts_and_holds_them(medium):
     layout = wheelhouse.layout()
     assert {key: len(rows) for key, rows in layout.items()} == {
@@ -233,6 +243,7 @@ def test_layout_prints_as_toml(capsys):
 # --- the two small ones ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fem
 def test_lap_joint_dimensions(medium):
     lower, upper = (medium["lap_joint", part] for part in ("lower", "upper"))
     assert np.allclose(lower[0].min(0), [0, 0, 0]) and np.allclose(lower[0].max(0), [100, 25, 0])
@@ -242,6 +253,7 @@ def test_lap_joint_dimensions(medium):
         assert np.allclose(normals, [0, 0, 1]) and np.isclose(areas.sum(), 2500)
 
 
+@pytest.mark.fem
 def test_hat_on_plate_dimensions(medium):
     plate, hat = (medium["hat_on_plate", part] for part in ("plate", "hat"))
     assert np.allclose(plate[0].min(0), [0, -60, 0]) and np.allclose(plate[0].max(0), [160, 60, 0])

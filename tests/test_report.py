@@ -100,6 +100,7 @@ def test_the_page_loads_nothing(page):
     assert len(page.source) < 15e6
 
 
+@pytest.mark.fem
 def test_every_figure_is_there(page):
     assert page.ids >= {
         "assembly",
@@ -126,6 +127,7 @@ def test_every_figure_is_there(page):
         assert len(raw) > 3000
 
 
+@pytest.mark.fem
 def test_the_viewer_has_the_surfaces_and_fields(page, folder):
     data = json.loads(page.scripts["viewer-data"])
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and data["laws"] == [
@@ -233,6 +235,7 @@ def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
     assert len({look.colour for look in LAWS.values()}) == len({look.mark for look in LAWS.values()}) == len(LAWS)
 
 
+@pytest.mark.slow
 def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, page):
     """The paper's figures come from a file beside the scene; nothing about them is in the program."""
     (folder / PUBLISHED).write_text(
@@ -245,6 +248,7 @@ def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, 
     assert "measured range" not in page.words and "by −57 % in the paper" in found.words
 
 
+@pytest.mark.slow
 def test_failed_and_missing_samples_are_named_with_advice(folder, page, tmp_path):
     spoilt = tmp_path / "spoilt"
     shutil.copytree(folder, spoilt)
@@ -257,6 +261,7 @@ def test_failed_and_missing_samples_are_named_with_advice(folder, page, tmp_path
     assert "60 of 100 samples are missing" in words
 
 
+@pytest.mark.slow
 def test_wall_time_and_versions_are_told(folder, page):
     record = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(record | {"wall_time": {"Monte Carlo": 12.34}}))
@@ -268,6 +273,7 @@ FRICTIONLESS = {"laws": ["frictionless"], "slip": False}
 TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name, changes, samples, absent, present",
     [
@@ -300,6 +306,7 @@ def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_sce
         assert "does not ask for fields" in page.words
 
 
+@pytest.mark.slow
 def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
     stages = [stage.model_dump() for stage in lap_scene.stages if stage.kind != "release"]
     page = _results(_changed(lap_scene, stages=stages, report=TWO_LAWS), cache, tmp_path, 5)

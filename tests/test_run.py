@@ -162,6 +162,7 @@ def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
     assert "coulomb: 8 of 8 samples found finished" in " ".join(heard.sentences)
 
 
+@pytest.mark.fem
 def test_ranks_share_the_samples(lap_model, tmp_path):
     sample_into(tmp_path / "one", lap_model, LAWS, 120, 4)
     lap_model.save(tmp_path / "model.npz")

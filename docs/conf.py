@@ -1,0 +1,68 @@
+"""Sphinx: the documentation is these pages, what the code says of itself, and a gallery that is run (script/docs)."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import mic
+
+sys.path.insert(0, str(Path(__file__).parent))  # pages.py, which writes the generated pages
+import pages
+
+project = "mic-contact"
+author = "The authors of mic-contact"
+copyright = "The authors of mic-contact"
+version = release = mic.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["gallery/*", "images/*.py"]
+suppress_warnings = ["config.cache"]  # the gallery's order is a function, which no cache can hold
+
+default_role = "literal"  # single backquotes name an argument or attribute
+autodoc_default_options = {"show-inheritance": True}
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the numpydoc sections say more: shapes, units, signs
+numpydoc_show_class_members = False
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "_generated/gallery",
+    "filename_pattern": r"\.py$",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "write_computation_times": False,
+    "remove_config_comments": True,
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "mic-contact"
+html_show_sourcelink = False
+html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+
+
+def references(app, what, name, obj, options, lines):
+    """A module numbers its references once, for all its functions; numpydoc would want them in each docstring."""
+    text = "\n".join(lines)
+    if what == "module":
+        text = re.sub(r"^(\w[^\n]*)\n-{3,}$", r".. rubric:: \1\n", text, flags=re.MULTILINE)
+        text = re.sub(r"^\.\. \[(\d+)\] ", r"- [\1] ", text, flags=re.MULTILINE)
+        text = re.sub(r"^   (?=\S)", "  ", text, flags=re.MULTILINE) if "- [1] " in text else text
+    lines[:] = re.sub(r"\[(\d+)\]_", r"[\1]", text).split("\n") if what == "module" or ".. [" not in text else lines[:]
+
+
+def setup(app):
+    """Write the generated pages before Sphinx looks for sources."""
+    pages.write(Path(__file__).parent / "_generated")
+    app.connect("autodoc-process-docstring", references, priority=100)  # before numpydoc

@@ -1,0 +1,40 @@
+"""
+Lap joint
+=========
+
+Two strips, clamped and welded in their overlap: the smallest assembly with every ingredient. How much of the
+contact carries load, and how far do the sheets slip when the upper strip's shape deviates?
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import mic
+
+meshes = next(folder for folder in Path.cwd().parents if (folder / "meshes").is_dir()) / "meshes"
+scene = mic.load_scene(meshes / "lap_joint")
+model = mic.reduce(scene)
+
+# %%
+# The corrective force F1 shapes the upper strip. All other deviations stay at their means.
+force = np.linspace(-12.0, 4.0, 33)
+deviations = np.tile([deviation.mean for deviation in scene.deviations], (len(force), 1))
+deviations[:, model.parameters.index("F1")] = force
+result = {law: model.evaluate(deviations, law) for law in scene.report.laws}
+
+# %%
+# How far the sheets slip on each other depends on the contact law.
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
+for law, evaluation in result.items():
+    slip = evaluation.resolutions["clamp"].displacement[:, :, 1:]
+    left.plot(force, 1e3 * np.sqrt((slip**2).sum(axis=2).mean(axis=1)), label=law)
+left.set(xlabel="F1 (N)", ylabel="RMS slip after clamping (µm)")
+left.legend()
+
+clamped = result["coulomb"].resolutions["clamp"].force[len(force) // 2]
+dots = right.scatter(*model.contacts.point[:, :2].T, c=clamped[:, 0], s=60, cmap="viridis")
+right.set(xlabel="x (mm)", ylabel="y (mm)", title="normal force after clamping", aspect="equal")
+figure.colorbar(dots, label="N", shrink=0.8)
+plt.show()

@@ -1,0 +1,84 @@
+"""The outcome of the shipped scenes, as ``test_recorded`` compares it and as it is recorded.
+
+``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder. README.md says when that is allowed.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import mic
+from mic.sampling.draw import draw
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = Path(__file__).resolve().parent
+SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
+LAWS = ("coulomb", "associated", "frictionless")
+INCREMENTS = (1, 3)
+SAMPLES = 5
+PAIRS = ("gap", "area", "point", "frame")
+WHOLE = ("measurements", "failed", "motion", "functional_force")  # of an evaluation
+STAGE = ("force", "displacement", "state", "reaction")  # of each stage that resolves contact
+
+
+def changed(name: str, increments: int) -> mic.Scene:
+    """A shipped scene under all three laws, with slip and with this many increments in every stage."""
+    scene = mic.load_scene(ROOT / "meshes" / name)
+    return scene.model_copy(
+        update={
+            "stages": [stage.model_copy(update={"increments": increments}) for stage in scene.stages],
+            "report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True}),
+        }
+    )
+
+
+def drawn(name: str) -> np.ndarray:
+    """(SAMPLES, p) deviations that the scene's own seed draws."""
+    scene = mic.load_scene(ROOT / "meshes" / name)
+    return draw(scene, scene.monte_carlo.seed, 0, SAMPLES)
+
+
+def outcome(name: str, increments: int, deviations: np.ndarray, cache: Path) -> dict[str, np.ndarray]:
+    """All that is recorded of one scene and number of increments, by key: ``law/increments/stage/quantity``."""
+    with threadpool_limits(1):  # how many share a factorisation moves the wheelhouse's compliance by 6e-10
+        return _outcome(mic.reduce(changed(name, increments), cache), increments, deviations)
+
+
+def _outcome(model, increments, deviations):
+    arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
+    for law in LAWS:
+        evaluation = model.evaluate(deviations, law)
+        key = f"{law}/{increments}"
+        arrays |= {f"{key}/{quantity}": getattr(evaluation, quantity) for quantity in WHOLE}
+        for stage, resolution in evaluation.resolutions.items():
+            arrays |= {f"{key}/{stage}/{quantity}": getattr(resolution, quantity) for quantity in STAGE}
+    return arrays
+
+
+def platform() -> str:
+    """What the last digits depend on: the finite elements, and whose products and factorisations they use."""
+    elements = version("fenics-dolfinx") if find_spec("dolfinx") else "none"
+    blas = [library for library in threadpool_info() if library["user_api"] == "blas"]
+    libraries = sorted({f"{one['internal_api']} {one['version']} {one.get('architecture')}" for one in blas})
+    return f"dolfinx {elements}; numpy {np.__version__}; " + ", ".join(libraries)
+
+
+def main() -> None:
+    for name in SCENES:
+        arrays = {"platform": np.array(platform()), "deviations": drawn(name)}
+        with TemporaryDirectory() as cache:
+            for increments in INCREMENTS:
+                arrays |= outcome(name, increments, arrays["deviations"], Path(cache))
+        np.savez_compressed(FOLDER / f"{name}.npz", **arrays)
+        print(f"recorded {len(arrays)} arrays of {name}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

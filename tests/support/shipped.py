@@ -1,0 +1,99 @@
+"""Compliance of the small scenes, shipped with the tests: the program runs on it where there are no finite elements.
+
+``tests/data/SCENE.npz`` holds the influence coefficients of each part of a scene, and where each functional reads.
+A scene that keeps the parts and asks for no other functionals (other laws, stages, increments, friction) is served by
+selection of rows. The program finds this provider as it finds any: by the entry point in ``tests/shipped.dist-info``.
+
+``PYTHONPATH=tests python -m support.shipped`` computes the files anew; that takes finite elements. It is needed when
+parts, meshes or functionals of the scenes change, and at no other time.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import mic
+from mic.compliance.cache import influence_coefficients
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.errors import MissingProvider
+from mic.model.assembly import assemble
+from mic.store import Format, load_arrays, save_arrays
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT / "tests" / "data"
+SCENES = ("lap_joint", "hat_on_plate")
+SHIPPED = Format("shipped compliance", 1, "make it again: PYTHONPATH=tests python -m support.shipped")
+SAME = 1e-7  # mm, and components of unit vectors: readings that are closer than this are one
+
+
+def places(part) -> np.ndarray:
+    """(F, 9) array: where each functional of a part reads: point, patch size, direction, rotation or not, side."""
+    rows = []
+    for patch in part.functionals.patches:
+        at = part.surface.at(patch.triangle, patch.barycentric)
+        centre = patch.weight @ at
+        rows.append([*centre, np.sqrt(patch.weight @ ((at - centre) ** 2).sum(axis=1))])
+    f = part.functionals
+    return np.column_stack([np.array(rows)[f.patch], f.direction, f.rotation, f.side])
+
+
+def body(part) -> dict:
+    """What a part's compliance depends on beside its functionals."""
+    return {
+        "points": np.round(np.abs(part.surface.points).sum(axis=0), 6).tolist(),
+        "sizes": [len(part.surface.points), len(part.surface.triangles)],
+        "sheet": [part.thickness, part.young, part.poisson, part.element],
+    }
+
+
+class Shipped:
+    """The shipped compliance as a provider (``mic.compliance.provider``)."""
+
+    def __init__(self):
+        self.files = [load_arrays(DATA / f"{scene}.npz", SHIPPED) for scene in SCENES]
+
+    def accepts(self, part) -> bool:
+        """Whether the part is a shipped one, and its functionals are among those that were shipped."""
+        return self._rows(part) is not None
+
+    def coefficients(self, parts, comm=None) -> dict[str, InfluenceCoefficients]:
+        """By part name; `comm` is not used, for nothing is computed."""
+        found = {}
+        for part in parts:
+            arrays, rows = self._rows(part)
+            H, G = arrays[f"{part.name}:H"], arrays[f"{part.name}:G"]
+            found[part.name] = InfluenceCoefficients(
+                part.name, H[np.ix_(rows, rows)], G[rows], {"element": part.element}
+            )
+        return found
+
+    def field(self, part, forces):
+        """Shipped are readings of functionals; a field takes the finite elements."""
+        raise MissingProvider(f"part {part.name!r}: no displacement field is shipped; install the finite elements")
+
+    def _rows(self, part):
+        for header, arrays in self.files:
+            if header.get(part.name) == body(part):
+                distance, rows = cKDTree(arrays[f"{part.name}:places"]).query(places(part))
+                return (arrays, rows) if (distance < SAME).all() else None
+        return None
+
+
+def main(cache: Path) -> None:
+    """Compute the files anew."""
+    for name in SCENES:
+        assembly = assemble(mic.load_scene(ROOT / "meshes" / name), cache)
+        coefficients = influence_coefficients(assembly, cache)[0]
+        header, arrays = {}, {}
+        for part in assembly.parts:
+            one = coefficients[part.name]
+            header[part.name] = body(part)
+            arrays |= {f"{part.name}:H": one.H, f"{part.name}:G": one.G, f"{part.name}:places": places(part)}
+        save_arrays(DATA / f"{name}.npz", SHIPPED, header, arrays)
+
+
+if __name__ == "__main__":
+    main(mic.cache_folder())

@@ -1,0 +1,60 @@
+"""The shipped scenes give the numbers that they gave; recorded/README.md says what is held, and how it may change."""
+
+import numpy as np
+import pytest
+from recorded.record import FOLDER, INCREMENTS, SCENES, drawn, outcome, platform
+
+TOLERANCE = 1e-10  # of the largest value of the array, where finite elements and BLAS are those of the recording
+ELSEWHERE = 1e-8  # the wheelhouse's compliance is conditioned such that others move its last digits by 1e-9
+EXACT = ("state", "failed")
+
+
+def moved(key, found, recorded, tolerance=TOLERANCE):
+    """How an array differs from the recorded one, in words; None where it does not."""
+    words = key.split("/")
+    if len(words) > 2:
+        place = f"{words[0]}, increments {words[1]}, " + (f"stage {words[2]}, " if len(words) > 3 else "")
+    else:
+        place = "".join(f"{word}, " for word in words[:-1])
+    quantity = place + words[-1]
+    if found.shape != recorded.shape:
+        return f"{quantity}: shape {found.shape}, recorded {recorded.shape}"
+    if words[-1] in EXACT:
+        different = np.count_nonzero(found != recorded)
+        return f"{quantity}: {different} of {found.size} differ" if different else None
+    scale = np.abs(recorded).max(initial=0.0)
+    difference = np.abs(found - recorded)
+    if (difference <= tolerance * scale).all():  # false for a nan as well
+        return None
+    return f"{quantity}: moved by {difference.max() / (scale or 1.0):.1e} of its largest value, {scale:.3g}"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_same_seed_draws_the_same_deviations(name):
+    with np.load(FOLDER / f"{name}.npz") as recorded:
+        assert moved("deviations", drawn(name), recorded["deviations"]) is None
+
+
+@pytest.mark.parametrize("increments", INCREMENTS)
+@pytest.mark.parametrize("name", [*SCENES[:2], pytest.param("wheelhouse", marks=[pytest.mark.slow, pytest.mark.fem])])
+def test_the_same_scene_gives_the_same_numbers(name, increments, cache):
+    with np.load(FOLDER / f"{name}.npz") as file:
+        held = [key for key in file.files if key.startswith("pairs/") or f"/{increments}/" in key]
+        recorded = {key: file[key] for key in held}
+        deviations, home = file["deviations"], str(file["platform"])
+    tolerance = TOLERANCE if platform() == home else ELSEWHERE
+    found = outcome(name, increments, deviations, cache)
+    assert sorted(found) == sorted(recorded)
+    differences = [words for key in found if (words := moved(key, found[key], recorded[key], tolerance))]
+    heading = f"{name}: (recorded with {home}; here {platform()}; held to {tolerance})"
+    assert not differences, "\n".join([heading, *differences])
+
+
+def test_a_difference_is_told_with_its_size():
+    recorded = np.array([1.0, -4.0])
+    assert moved("coulomb/3/clamp/force", recorded * (1 + 1e-12), recorded) is None
+    words = moved("coulomb/3/clamp/force", recorded * (1 + 1e-6), recorded)
+    assert words == "coulomb, increments 3, stage clamp, force: moved by 1.0e-06 of its largest value, 4"
+    assert "1 of 2 differ" in moved("coulomb/1/failed", np.array([True, False]), np.array([False, False]))
+    assert "nan" in moved("pairs/gap", np.array([np.nan, 1.0]), recorded)
+    assert "shape" in moved("pairs/gap", recorded[:1], recorded)
