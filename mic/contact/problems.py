@@ -1,8 +1,8 @@
 """Contact problems of known structure, to test, compare and time solvers on.
 
-Two families.  *Compliant* problems have a full-rank compliance like an elastic assembly's, with loads for which most closed
-contacts slip, or with a manufactured exact solution.  *Rigid* problems are one step of rigid bodies under gravity,
-``S = H M⁻¹ Hᵀ``: many more contacts than degrees of freedom, so that ``S`` is singular and forces are not unique.
+Two families.  *Compliant* problems have a full-rank compliance like an elastic assembly's, with loads for which most
+closed contacts slip, or with a manufactured exact solution.  *Rigid* problems are one step of rigid bodies under
+gravity, ``S = H M⁻¹ Hᵀ``: many more contacts than degrees of freedom, so that ``S`` is singular and forces are not unique.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
+from mic.contact.laws import Law, find
 
 __all__ = [
     "ContactProblem",
@@ -93,7 +95,7 @@ def manufactured(
     rng: np.random.Generator,
     stick: float = 0.7,
     slide: float = 0.2,
-    law: str = "coulomb",
+    law: str | Law = "coulomb",
 ) -> ContactProblem:
     """Choose forces and displacements that obey the law, then ``b = u - S f``.
 
@@ -105,8 +107,8 @@ def manufactured(
         Samples.
     stick, slide : float
         Shares of contacts that stick and that slide; the rest are open.
-    law : {"coulomb", "associated"}
-        A sliding contact of the associated law opens by ``μ‖u_t‖``.
+    law : str or Law
+        With friction; a contact that slips opens by ``(1 - s) μ‖u_t‖``, ``s`` the law's shift.
     """
     m = len(mu)
     f, u = np.zeros((n, m, 3)), np.zeros((n, m, 3))
@@ -122,8 +124,7 @@ def manufactured(
     slip = rng.uniform(0.1, 1.0, (n, m)) * size
     u[..., 1:] = np.where(stuck, 0.0, -slip)[..., None] * direction
     u[..., 0] = np.where(stuck | sliding, 0.0, rng.uniform(0.1, 1.0, (n, m)) * size)
-    if law == "associated":
-        u[..., 0] += np.where(stuck, 0.0, mu * slip)
+    u[..., 0] += np.where(stuck, 0.0, (1.0 - find(law).shift) * mu * slip)
     f, u = f.reshape(n, -1), u.reshape(n, -1)
     return ContactProblem(S, u - f @ S, mu, f, u)
 
@@ -132,8 +133,8 @@ def manufactured(
 class RigidScene:
     """Rigid bodies and the contacts between them; lengths in m, masses in kg, velocities in m/s.
 
-    Body ``-1`` is the ground.  :meth:`problem` gives one step of ``step`` seconds in which contact impulses must prevent
-    penetration: ``f`` are impulses, ``u`` relative velocities.
+    Body ``-1`` is the ground.  :meth:`problem` gives one step of ``step`` seconds in which contact impulses must
+    prevent penetration: ``f`` are impulses, ``u`` relative velocities.
     """
 
     centre: list
@@ -143,7 +144,7 @@ class RigidScene:
     step: float = 1e-2
 
     @classmethod
-    def empty(cls) -> "RigidScene":
+    def empty(cls) -> RigidScene:
         return cls([], [], [], [])
 
     def body(self, centre, mass, inertia) -> int:
@@ -266,7 +267,7 @@ def arch(stones: int, radius: float = 5.0, thickness: float = 1.0, depth: float 
 
 
 def sphere_pile(layers: int, width: int, rng: np.random.Generator) -> RigidScene:
-    """Spheres in a loose cubic heap between four walls and a floor, slightly shaken so that no contact is like another."""
+    """Spheres in a loose cubic heap between four walls and a floor, slightly shaken so that contacts differ."""
     scene = RigidScene.empty()
     radius = 0.5
     for level in range(layers):
