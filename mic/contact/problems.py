@@ -2,7 +2,8 @@
 
 Two families.  *Compliant* problems have a full-rank compliance like an elastic assembly's, with loads for which most
 closed contacts slip, or with a manufactured exact solution.  *Rigid* problems are one step of rigid bodies under
-gravity, ``S = H M⁻¹ Hᵀ``: many more contacts than degrees of freedom, so that ``S`` is singular and forces are not unique.
+gravity, ``S = H M⁻¹ Hᵀ``: many more contacts than degrees of freedom, so that ``S`` is singular and forces are not
+unique.
 """
 
 from __future__ import annotations
