@@ -12,7 +12,9 @@ import pytest
 import mic
 from mic.contact import ContactSolver, Law, Status, certify, ladder, solve
 from mic.contact.backends import BACKENDS
+from mic.contact.ladder import Rung
 from mic.contact.laws import ASSOCIATED, COULOMB, FRICTIONLESS, LAWS, find
+from mic.contact.native import batch, patience
 from mic.contact.native.solver import NativeSolver
 from mic.contact.problems import box_stack, compliant, manufactured, slip_dominated
 from mic.contact.states import STATES, ContactState, classify
@@ -102,6 +104,24 @@ def test_every_patient_rung_of_another_law_speaks_of_that_law(dilatant, monkeypa
         best[rung] = min(residual, best.get(rung, np.inf))
     assert list(best) == [rung.name for rung in ladder.PATIENT if rung.applies(dilatant)]
     assert max(best.values()) <= 1e-10, best
+
+
+def test_methods_head_for_the_law_before_newton_lands(dilatant):
+    """Newton would hide a wrong shift: judge what the interior point, the fixed point and the splitting hand to it."""
+    rng = np.random.default_rng(6)
+    problem = manufactured(compliant(5, rng, condition=1e2), np.full(5, 0.27), 1, rng, 0.3, 0.5, dilatant)
+    native = NativeSolver(problem.S, problem.mu, dilatant, 1e-10, 1, 3)
+    scaled, q = native.problem, problem.b[0] * native.scaling
+    for rung in (rung for rung in ladder.PATIENT if rung.name in ("interior point", "fixed point")):
+        search = patience.Search(scaled, q, np.zeros(15))
+        for _ in patience.METHODS[rung.name](search, rung):
+            pass
+        force = search.interior * native.scaling
+        assert certify(problem.S, problem.b[0], problem.mu, force, dilatant).residual <= 1e-4, rung.name
+    steps, iterations = 3000, np.zeros(1, np.int64)
+    long_rung = Rung("splitting", "Long enough to converge.", lambda law: True, {"steps": steps, "rounds": 1})
+    batch.splitting(scaled, long_rung, 1e-8)(q[None], np.zeros((1, 15)), np.zeros(1), iterations)
+    assert iterations[0] <= steps + 1
 
 
 def test_a_law_with_friction_needs_an_equation():
