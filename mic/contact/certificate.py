@@ -57,11 +57,11 @@ class Certificate:
         Largest ``|μ f_n ‖u_t‖ + f_t·u_t|``, the work by which friction fails to oppose slip [force × length].
     """
 
-    residual: np.ndarray
-    penetration: np.ndarray
-    cone_violation: np.ndarray
-    complementarity: np.ndarray
-    slip_error: np.ndarray
+    residual: float | np.ndarray
+    penetration: float | np.ndarray
+    cone_violation: float | np.ndarray
+    complementarity: float | np.ndarray
+    slip_error: float | np.ndarray
 
 
 def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:

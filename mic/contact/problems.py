@@ -222,10 +222,10 @@ def box_stack(boxes: int, size=(1.0, 1.0, 1.0)) -> RigidScene:
 def brick_wall(rows: int, columns: int, size=(2.0, 1.0, 0.6)) -> RigidScene:
     """Running bond: every brick on the halves of two below, and against its neighbours at the sides."""
     scene = RigidScene.empty()
-    previous = []
+    previous: list = []
     for row in range(rows):
         offset = 0.5 * size[0] * (row % 2)
-        current = []
+        current: list = []
         for column in range(columns - row % 2):
             x = offset + column * size[0]
             body = scene.box((x, 0.0, (row + 0.5) * size[2]), size)
@@ -299,11 +299,11 @@ def capsule_pile(levels: int, per_level: int) -> RigidScene:
     scene = RigidScene.empty()
     radius, half = 0.1, 0.6
     positions = np.linspace(-half, half, per_level)
-    previous = []
+    previous: list = []
     for level in range(levels):
         axis = level % 2
         z = radius * (2 * level + 1)
-        current = []
+        current: list = []
         for position in positions:
             centre = np.array([0.0, position, z]) if axis == 0 else np.array([position, 0.0, z])
             inertia = np.full(3, 10.0 * (2 * half) ** 2 / 12.0)
