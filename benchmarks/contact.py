@@ -2,11 +2,12 @@
 
     python benchmarks/contact.py                     # all cases, about ten minutes
     python benchmarks/contact.py --quick             # few samples, no growth beyond 300 contacts
-    python benchmarks/contact.py --scene meshes/wheelhouse   # what a scene's Monte Carlo gives the solver, stage by stage
+    python benchmarks/contact.py --scene meshes/wheelhouse   # what a scene's Monte Carlo gives the solver, by stage
 
-Everything runs in this one process, single-threaded first, then the native solver on all cores.  Residuals are the scale-free
-certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the associated law;
-preparation that is done once per S is not timed for anybody.  Peers that are not installed are skipped by name.
+Everything runs in this one process, single-threaded first, then the native solver on all cores.  Residuals are the
+scale-free certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the
+associated law; preparation that is done once per S is not timed for anybody.  Peers that are not installed are skipped
+by name.
 """
 
 from __future__ import annotations
@@ -193,7 +194,7 @@ def cases(quick):
 
 
 def scene_cases(path):
-    """The problems that the Monte Carlo of a scene poses under Coulomb's law, one case for each stage that resolves contact.
+    """The problems that the Monte Carlo of a scene poses under Coulomb's law, one case for each stage with contact.
 
     The process runs with solvers that record what they are given; the answer of one stage enters the loads of the next.
     """

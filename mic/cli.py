@@ -17,7 +17,7 @@ from rich.table import Table
 
 from mic import cache_folder, examples
 from mic.compliance.cache import is_cached
-from mic.contact.laws import Law as ContactLaw
+from mic.contact.laws import LAWS
 from mic.errors import MicError
 from mic.runs import Listener, conclude
 from mic.runs import run as run_scene
@@ -45,7 +45,7 @@ Start with:  mic check meshes/wheelhouse  and then  mic run meshes/wheelhouse --
 
 
 #: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
-Law = Enum("Law", {law.value: law.value for law in reversed(ContactLaw)}, type=str)  # type: ignore[misc]
+Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
 Backend = Enum(  # type: ignore[misc]
     "Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str
 )
@@ -57,8 +57,9 @@ LawOption = Annotated[
     list[Law] | None,
     typer.Option(
         "--law",
-        help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of "
-        "the paper, which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.",
+        help="Contact law; repeat for several. "
+        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
+        + " Default: the scene's.",
         show_default=False,
     ),
 ]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mic.contact import Status, solve
-from mic.contact.comparison import compare_laws, contact_states, summarise
+from mic.contact.comparison import compare_laws, summarise
 from mic.contact.problems import compliant, slip_dominated
 
 
@@ -63,7 +63,7 @@ def test_study_of_one_sliding_contact_by_hand():
     assert study.loc["coulomb", "slip"] == pytest.approx(1.0 - mu, rel=1e-9)
     assert study.loc["frictionless", "slip"] == pytest.approx(1.0, rel=1e-9)
     assert study.loc["frictionless", "force_change"] == pytest.approx(mu / np.hypot(1.0, mu), rel=1e-9)
-    assert (study["sliding"] == 1).all() and study["converged"].all()
+    assert (study["contacts_slip"] == 1).all() and study["converged"].all()
 
 
 def test_laws_agree_without_friction_and_part_with_it():
@@ -74,11 +74,6 @@ def test_laws_agree_without_friction_and_part_with_it():
     assert study.loc[(0.0, "associated"), "force_change"] <= 1e-8
     assert study.loc[(0.3, "associated"), "force_change"] > 1e-2
     assert study.loc[(0.3, "associated"), "gap_at_load"] > 1e3 * study.loc[(0.3, "coulomb"), "gap_at_load"]
-
-
-def test_states_are_counted():
-    force = np.array([[1.0, 0.3, 0.0, 1.0, 0.1, 0.0, 0.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(contact_states(force, 0.3), [[2, 1, 0]])
 
 
 def test_compliance_generator_keeps_its_promises():

@@ -48,9 +48,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse import block_diag, csr_matrix, hstack, vstack
 
-__all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "State"]
+from mic.contact.states import OPEN, SLIP, STICK
 
-OPEN, STICK, SLIP = 0, 1, 2
+__all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "State"]
 
 MAX_ITERATIONS = 60
 _PATIENCE = 25  # iterations with full steps

@@ -1,104 +1,71 @@
-"""The convex laws through general-purpose optimisers, to reproduce the paper and to cross-check the native solver.
-
-``frictionless`` is the quadratic programme (12), stated in the scaled normal forces ``y >= 0``; ``associated`` the
-second-order cone programme (13) in the scaled forces,
-
-.. math:: \\min_f \\tfrac12 f^T S f + b^T f, \\quad \\|f_t\\| \\le \\mu f_n, \\; f_n \\ge 0 .
-
-The non-penetration rows printed in (13) follow from its optimality conditions and are left out; ``f_n >= 0`` is stated
-because at ``μ = 0`` a solver's cone ``‖f_t‖ <= 0`` would leave the normal force free.  Only ``b`` is a parameter, so that
-CVXPY canonicalises once per ``S``.
-"""
+"""What a backend does for :class:`mic.contact.ContactSolver`, and which there are."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from mic.contact.laws import Law
+from mic.contact.programme import OPTIMISERS, ConeProgramme
 
-__all__ = ["BACKENDS", "ConeProgramme"]
-
-#: Backend name → (CVXPY's name, its settings for the highest accuracy that it reliably reaches).
-BACKENDS = {
-    "ecos": ("ECOS", dict(abstol=1e-12, reltol=1e-12, feastol=1e-12, max_iters=200)),
-    "osqp": ("OSQP", dict(eps_abs=1e-10, eps_rel=1e-10, max_iter=100_000, polishing=True)),
-    "clarabel": ("CLARABEL", dict(tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)),
-    "scs": ("SCS", dict(eps_abs=1e-9, eps_rel=1e-9, max_iters=100_000)),
-}
+__all__ = ["BACKENDS", "Backend"]
 
 
-class ConeProgramme:
-    """Problem (12) or (13) for one ``S``, parametrised by ``b``.
+class Backend(Protocol):
+    """One compliance and one law, prepared; many right-hand sides."""
 
-    Parameters
-    ----------
-    S, mu, law, dimension
-        As in :class:`mic.contact.solver.ContactSolver`, already checked.
-    backend : str
-        Key of :data:`BACKENDS`.
+    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Forces for every sample, good or not: the caller certifies them.
 
-    Raises
-    ------
-    ValueError
-        For Coulomb's law, which is no optimisation problem, and for cones with a quadratic-programme solver.
-    ImportError
-        If CVXPY or the solver is missing.
-    """
-
-    def __init__(self, S, mu, law, backend, dimension):
-        if law is Law.COULOMB:
-            raise ValueError("law coulomb is not an optimisation problem; use backend native")
-        if law is Law.ASSOCIATED and backend == "osqp":
-            raise ValueError("backend osqp solves quadratic programmes: law must be frictionless")
-        try:
-            import cvxpy
-        except ImportError:
-            raise ImportError(f"backend {backend} needs CVXPY: pip install 'mic-contact[peers]'") from None
-        self._solver, self._settings = BACKENDS[backend]
-        if self._solver not in cvxpy.installed_solvers():
-            raise ImportError(f"backend {backend} needs its solver: pip install {backend}")
-        self._error = cvxpy.error.SolverError
-        self._stride = dimension if law is Law.FRICTIONLESS else 1
-        S = S[:: self._stride, :: self._stride]
-        # One length per contact keeps the cones circular: f = d y, d_k = (trace S_kk)^{-1/2}.
-        size = 1 if law is Law.FRICTIONLESS else 3
-        compliance = S.diagonal().reshape(-1, size).sum(1)
-        compliance = np.where(compliance > 0.0, compliance, compliance.max(initial=0.0) or 1.0)
-        self._scaling = np.repeat(compliance**-0.5, size)
-        W = S * self._scaling[:, None] * self._scaling
-        eigenvalues, vectors = np.linalg.eigh(W)
-        factor = (vectors * np.sqrt(eigenvalues.clip(min=0.0))).T
-        self._force = cvxpy.Variable(len(S))
-        self._load = cvxpy.Parameter(len(S))
-        objective = cvxpy.Minimize(0.5 * cvxpy.sum_squares(factor @ self._force) + self._load @ self._force)
-        if law is Law.FRICTIONLESS:
-            constraints = [self._force >= 0]
-        else:
-            y = cvxpy.reshape(self._force, (len(mu), 3), order="C")
-            constraints = [cvxpy.norm(y[:, 1:], axis=1) <= cvxpy.multiply(mu, y[:, 0]), y[:, 0] >= 0]
-        self._problem = cvxpy.Problem(objective, constraints)
-
-    def solve(self, b, guess):
-        """Forces for each row of ``b``; zero where the optimiser gives up.  ``guess`` is not used by these solvers.
+        Parameters
+        ----------
+        b : (n, d m) array
+            Displacements without contact forces [length].
+        guess : array shaped like ``b``, or None
+            Forces to start from, by a backend that can.
 
         Returns
         -------
         force : array shaped like ``b``
         iterations : (n,) int array
+        rung : (n,) object array of str
+            The method that found each force.
         """
-        force = np.zeros_like(b)
-        iterations = np.zeros(len(b), dtype=np.int64)
-        if not self._force.size:
-            return force, iterations
-        for sample, row in enumerate(b[:, :: self._stride] * self._scaling):
-            # The optimum scales with the load; a unit load suits the solvers' absolute tolerances.
-            size = np.abs(row).max() or 1.0
-            self._load.value = row / size
-            try:
-                self._problem.solve(solver=self._solver, **self._settings)
-            except self._error:
-                continue
-            iterations[sample] = self._problem.solver_stats.num_iters or 0
-            if self._force.value is not None and np.isfinite(self._force.value).all():
-                force[sample, :: self._stride] = self._force.value * size * self._scaling
-        return force, iterations
+
+    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, str]]:
+        """Further forces for one sample, by more and more patient methods, from the best one so far.
+
+        The caller certifies each and stops at the first that is good enough.  The generator ends by itself, so that a
+        hopeless sample cannot hold up the rest; a backend without further methods yields nothing.
+
+        Yields
+        ------
+        force : (d m,) array
+        iterations : int
+            Passes since the last force.
+        rung : str
+        """
+
+    def infeasible(self, b: np.ndarray) -> bool:
+        """Whether it is proven that no force keeps the contacts of sample ``b`` (d m,) from penetrating."""
+
+
+def _native(S, mu, law, tol, threads, dimension):
+    from mic.contact.native.solver import NativeSolver  # compiles, or reads the cache, when it is imported
+
+    return NativeSolver(S, mu, law, tol, threads, dimension)
+
+
+def _programme(optimiser, S, mu, law, tol, threads, dimension):
+    return ConeProgramme(S, mu, law, optimiser, dimension)
+
+
+#: Every backend by its name: a function of a checked ``(S, mu, law, tol, threads, dimension)``, as
+#: :class:`mic.contact.ContactSolver` has them.
+BACKENDS: dict[str, Callable[[np.ndarray, np.ndarray, Law, float, int, int], Backend]] = {
+    "native": _native,
+    **{name: partial(_programme, name) for name in OPTIMISERS},
+}

@@ -7,21 +7,22 @@ With ``u = S f + b`` and ``û`` the displacement that the law makes complementar
 
     F_k(f) = f_k - P_K\bigl(f_k - \rho_k \hat u_k\bigr) = 0, \qquad \rho_k = 1 / \|S_{kk}\|_2 .
 
-``ρ_k`` turns a displacement into the force that would cause it at that contact, so every term is a force.  The residual is
+``ρ_k`` turns a displacement into the force that would cause it at that contact, so every term is a force.  The residual
+is
 
 .. math::
 
     r = \frac{\|D^{-1} F(f)\|}{\max\bigl((f^T S f)^{1/2}, \|D^{-1} F(0)\|\bigr)}, \qquad D_k = \rho_k^{1/2} .
 
-``D⁻¹`` makes contacts of different compliance commensurate: ``‖D⁻¹ f‖²`` is twice the energy that ``f`` would store in the
-contacts' own compliances, as ``fᵀ S f`` is twice the energy that it does store.  ``F(0)`` is the force with which each
-overlapping contact alone would answer ``b``; open contacts have none, so that a wide gap somewhere cannot hide an error
-elsewhere.  Hence
+``D⁻¹`` makes contacts of different compliance commensurate: ``‖D⁻¹ f‖²`` is twice the energy that ``f`` would store in
+the contacts' own compliances, as ``fᵀ S f`` is twice the energy that it does store.  ``F(0)`` is the force with which
+each overlapping contact alone would answer ``b``; open contacts have none, so that a wide gap somewhere cannot hide an
+error elsewhere.  Hence
 
 - ``r`` does not change with the units of force or length;
 - the zero force has ``r = 1`` wherever anything overlaps, and ``r = 0``, by definition of 0/0, in an open scene;
-- forces that grow without bound and move nothing, the answer of an iteration to an infeasible problem, do not make ``r``
-  small, as they would if ``‖D⁻¹ f‖`` were the scale.
+- forces that grow without bound and move nothing, the answer of an iteration to an infeasible problem, do not make
+  ``r`` small, as they would if ``‖D⁻¹ f‖`` were the scale.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mic.contact.laws import Law, complementary_displacement, project_on_cone
+from mic.contact.laws import Law, find
 
 __all__ = ["Certificate", "certify", "contact_stiffness"]
 
@@ -39,8 +40,8 @@ __all__ = ["Certificate", "certify", "contact_stiffness"]
 class Certificate:
     """What was measured on a force; scalars for one sample, (n,) arrays for a batch.
 
-    The residual judges the law that was asked for.  The other four measure Coulomb's own conditions (9) and (10), whatever
-    the law, so that they show what a solution of ``associated`` gives up.
+    The residual judges the law that was asked for.  The other four measure Coulomb's own conditions (9) and (10) with
+    the law's bound of friction, so that they show what a solution of ``associated`` gives up.
 
     Attributes
     ----------
@@ -56,11 +57,11 @@ class Certificate:
         Largest ``|μ f_n ‖u_t‖ + f_t·u_t|``, the work by which friction fails to oppose slip [force × length].
     """
 
-    residual: np.ndarray
-    penetration: np.ndarray
-    cone_violation: np.ndarray
-    complementarity: np.ndarray
-    slip_error: np.ndarray
+    residual: float | np.ndarray
+    penetration: float | np.ndarray
+    cone_violation: float | np.ndarray
+    complementarity: float | np.ndarray
+    slip_error: float | np.ndarray
 
 
 def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:
@@ -75,7 +76,7 @@ def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray
     """
     m = len(S) // dimension
     blocks = S.reshape(m, dimension, m, dimension)[np.arange(m), :, np.arange(m), :]
-    if law is Law.FRICTIONLESS:
+    if not law.frictional:
         blocks = blocks[:, :1, :1]
     compliance = np.linalg.norm(blocks, 2, axis=(1, 2)) if m else np.zeros(0)
     vanishing = compliance <= np.finfo(float).eps * compliance.max(initial=0.0)
@@ -85,7 +86,7 @@ def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray
     return 1.0 / compliance
 
 
-def certify(S, b, mu, force, law="coulomb", dimension=3) -> Certificate:
+def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> Certificate:
     """Measure how well ``force`` solves the contact problem ``(S, b, mu)``.
 
     Parameters
@@ -98,8 +99,8 @@ def certify(S, b, mu, force, law="coulomb", dimension=3) -> Certificate:
         Coefficients of friction; of no effect on the frictionless law.
     force : array shaped like ``b``
         Contact forces [force].
-    law : {"coulomb", "associated", "frictionless"}
-        The law to judge by.
+    law : str or Law
+        The law to judge by: a name in :data:`mic.contact.laws.LAWS`, or the law itself.
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, (m, m) and (n, m).
 
@@ -108,10 +109,10 @@ def certify(S, b, mu, force, law="coulomb", dimension=3) -> Certificate:
     Certificate
         Scalars if ``b`` is one sample, (n,) arrays otherwise.  A force that is not finite has an infinite residual.
     """
-    law = Law(law)
+    law = find(law)
     S, b, force = (np.asarray(a, dtype=float) for a in (S, b, force))
     m = len(S) // dimension
-    mu = np.zeros(m) if law is Law.FRICTIONLESS else np.broadcast_to(np.asarray(mu, dtype=float), (m,))
+    mu = np.broadcast_to(np.asarray(mu, dtype=float), (m,)) if law.frictional else np.zeros(m)
     stiffness = contact_stiffness(S, law, dimension)
     certificate, _ = measure(S, np.atleast_2d(b), mu, np.atleast_2d(force), law, stiffness, dimension)
     if b.ndim == 2:
@@ -124,15 +125,13 @@ def measure(S, b, mu, force, law, stiffness, dimension):
     displacement = force @ S + b
     n, m = len(b), len(S) // dimension
     f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
-    if law is Law.FRICTIONLESS:
+    if not law.frictional:
         u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
 
     def natural_map(f, u):
-        complementary = complementary_displacement(u, mu, law)
-        value = f - project_on_cone(f - stiffness[:, None] * complementary, mu)
+        value = f - law.projection(f - stiffness[:, None] * law.complementary(u, mu), mu)
         # Free contacts are exact solutions of every law; say so without rounding.
-        opening = u[..., 0] if law is not Law.ASSOCIATED else u[..., 0] - mu * np.hypot(u[..., 1], u[..., 2])
-        free = (f == 0.0).all(-1) & (opening >= 0.0)
+        free = (f == 0.0).all(-1) & (law.opening(u, mu) >= 0.0)
         return np.where(free[..., None], 0.0, value)
 
     def energy_norm(f):
@@ -148,11 +147,12 @@ def measure(S, b, mu, force, law, stiffness, dimension):
         residual[~np.isfinite(residual)] = np.inf
         slip = np.hypot(u[..., 1], u[..., 2])
         traction = np.hypot(f[..., 1], f[..., 2])
-        work = mu * f[..., 0] * slip + f[..., 1] * u[..., 1] + f[..., 2] * u[..., 2]
+        bound = law.bound(f[..., 0], mu)
+        work = bound * slip + f[..., 1] * u[..., 1] + f[..., 2] * u[..., 2]
         certificate = Certificate(
             residual=residual,
             penetration=np.max(np.maximum(0.0, -u[..., 0]), axis=1, initial=0.0),
-            cone_violation=np.max(traction - mu * f[..., 0], axis=1, initial=0.0),
+            cone_violation=np.max(traction - bound, axis=1, initial=0.0),
             complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
             slip_error=np.max(np.abs(work), axis=1, initial=0.0),
         )

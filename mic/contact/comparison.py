@@ -1,4 +1,4 @@
-"""What the choice of contact law costs: the same contacts solved with all three, as a function of friction.
+"""What the choice of contact law costs: the same contacts solved with every law, as a function of friction.
 
 The associated programme (13) lets a sliding contact open by ``μ‖u_t‖`` while it carries load, which Coulomb's law (9)
 forbids.  This study measures that, and what leaving friction out costs, on any ``S`` and ``b``.
@@ -6,48 +6,21 @@ forbids.  This study measures that, and what leaving friction out costs, on any 
 
 from __future__ import annotations
 
-from enum import IntEnum
+from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
 
-from mic.contact.laws import Law
+from mic.contact.laws import COULOMB, LAWS
 from mic.contact.solver import ContactSolver
+from mic.contact.states import STATES, ContactState, classify
 
-__all__ = ["ContactState", "compare_laws", "contact_states", "summarise"]
-
-#: A contact is loaded above this share of the largest normal force of the sample, and slides within this distance of the cone.
-STATE_TOLERANCE = 1e-6
+__all__ = ["compare_laws", "summarise"]
 
 
-class ContactState(IntEnum):
-    """State of one contact."""
-
-    OPEN = 0
-    STUCK = 1
-    SLIDING = 2
-
-
-def contact_states(force, mu) -> np.ndarray:
-    """State of every contact: open without load, stuck inside the cone, sliding on its surface.
-
-    Parameters
-    ----------
-    force : (n, 3m) array
-    mu : float or (m,) array
-
-    Returns
-    -------
-    (n, m) array of ContactState values
-    """
-    f = np.asarray(force).reshape(len(force), -1, 3)
-    normal, traction = f[..., 0], np.hypot(f[..., 1], f[..., 2])
-    loaded = normal > STATE_TOLERANCE * normal.max(axis=1, keepdims=True, initial=0.0)
-    sliding = traction >= (1.0 - STATE_TOLERANCE) * mu * normal
-    return np.where(loaded, np.where(sliding, ContactState.SLIDING, ContactState.STUCK), ContactState.OPEN)
-
-
-def compare_laws(S, b, mu_values, tol=1e-10, threads=1) -> pd.DataFrame:
+def compare_laws(
+    S: np.ndarray, b: np.ndarray, mu_values: Iterable, tol: float = 1e-10, threads: int = 1
+) -> pd.DataFrame:
     """Solve every sample with every law and every friction coefficient.
 
     Parameters
@@ -74,8 +47,8 @@ def compare_laws(S, b, mu_values, tol=1e-10, threads=1) -> pd.DataFrame:
             Root mean square of ``‖u_t‖`` over the contacts [length].
         ``gap_at_load``
             Largest ``u_n`` where Coulomb's law has none: at contacts that carry load [length].
-        ``open``, ``stuck``, ``sliding``
-            Contacts in each state.
+        ``contacts_open``, ``contacts_stick``, ``contacts_slip``
+            Contacts in each state of :mod:`mic.contact.states`.
         ``force_change``, ``slip_change``
             ``‖f - f_c‖/‖f_c‖`` and ``‖u_t - u_ct‖/‖u_ct‖`` against Coulomb's solution, 0 if both vanish [1].
             With redundant contacts forces are not unique, and the first means little.
@@ -85,20 +58,19 @@ def compare_laws(S, b, mu_values, tol=1e-10, threads=1) -> pd.DataFrame:
     b = np.atleast_2d(np.asarray(b, dtype=float))
     frames = []
     for mu in mu_values:
-        solutions = {law: ContactSolver(S, mu, law, tol=tol, threads=threads).solve(b) for law in Law}
-        coulomb = solutions[Law.COULOMB]
-        coulomb_states = contact_states(coulomb.force, mu)
+        solutions = {law: ContactSolver(S, mu, law, tol=tol, threads=threads).solve(b) for law in LAWS.values()}
+        coulomb = solutions[COULOMB]
+        coulomb_states = classify(coulomb.force.reshape(len(b), -1, 3), mu)
         for law, solution in solutions.items():
             f = solution.force.reshape(len(b), -1, 3)
             u = solution.displacement.reshape(len(b), -1, 3)
-            states = contact_states(solution.force, 0.0 if law is Law.FRICTIONLESS else mu)
-            count = {state: (states == state).sum(axis=1) for state in ContactState}
+            states = classify(f, mu if law.frictional else 0.0)
             slip, coulomb_slip = u[..., 1:], coulomb.displacement.reshape(u.shape)[..., 1:]
             frames.append(
                 pd.DataFrame(
                     {
                         "mu": float(np.mean(mu)),
-                        "law": law.value,
+                        "law": law.name,
                         "sample": np.arange(len(b)),
                         "converged": solution.converged & coulomb.converged,
                         "normal_force": f[..., 0].sum(axis=1),
@@ -107,9 +79,7 @@ def compare_laws(S, b, mu_values, tol=1e-10, threads=1) -> pd.DataFrame:
                         "gap_at_load": np.max(
                             np.where(states == ContactState.OPEN, 0.0, u[..., 0]), axis=1, initial=0.0
                         ),
-                        "open": count[ContactState.OPEN],
-                        "stuck": count[ContactState.STUCK],
-                        "sliding": count[ContactState.SLIDING],
+                        **{f"contacts_{label}": (states == state).sum(axis=1) for state, label in enumerate(STATES)},
                         "force_change": _relative_change(solution.force, coulomb.force),
                         "slip_change": _relative_change(slip, coulomb_slip),
                         "changed_states": (states != coulomb_states).sum(axis=1),

@@ -1,8 +1,9 @@
 """Contact problems of known structure, to test, compare and time solvers on.
 
-Two families.  *Compliant* problems have a full-rank compliance like an elastic assembly's, with loads for which most closed
-contacts slip, or with a manufactured exact solution.  *Rigid* problems are one step of rigid bodies under gravity,
-``S = H M⁻¹ Hᵀ``: many more contacts than degrees of freedom, so that ``S`` is singular and forces are not unique.
+Two families.  *Compliant* problems have a full-rank compliance like an elastic assembly's, with loads for which most
+closed contacts slip, or with a manufactured exact solution.  *Rigid* problems are one step of rigid bodies under
+gravity, ``S = H M⁻¹ Hᵀ``: many more contacts than degrees of freedom, so that ``S`` is singular and forces are not
+unique.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
+from mic.contact.laws import Law, find
 
 __all__ = [
     "ContactProblem",
@@ -93,7 +96,7 @@ def manufactured(
     rng: np.random.Generator,
     stick: float = 0.7,
     slide: float = 0.2,
-    law: str = "coulomb",
+    law: str | Law = "coulomb",
 ) -> ContactProblem:
     """Choose forces and displacements that obey the law, then ``b = u - S f``.
 
@@ -105,8 +108,8 @@ def manufactured(
         Samples.
     stick, slide : float
         Shares of contacts that stick and that slide; the rest are open.
-    law : {"coulomb", "associated"}
-        A sliding contact of the associated law opens by ``μ‖u_t‖``.
+    law : str or Law
+        With friction; a contact that slips opens by ``(1 - s) μ‖u_t‖``, ``s`` the law's shift.
     """
     m = len(mu)
     f, u = np.zeros((n, m, 3)), np.zeros((n, m, 3))
@@ -122,8 +125,7 @@ def manufactured(
     slip = rng.uniform(0.1, 1.0, (n, m)) * size
     u[..., 1:] = np.where(stuck, 0.0, -slip)[..., None] * direction
     u[..., 0] = np.where(stuck | sliding, 0.0, rng.uniform(0.1, 1.0, (n, m)) * size)
-    if law == "associated":
-        u[..., 0] += np.where(stuck, 0.0, mu * slip)
+    u[..., 0] += np.where(stuck, 0.0, (1.0 - find(law).shift) * mu * slip)
     f, u = f.reshape(n, -1), u.reshape(n, -1)
     return ContactProblem(S, u - f @ S, mu, f, u)
 
@@ -132,8 +134,8 @@ def manufactured(
 class RigidScene:
     """Rigid bodies and the contacts between them; lengths in m, masses in kg, velocities in m/s.
 
-    Body ``-1`` is the ground.  :meth:`problem` gives one step of ``step`` seconds in which contact impulses must prevent
-    penetration: ``f`` are impulses, ``u`` relative velocities.
+    Body ``-1`` is the ground.  :meth:`problem` gives one step of ``step`` seconds in which contact impulses must
+    prevent penetration: ``f`` are impulses, ``u`` relative velocities.
     """
 
     centre: list
@@ -143,7 +145,7 @@ class RigidScene:
     step: float = 1e-2
 
     @classmethod
-    def empty(cls) -> "RigidScene":
+    def empty(cls) -> RigidScene:
         return cls([], [], [], [])
 
     def body(self, centre, mass, inertia) -> int:
@@ -220,10 +222,10 @@ def box_stack(boxes: int, size=(1.0, 1.0, 1.0)) -> RigidScene:
 def brick_wall(rows: int, columns: int, size=(2.0, 1.0, 0.6)) -> RigidScene:
     """Running bond: every brick on the halves of two below, and against its neighbours at the sides."""
     scene = RigidScene.empty()
-    previous = []
+    previous: list = []
     for row in range(rows):
         offset = 0.5 * size[0] * (row % 2)
-        current = []
+        current: list = []
         for column in range(columns - row % 2):
             x = offset + column * size[0]
             body = scene.box((x, 0.0, (row + 0.5) * size[2]), size)
@@ -266,7 +268,7 @@ def arch(stones: int, radius: float = 5.0, thickness: float = 1.0, depth: float 
 
 
 def sphere_pile(layers: int, width: int, rng: np.random.Generator) -> RigidScene:
-    """Spheres in a loose cubic heap between four walls and a floor, slightly shaken so that no contact is like another."""
+    """Spheres in a loose cubic heap between four walls and a floor, slightly shaken so that contacts differ."""
     scene = RigidScene.empty()
     radius = 0.5
     for level in range(layers):
@@ -297,11 +299,11 @@ def capsule_pile(levels: int, per_level: int) -> RigidScene:
     scene = RigidScene.empty()
     radius, half = 0.1, 0.6
     positions = np.linspace(-half, half, per_level)
-    previous = []
+    previous: list = []
     for level in range(levels):
         axis = level % 2
         z = radius * (2 * level + 1)
-        current = []
+        current: list = []
         for position in positions:
             centre = np.array([0.0, position, z]) if axis == 0 else np.array([position, 0.0, z])
             inertia = np.full(3, 10.0 * (2 * half) ** 2 / 12.0)

@@ -10,7 +10,7 @@ import numpy as np
 __all__ = ["ContactSolution", "Status"]
 
 
-class Status(str, Enum):
+class Status(str, Enum):  # noqa: UP042  (StrEnum would change how a status prints)
     """Outcome of one sample; :attr:`advice` says what to do about it."""
 
     CONVERGED = "converged"
@@ -26,12 +26,13 @@ class Status(str, Enum):
 _ADVICE = {
     Status.CONVERGED: "The force obeys the contact law to the tolerance asked for; use it.",
     Status.NOT_CONVERGED: (
-        "No force was found that obeys the law to the tolerance, so leave this sample out of any statistics: read its residual, "
-        "loosen tol if that is good enough, and otherwise look for supports or gaps that leave nothing to balance the load."
+        "No force was found that obeys the law to the tolerance, so leave this sample out of any statistics: read its "
+        "residual, loosen tol if that is good enough, and otherwise look for supports or gaps that leave nothing to "
+        "balance the load."
     ),
     Status.INFEASIBLE: (
-        "No admissible force balances this load, because some combination of contacts that cannot be separated by any force "
-        "overlaps: correct the gaps or free the part, then solve again."
+        "No admissible force balances this load, because some combination of contacts that cannot be separated by any "
+        "force overlaps: correct the gaps or free the part, then solve again."
     ),
 }
 
@@ -56,6 +57,8 @@ class ContactSolution:
         One outcome per sample.
     iterations : int or (n,) int array
         Passes over all contacts: Gauss-Seidel sweeps, Newton steps and splitting steps together; a backend's own count.
+    rung : str or (n,) object array of str
+        Which rung of the ladder found the force, a name in :mod:`mic.contact.ladder`; another backend's own name.
     penetration, cone_violation, complementarity, slip_error : float or (n,) array
         Coulomb's conditions one by one, see :class:`mic.contact.certificate.Certificate`.
     """
@@ -66,6 +69,7 @@ class ContactSolution:
     converged: np.ndarray
     status: np.ndarray
     iterations: np.ndarray
+    rung: np.ndarray
     penetration: np.ndarray
     cone_violation: np.ndarray
     complementarity: np.ndarray

@@ -6,15 +6,15 @@ import warnings
 
 import numpy as np
 
-from mic.contact.backends import BACKENDS, ConeProgramme
+from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, measure
-from mic.contact.laws import Law
-from mic.contact.native import NativeSolver
+from mic.contact.laws import Law, find
 from mic.contact.solution import ContactSolution, Status
 
 __all__ = ["ContactSolver", "solve"]
 
-#: Relative asymmetry ``max|S - Sᵀ| / max|S|`` beyond rounding, symmetrised with a warning; and beyond which S is refused.
+#: Relative asymmetry ``max|S - Sᵀ| / max|S|`` beyond rounding, symmetrised with a warning; and beyond which S is
+#: refused.
 ASYMMETRY_WARNED, ASYMMETRY_REFUSED = 1e-10, 1e-2
 #: The search for a solution ends this far below the tolerance, so that rounding cannot undo the verdict.
 SAFETY = 0.5
@@ -33,17 +33,19 @@ class ContactSolver:
         order n, t1, t2 [length / force].
     mu : float or (m,) array
         Coefficients of friction, ``>= 0``.
-    law : {"coulomb", "associated", "frictionless"}
-        ``coulomb`` is Coulomb's law proper; ``associated`` the cone programme (13); ``frictionless`` the programme (12), which
-        takes forces from the normal block alone and still returns all displacements.
-    backend : {"native", "ecos", "osqp", "clarabel", "scs"}
-        ``native`` solves every law; the others, where installed, reproduce and cross-check the convex ones.
+    law : str or Law
+        A name in :data:`mic.contact.laws.LAWS`, or the law itself.  ``coulomb`` is Coulomb's law proper; ``associated``
+        the cone programme (13); ``frictionless`` the programme (12), which takes forces from the normal block alone and
+        still returns all displacements.
+    backend : str
+        A name in :data:`mic.contact.backends.BACKENDS`.  ``native`` solves every law; the others, where installed,
+        reproduce and cross-check the convex ones.
     tol : float
         Largest certificate residual of a converged sample.
     threads : int
         Threads over the samples of a batch (native backend).
     dimension : {3, 1}
-        1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs ``law="frictionless"``.
+        1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs a law without friction.
 
     Raises
     ------
@@ -53,14 +55,25 @@ class ContactSolver:
         If the backend is not installed.
     """
 
-    def __init__(self, S, mu, law="coulomb", backend="native", tol=1e-10, threads=1, dimension=3):
-        self.law = _one_of("law", law, Law)
-        if backend != "native" and backend not in BACKENDS:
-            raise ValueError(f"backend must be native, {', '.join(BACKENDS)}; got {backend!r}")
+    def __init__(
+        self,
+        S: np.ndarray,
+        mu: float | np.ndarray,
+        law: str | Law = "coulomb",
+        backend: str = "native",
+        tol: float = 1e-10,
+        threads: int = 1,
+        dimension: int = 3,
+    ):
+        self.law = find(law)
+        if backend not in BACKENDS:
+            raise ValueError(f"backend must be one of {', '.join(BACKENDS)}; got {backend!r}")
         if dimension not in (1, 3):
             raise ValueError(f"dimension must be 3 or 1; got {dimension!r}")
-        if dimension == 1 and self.law is not Law.FRICTIONLESS:
-            raise ValueError(f"dimension 1 has no tangential rows, so law must be frictionless; got {self.law.value!r}")
+        if dimension == 1 and self.law.frictional:
+            raise ValueError(
+                f"dimension 1 has no tangential rows, so law must be without friction; got {self.law.name!r}"
+            )
         if not (np.isscalar(tol) and np.isfinite(tol) and tol > 0.0):
             raise ValueError(f"tol must be a positive number; got {tol!r}")
         if not (isinstance(threads, (int, np.integer)) and threads >= 1):
@@ -69,15 +82,12 @@ class ContactSolver:
         self.S = _checked_compliance(S, dimension)
         self.contacts = len(self.S) // dimension
         self.mu = _checked_friction(mu, self.contacts)
-        if self.law is Law.FRICTIONLESS:
+        if not self.law.frictional:
             self.mu = np.zeros(self.contacts)
         self._stiffness = contact_stiffness(self.S, self.law, dimension)
-        if backend == "native":
-            self._backend = NativeSolver(self.S, self.mu, self.law, self.tol, int(threads), dimension)
-        else:
-            self._backend = ConeProgramme(self.S, self.mu, self.law, backend, dimension)
+        self._backend = BACKENDS[backend](self.S, self.mu, self.law, self.tol, int(threads), dimension)
 
-    def solve(self, b, guess=None) -> ContactSolution:
+    def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
 
         Each sample is solved by itself: neither its answer nor its failure touches the others.
@@ -100,32 +110,29 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        force, iterations = self._backend.solve(rows, guess)
+        force, iterations, rung = self._backend.solve(rows, guess)
         certificate, displacement = self._measure(rows, force)
         infeasible = np.zeros(len(rows), dtype=bool)
         unsolved = np.flatnonzero(certificate.residual > self.tol)
-        if isinstance(self._backend, NativeSolver) and unsolved.size:
-            for sample in unsolved:
-                infeasible[sample] = self._backend.infeasible(rows[sample])
-                if not infeasible[sample]:
-                    iterations[sample] += self._persist(rows[sample], force[sample])
+        for sample in unsolved:
+            infeasible[sample] = self._backend.infeasible(rows[sample])
+            if not infeasible[sample]:
+                self._persist(sample, rows, force, iterations, rung)
+        if unsolved.size:
             certificate, displacement = self._measure(rows, force)
         converged = certificate.residual <= self.tol
         status = np.empty(len(rows), dtype=object)
-        for sample in range(len(rows)):
-            status[sample] = (
-                Status.CONVERGED
-                if converged[sample]
-                else Status.INFEASIBLE
-                if infeasible[sample]
-                else Status.NOT_CONVERGED
-            )
+        status[:] = [
+            Status.CONVERGED if solved else Status.INFEASIBLE if proven else Status.NOT_CONVERGED
+            for solved, proven in zip(converged.tolist(), infeasible.tolist())
+        ]
         values = dict(
             force=force,
             displacement=displacement,
             converged=converged,
             status=status,
             iterations=iterations,
+            rung=rung,
             **vars(certificate),
         )
         if b.ndim == 1:
@@ -139,19 +146,18 @@ class ContactSolver:
     def _measure(self, rows, force):
         return measure(self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
 
-    def _persist(self, b, force):
-        """Work on one sample that did not converge, improving ``force`` in place; return the iterations spent."""
-        best = self._measure(b[None], force[None])[0].residual[0]
-        total = 0
-        for candidate, count in self._backend.attempts(b, force.copy()):
-            total += count
-            residual = self._measure(b[None], candidate[None])[0].residual[0]
+    def _persist(self, sample, b, force, iterations, rung):
+        """Work on one sample that did not converge, improving its force, count and rung in place."""
+        start = force[sample].copy()
+        best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
+        for candidate, count, name in self._backend.attempts(b[sample], start):
+            iterations[sample] += count
+            residual = self._measure(b[[sample]], candidate[None])[0].residual[0]
             if residual < best:
                 best = residual
-                force[:] = candidate
+                force[sample], rung[sample] = candidate, name
             if best <= SAFETY * self.tol:
                 break
-        return total
 
 
 def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, threads=1, dimension=3) -> ContactSolution:
@@ -166,13 +172,6 @@ def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, thre
     [1.0, -0.27, 0.0]
     """
     return ContactSolver(S, mu, law, backend, tol, threads, dimension).solve(b, guess)
-
-
-def _one_of(name, value, enumeration):
-    try:
-        return enumeration(value)
-    except ValueError:
-        raise ValueError(f"{name} must be one of {', '.join(e.value for e in enumeration)}; got {value!r}") from None
 
 
 def _checked_array(name, value):

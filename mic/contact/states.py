@@ -1,14 +1,59 @@
+"""States of a contact: open, stick or slip, and how they are read from a force."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
 import numpy as np
 
-STATES = ("open", "stick", "slip")
+__all__ = ["LOADED", "ON_CONE", "OPEN", "SLIP", "STATES", "STICK", "ContactState", "classify"]
+
+#: A contact is loaded above this share of the largest normal force of its sample.  A solver that meets its tolerance of
+#: 1e-10 leaves forces of that size on contacts that are open.
+LOADED = 1e-9
+#: A loaded contact slips within this share of the cone's bound.  A contact that sticks comes so near by chance alone,
+#: and the tangential force of one that slips is exact to the solver's tolerance, which some backends reach to 1e-7
+#: only.
+ON_CONE = 1e-6
 
 
-def classify(force, friction):
-    f_n = force[:, :, 0]
-    loaded = f_n > 1e-9 * np.maximum(f_n.max(axis=1, keepdims=True, initial=0.0), 1e-300)
-    state = loaded.astype(np.int8)
-    if force.shape[2] == 3:
-        state[loaded & (np.hypot(force[:, :, 1], force[:, :, 2]) >= friction * f_n * (1 - 1e-6))] = 2
-    else:
-        state[loaded] = 2
-    return state
+class ContactState(IntEnum):
+    """State of one contact."""
+
+    OPEN = 0
+    STICK = 1
+    SLIP = 2
+
+    @property
+    def label(self) -> str:
+        """The state's name in tables and pictures."""
+        return self.name.lower()
+
+
+#: Labels of the states; the index is the state's value.
+STATES = tuple(state.label for state in ContactState)
+#: The states as plain numbers, which compiled code takes as constants.
+OPEN, STICK, SLIP = map(int, ContactState)
+
+
+def classify(force: np.ndarray, friction: np.ndarray | float) -> np.ndarray:
+    """State of every contact: open without load, stuck inside the friction cone, slipping on its surface.
+
+    Parameters
+    ----------
+    force : (n, m, 3) or (n, m, 1) array
+        Contact forces (n, t1, t2), or normal forces alone [force].
+    friction : float or (m,) array
+        Coefficients of friction; zero for a law without friction, under which every loaded contact is free to slip.
+
+    Returns
+    -------
+    (n, m) int8 array
+        Values of :class:`ContactState`.
+    """
+    normal = force[..., 0]
+    loaded = normal > LOADED * np.maximum(normal.max(axis=1, keepdims=True, initial=0.0), np.finfo(float).tiny)
+    if force.shape[2] == 1:
+        return np.where(loaded, SLIP, OPEN).astype(np.int8)
+    slips = np.hypot(force[..., 1], force[..., 2]) >= (1.0 - ON_CONE) * friction * normal
+    return np.where(loaded, np.where(slips, SLIP, STICK), OPEN).astype(np.int8)

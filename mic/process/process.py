@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from mic.contact import ContactSolver
+from mic.contact import ContactSolver, laws
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.stage import OUTPUTS, PreparedStage
@@ -17,7 +17,6 @@ __all__ = ["Process"]
 
 #: The paper's solvers reach this residual.
 PAPER_TOLERANCE = 1e-5
-PAPER_BACKENDS = {"frictionless": "osqp", "associated": "ecos", "coulomb": "native"}
 
 
 class Process:
@@ -51,7 +50,7 @@ class Process:
         contacts = model.contacts
         # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
         smooth = contacts.dimension == 1 and not contacts.friction.any()
-        solver_name = PAPER_BACKENDS[law] if backend == "paper" else "native"
+        solver_name = laws.find(law).paper_backend if backend == "paper" else "native"
 
         def solver(stage):
             if not stage.plan.resolves or not len(contacts):

@@ -183,7 +183,7 @@ class PreparedStage:
         displacement = solution.displacement.reshape(shape)
         if self.plan.increments > 1:  # the solver's slip is that of the last increment
             displacement[:, :, 1:] = (left - state.left)[:, :, 1:]
-        friction = self._contacts.friction if (solver.law != "frictionless") else np.zeros(len(self._contacts))
+        friction = self._contacts.friction if solver.law.frictional else 0.0
         resolution = Resolution(
             stage=self.plan.name,
             force=force.copy(),

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from mic.contact.laws import LAWS
 from mic.contact.states import STATES
 
 __all__ = [
@@ -14,7 +13,6 @@ __all__ = [
     "RC",
     "STATE_COLOURS",
     "STATE_WORDS",
-    "LawStyle",
     "number",
     "part_colour",
     "percent",
@@ -22,30 +20,6 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True)
-class LawStyle:
-    """Look of a contact law.
-
-    Attributes
-    ----------
-    colour : str
-    mark : str
-        Marker of matplotlib.
-    frictional : bool
-        Whether the law has tangential forces.
-    """
-
-    colour: str
-    mark: str
-    frictional: bool = True
-
-
-#: Every law that a report can show, in the order in which it shows them.
-LAWS = {
-    "coulomb": LawStyle("#0072b2", "o"),
-    "associated": LawStyle("#d55e00", "s"),
-    "frictionless": LawStyle("#5f6b76", "^", frictional=False),
-}
 STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
 STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
 MARK_COLOURS = {"locator": "#1b1f24", "clamp": "#c1121f", "weld": "#f4d35e", "measurement": "#ffffff"}

@@ -62,7 +62,8 @@ class Part(_Table):
 
     name: Name = Field(description="names the part in every other table")
     mesh: str | None = Field(
-        None, description="mesh file of the mid-surface, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …"
+        None,
+        description="mesh file of the mid-surface, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …",
     )
     geometry: str | None = Field(
         None,

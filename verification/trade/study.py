@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
 from mic import examples
+from mic.contact.laws import LAWS
 from mic.results import statistics
 from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
@@ -24,7 +25,6 @@ from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
 WHEELHOUSE = examples.folder("wheelhouse")
-LAWS = ("coulomb", "associated", "frictionless")
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
 SEED = 17

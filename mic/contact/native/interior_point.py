@@ -1,24 +1,25 @@
 r"""A primal-dual interior-point method for the conic laws, Coulomb's included.
 
-It costs a dense factorisation per step, some tens in all, so it serves the problems on which cheap iterations stall: many
-more contacts than degrees of freedom, jammed piles.  Its iterates approach the middle of the set of solutions, where stuck
-contacts are strictly inside their cones; from there one Newton step of :mod:`mic.contact.kernels` usually lands exactly.
+It costs a dense factorisation per step, some tens in all, so it serves the problems on which cheap iterations stall:
+many more contacts than degrees of freedom, jammed piles.  Its iterates approach the middle of the set of solutions,
+where stuck contacts are strictly inside their cones; from there one Newton step usually lands exactly.
 
 In the variables ``z = T⁻¹ y``, ``v = T ŵ`` with ``T_k = diag(1, μ, μ) / max(1, μ)`` both cones become the Lorentz cone
 ``L = {z_0 >= ‖z_t‖}`` and the law reads
 
 .. math::
 
-    L \ni z \perp v \in L, \qquad v = A z + q + \|v_t\| e_0 + s, \quad A = T W T,
+    L \ni z \perp v \in L, \qquad v = A z + q + s \|v_t\| e_0 + h, \quad A = T W T,
 
-with De Saxcé's shift ``‖v_t‖ e_0`` for Coulomb's law (Acary, Armand, Nguyen and Shpakovych 2022) and a given shift ``s``
-without it for the convex law.  Each step linearises ``z ∘ v = σ τ e`` in the Nesterov-Todd scaling, ``M z = v``,
+with the law's share ``s`` of De Saxcé's shift, 1 for Coulomb's law (Acary, Armand, Nguyen and Shpakovych 2022), and a
+shift ``h`` that is held.  Each step linearises ``z ∘ v = σ τ e`` in the Nesterov-Todd scaling, ``M z = v``,
 
 .. math::
 
-    (M + (I + G) A) \, dz = R\,r_c + (I + G) r, \quad dv = R\,r_c - M dz, \quad G = e_0 (0, v_t/\|v_t\|)^T,
+    (M + (I + G) A) \, dz = R\,r_c + (I + G) r, \quad dv = R\,r_c - M dz, \quad G = s e_0 (0, v_t/\|v_t\|)^T,
 
-with ``G² = 0``, ``r`` the residual of the equation for ``v``, and Mehrotra's predictor and corrector for ``σ`` and ``r_c``.
+with ``G² = 0``, ``r`` the residual of the equation for ``v``, and Mehrotra's predictor and corrector for ``σ`` and
+``r_c``.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _REFLECTION = np.diag([1.0, -1.0, -1.0])
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an infeasible problem sends forces to infinity
-def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
+def interior_point(W, q, mu, shift, held=None, *, tol, steps):
     """Solve one sample in scaled variables.
 
     Parameters
@@ -42,9 +43,10 @@ def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
     W : (3m, 3m) array
     q : (3m,) array
     mu : (m,) array
-    shift : (m,) array or None
-        Slip speeds ``‖w_t‖`` to freeze De Saxcé's shift ``μ‖w_t‖`` at, which leaves a convex problem; zeros for the
-        associated law.  ``None`` lets the shift follow the solution: Coulomb's law.
+    shift : float
+        Share ``s`` of De Saxcé's shift ``μ‖w_t‖`` that follows the solution; 0 leaves a convex problem.
+    held : (m,) array, optional
+        Slips whose shift ``μ held`` does not follow it.
     tol : float
         On complementarity and residual, relative to ``q``.
     steps : int
@@ -58,12 +60,11 @@ def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
     """
     m = len(mu)
     contacts = np.arange(m)
-    coulomb = shift is None
     cone = np.column_stack([np.ones(m), mu, mu]) / np.maximum(1.0, mu)[:, None]
     T = cone.ravel()
     load = q * T
-    if not coulomb:
-        load[::3] += shift * cone[:, 1]
+    if held is not None:
+        load[::3] += held * cone[:, 1]
     size = np.linalg.norm(load) / np.sqrt(m)
     if size == 0.0:
         return np.zeros_like(q), 0
@@ -71,13 +72,12 @@ def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
     A = W * T[:, None] * T
     z, v = np.zeros((m, 3)), np.zeros((m, 3))
     z[:, 0] = v[:, 0] = 1.0
-    step = 0
-    stalled = 0
-    for step in range(steps):
+    step = stalled = 0
+    for step in range(steps):  # noqa: B007  (the count is returned)
         slip = np.hypot(v[:, 1], v[:, 2])
         residual = v - load - (A @ z.ravel()).reshape(m, 3)
-        if coulomb:
-            residual[:, 0] -= slip
+        if shift:
+            residual[:, 0] -= shift * slip
         gap = np.sum(z * v) / m
         if max(gap, np.linalg.norm(residual) / np.sqrt(m)) < tol:
             break
@@ -85,8 +85,8 @@ def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
         scaled = _apply(R, z)
         K = A.reshape(m, 3, 3 * m)
         right = residual
-        if coulomb:
-            direction = v[:, 1:] / np.where(slip > 0.0, slip, 1.0)[:, None]
+        if shift:
+            direction = shift * v[:, 1:] / np.where(slip > 0.0, slip, 1.0)[:, None]
             K, right = K.copy(), residual.copy()
             K[:, 0] += direction[:, :1] * K[:, 1] + direction[:, 1:] * K[:, 2]
             right[:, 0] += np.sum(direction * residual[:, 1:], axis=1)
@@ -96,7 +96,7 @@ def interior_point(W, q, mu, shift=None, tol=1e-11, steps=100):
             warnings.simplefilter("ignore", LinAlgWarning)
             factors = lu_factor(K.reshape(3 * m, 3 * m), overwrite_a=True, check_finite=False)
 
-        def newton_step(target):
+        def newton_step(target, factors=factors, R=R, M=M, right=right):
             force = _apply(R, target)
             dz = lu_solve(factors, (force + right).ravel(), check_finite=False).reshape(m, 3)
             return dz, force - _apply(M, dz)

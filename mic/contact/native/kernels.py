@@ -1,36 +1,59 @@
 """Compiled kernels: one sample of one contact problem, in scaled variables.
 
-Symbols as in :mod:`mic.contact.native`: ``w = W y + q`` with ``y`` the scaled force and ``w`` the scaled displacement, three
-entries per contact (n, t1, t2), and friction ``mu`` scaled likewise.  All arrays are float64 and C-contiguous.
+Symbols as in :mod:`mic.contact.native.problem`: ``w = W y + q`` with ``y`` the scaled force and ``w`` the scaled
+displacement, three entries per contact (n, t1, t2), and ``parameters`` (m, p) the law's, contact by contact, scaled
+likewise: friction first. All arrays are float64 and C-contiguous.
+
+A law enters as the pointer to its compiled equation, so that no kernel knows which laws there are.  Signatures are
+explicit because a function pointer needs one; everything is compiled, or read from Numba's cache, when this module is
+imported.  All kernels stay in one file: Numba's cache of a kernel does not notice a change of another file that it
+calls.
 """
 
 from __future__ import annotations
 
-import numba
+from functools import cache
+
 import numpy as np
+from numba import boolean, cfunc, float64, int64, njit, types, void
+
+from mic.contact.states import OPEN, STICK
 
 __all__ = [
+    "compiled",
     "gauss_seidel",
     "local_factors",
     "newton",
     "solve_by_splitting",
-    "solve_frictional",
     "solve_frictionless",
+    "solve_by_sweeps",
     "starting_scale",
 ]
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+_number, _vector, _matrix, _blocks = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
+_counts = int64[::1]
+#: parameters, y, w, Φ, A, B, state, derivative.  All contacts in one call: one call for each would make a sample that
+#: slips 1.5 times as dear.
+EQUATION = void(_matrix, _vector, _vector, _vector, _blocks, _blocks, _counts, boolean)
+_equation = types.FunctionType(EQUATION)
 
-#: States of a contact in a Newton step.
-OPEN, STUCK, SLIDING = 0, 1, 2
+
+def _jit(signature):
+    return njit(signature, cache=True, nogil=True, error_model="numpy")
 
 
-@_jit
+@cache
+def compiled(equation):
+    """A law's equation as the kernels take it; a C callback is handed over faster than a jitted function."""
+    return cfunc(EQUATION, cache=True, error_model="numpy")(equation)
+
+
+@_jit(_matrix(_matrix))
 def local_factors(W):
     """What the one-contact problem needs of each diagonal block ``W_kk``.
 
-    Eliminating ``y_n`` by ``w_n = 0`` leaves the tangential Schur complement ``A = W_tt - W_tn W_nt / W_nn``, kept as its
-    eigenvalues and the rotation to its eigenvectors.
+    Eliminating ``y_n`` by ``w_n = 0`` leaves the tangential Schur complement ``A = W_tt - W_tn W_nt / W_nn``, kept as
+    its eigenvalues and the rotation to its eigenvectors.
 
     Returns
     -------
@@ -56,7 +79,7 @@ def local_factors(W):
     return P
 
 
-@_jit
+@_jit(types.UniTuple(_number, 4)(_vector, *5 * (_number,)))
 def _coulomb_contact(P, mu, qn, q1, q2, slip):
     """Exact solution of one contact: ``w = W_kk y + q``, Coulomb's law.
 
@@ -64,7 +87,8 @@ def _coulomb_contact(P, mu, qn, q1, q2, slip):
 
     .. math:: (A + λ) y_t = -(q_t - W_{tn} q_n / W_{nn}), \\quad \\|y_t\\| = μ y_n,
 
-    a scalar equation in ``λ > 0``, positive at 0 and negative at infinity: safeguarded Newton on ``1/‖y_t‖ - 1/(μ y_n)``.
+    a scalar equation in ``λ > 0``, positive at 0 and negative at infinity: safeguarded Newton on ``1/‖y_t‖ - 1/(μ
+    y_n)``.
 
     Returns
     -------
@@ -129,8 +153,8 @@ def _coulomb_contact(P, mu, qn, q1, q2, slip):
     return yn, c * x - s * y, s * x + c * y, lam
 
 
-@_jit
-def gauss_seidel(W, P, mu, y, w, slip, sweeps, tol):
+@_jit(types.Tuple((int64, _number))(_matrix, _matrix, _matrix, _vector, _vector, _vector, int64, _number))
+def gauss_seidel(W, P, parameters, y, w, slip, sweeps, tol):
     """Block Gauss-Seidel for Coulomb's law: solve contact after contact exactly, updating ``w = W y + q`` in place.
 
     Stops when a sweep changes ``y`` by less than ``tol`` relative to its norm.
@@ -140,7 +164,7 @@ def gauss_seidel(W, P, mu, y, w, slip, sweeps, tol):
     int, float
         Sweeps done, and the relative change in the last of them.
     """
-    m = len(mu)
+    m = len(parameters)
     change = size = 0.0
     for sweep in range(sweeps):
         change = size = 0.0
@@ -152,7 +176,7 @@ def gauss_seidel(W, P, mu, y, w, slip, sweeps, tol):
             qn = w[i] - W[i, i] * y0 - W[i, i + 1] * y1 - W[i, i + 2] * y2
             q1 = w[i + 1] - W[i + 1, i] * y0 - W[i + 1, i + 1] * y1 - W[i + 1, i + 2] * y2
             q2 = w[i + 2] - W[i + 2, i] * y0 - W[i + 2, i + 1] * y1 - W[i + 2, i + 2] * y2
-            z0, z1, z2, slip[k] = _coulomb_contact(P[k], mu[k], qn, q1, q2, slip[k])
+            z0, z1, z2, slip[k] = _coulomb_contact(P[k], parameters[k, 0], qn, q1, q2, slip[k])
             d0, d1, d2 = z0 - y0, z1 - y1, z2 - y2
             if d0 != 0.0 or d1 != 0.0 or d2 != 0.0:
                 row0, row1, row2 = W[i], W[i + 1], W[i + 2]
@@ -166,81 +190,42 @@ def gauss_seidel(W, P, mu, y, w, slip, sweeps, tol):
     return sweeps, np.sqrt(change / size) if size > 0.0 else np.inf
 
 
-@_jit
-def _contact_equation(associated, mu, y0, y1, y2, w0, w1, w2, phi, A, B, derivative):
-    """One contact's equation ``Φ(y, w) = 0`` and its derivative ``dΦ = A dy + B dw``.
-
-    Coulomb (Alart and Curnier 1991), with ``a = y_n - w_n`` and ``v = y_t - w_t``:
-    ``Φ_n = y_n - max(a, 0)`` and ``Φ_t = y_t - P_ball(μ max(a, 0))(v)``.
-    Associated: ``Φ = y - P_K(y - w)``.
-
-    Returns
-    -------
-    OPEN, STUCK or SLIDING
-        Open: ``Φ = y``, ``A = I``, ``B = 0``; stuck: ``Φ = w``, ``A = 0``, ``B = I``.
-    """
-    a = y0 - w0
-    v1, v2 = y1 - w1, y2 - w2
-    t = np.sqrt(v1 * v1 + v2 * v2)
-    open_ = mu * t <= -a if associated else a <= 0.0
-    if open_:
-        phi[0], phi[1], phi[2] = y0, y1, y2
-        if derivative:
-            A[:] = 0.0
-            B[:] = 0.0
-            A[0, 0] = A[1, 1] = A[2, 2] = 1.0
-        return OPEN
-    if t <= mu * a:
-        phi[0], phi[1], phi[2] = w0, w1, w2
-        if derivative:
-            A[:] = 0.0
-            B[:] = 0.0
-            B[0, 0] = B[1, 1] = B[2, 2] = 1.0
-        return STUCK
-    e1, e2 = v1 / t, v2 / t
-    if associated:
-        p = (a + mu * t) / (1.0 + mu * mu)
-    else:
-        p = a
-    phi[0] = y0 - p
-    if not associated:
-        phi[0] = w0
-    phi[1] = y1 - mu * p * e1
-    phi[2] = y2 - mu * p * e2
-    if derivative:
-        # V = derivative of the projection by y - w; A = I - V, B = V.
-        r = mu * p / t
-        if associated:
-            g = 1.0 / (1.0 + mu * mu)
-            h = mu * g
-        else:
-            g, h = 1.0, 0.0
-        B[0, 0], B[0, 1], B[0, 2] = g, h * e1, h * e2
-        B[1, 0], B[2, 0] = mu * g * e1, mu * g * e2
-        k = mu * h - r
-        B[1, 1], B[1, 2] = r + k * e1 * e1, k * e1 * e2
-        B[2, 1], B[2, 2] = k * e1 * e2, r + k * e2 * e2
-        for i in range(3):
-            for j in range(3):
-                A[i, j] = -B[i, j]
-            A[i, i] += 1.0
-    return SLIDING
-
-
-@_jit
-def _merit(associated, mu, y, w, phi):
-    """Fill ``phi`` with all contacts' equations and return its Euclidean norm."""
+@_jit(_number(_equation, _matrix, _vector, _vector, _vector, _counts))
+def _merit(equation, parameters, y, w, phi, state):
+    """Fill ``phi`` with all contacts' equations and return its Euclidean norm; ``state`` is scratch."""
+    nothing = np.empty((0, 3, 3))
+    equation(parameters, y, w, phi, nothing, nothing, state, False)
     total = 0.0
-    dummy = np.empty((3, 3))
-    for k in range(len(mu)):
+    for k in range(len(state)):
         i = 3 * k
-        f = phi[i : i + 3]
-        _contact_equation(associated, mu[k], y[i], y[i + 1], y[i + 2], w[i], w[i + 1], w[i + 2], f, dummy, dummy, False)
-        total += f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+        if state[k] == OPEN:
+            phi[i], phi[i + 1], phi[i + 2] = y[i], y[i + 1], y[i + 2]
+        elif state[k] == STICK:
+            phi[i], phi[i + 1], phi[i + 2] = w[i], w[i + 1], w[i + 2]
+        total += phi[i] * phi[i] + phi[i + 1] * phi[i + 1] + phi[i + 2] * phi[i + 2]
     return np.sqrt(total)
 
 
-@_jit
+@_jit(void(_equation, _matrix, _vector, _vector, _vector, _blocks, _blocks, _counts))
+def _derivative(equation, parameters, y, w, phi, A, B, state):
+    """Fill all contacts' equations, their derivatives and states.
+
+    Open: ``Φ = y``, ``A = I``, ``B = 0``; stick: ``Φ = w``, ``A = 0``, ``B = I``; slip: the law's.
+    """
+    equation(parameters, y, w, phi, A, B, state, True)
+    for k in range(len(state)):
+        i = 3 * k
+        if state[k] == OPEN:
+            phi[i], phi[i + 1], phi[i + 2] = y[i], y[i + 1], y[i + 2]
+            A[k] = B[k] = 0.0
+            A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = 1.0
+        elif state[k] == STICK:
+            phi[i], phi[i + 1], phi[i + 2] = w[i], w[i + 1], w[i + 2]
+            A[k] = B[k] = 0.0
+            B[k, 0, 0] = B[k, 1, 1] = B[k, 2, 2] = 1.0
+
+
+@_jit(_vector(_matrix, _vector))
 def _solve_dense(J, r):
     """``J⁻¹ r``; zeros if the matrix is singular to the last bit."""
     try:
@@ -249,9 +234,9 @@ def _solve_dense(J, r):
         return np.zeros_like(r)
 
 
-@_jit
+@_jit(_number(_number, _vector, _vector, _vector))
 def _force_scale(scale, q, y, w):
-    """What errors are relative to, as in :mod:`mic.contact.certificate`: the larger of ``scale`` and ``(yᵀ W y)^{1/2}``."""
+    """What errors are relative to, as in the certificate: the larger of ``scale`` and ``(yᵀ W y)^{1/2}``."""
     energy = 0.0
     rounding = 0.0
     for i in range(len(q)):
@@ -261,7 +246,7 @@ def _force_scale(scale, q, y, w):
     return max(scale, np.sqrt(max(energy, 0.0)))
 
 
-@_jit
+@_jit(void(_matrix, _vector, _vector))
 def _times(W, x, out):
     """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes."""
     out[:] = 0.0
@@ -273,7 +258,7 @@ def _times(W, x, out):
                 out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
 
 
-@_jit
+@_jit(void(_matrix, _blocks, _blocks, _vector, _counts, int64, _vector, _number, _vector, _vector))
 def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
@@ -311,19 +296,36 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     _times(W, x, product)
 
 
-@_jit
-def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halvings, crowd):
+@_jit(
+    types.Tuple((_number, int64))(
+        _equation,
+        _matrix,
+        _matrix,
+        _vector,
+        _matrix,
+        _vector,
+        _vector,
+        _number,
+        _number,
+        _number,
+        int64,
+        int64,
+        _number,
+    )
+)
+def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps, halvings, crowd):
     """Semismooth Newton on ``Φ(y, W y + q) = 0``; ``y`` and ``w`` end at the best point found.
 
-    Each step solves ``A dy + B dw = -Φ``, ``dw = W dy``, for few of the unknowns, because ``dy = -y`` where a contact is open
-    and ``dw = -w`` where it sticks: for the forces of the contacts that are not open, or, where more contacts stick than are
-    open and ``inverse = W⁻¹`` is at hand, for the displacements of those that do not stick, with ``dy = W⁻¹ dw``.
+    Each step solves ``A dy + B dw = -Φ``, ``dw = W dy``, for few of the unknowns, because ``dy = -y`` where a contact
+    is open and ``dw = -w`` where it sticks: for the forces of the contacts that are not open, or, where more contacts
+    stick than are open and ``inverse = W⁻¹`` is at hand, for the displacements of those that do not stick, with ``dy =
+    W⁻¹ dw``.
 
-    ``damping`` is added to the diagonal of ``W`` in the derivative only: with a singular ``W`` the step is then that of a
-    proximal point about the current ``y`` and stays bounded, and the solution is not moved.  Steps are halved up to
-    ``halvings`` times until the norm of ``Φ`` falls.  Without halving they are taken whole: from afar the norm may rise for
-    a step or two while states change, and then falls to zero where a search along the line would get stuck; after six steps
-    without a gain the search ends.
+    ``damping`` is added to the diagonal of ``W`` in the derivative only: with a singular ``W`` the step is then that of
+    a proximal point about the current ``y`` and stays bounded, and the solution is not moved.  Steps are halved up to
+    ``halvings`` times until the norm of ``Φ`` falls.  Without halving they are taken whole: from afar the norm may rise
+    for a step or two while states change, and then falls to zero where a search along the line would get stuck; after
+    six steps without a gain the search ends.
 
     Parameters
     ----------
@@ -337,39 +339,25 @@ def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halv
     float, int
         ``‖Φ‖ / max(scale, (yᵀ W y)^{1/2})`` and the steps taken.
     """
-    m, n = len(mu), len(q)
+    m, n = len(parameters), len(q)
     phi, trial_phi = np.empty(n), np.empty(n)
     A, B = np.empty((m, 3, 3)), np.empty((m, 3, 3))
-    state = np.empty(m, np.int64)
+    state, trial_state = np.empty(m, np.int64), np.empty(m, np.int64)
     step, change = np.empty(n), np.empty(n)
     trial_y, trial_w = y.copy(), w.copy()
-    trial = error = _merit(associated, mu, y, w, phi)
+    trial = error = _merit(equation, parameters, y, w, phi, state)
     size = _force_scale(scale, q, y, w)
     gained = 0
     for iteration in range(steps):
         if error <= tol * size or iteration - gained > 6:
             return error / size if size > 0.0 else 0.0, iteration
         stuck = free = 0
+        _derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
         for k in range(m):
-            i = 3 * k
-            state[k] = _contact_equation(
-                associated,
-                mu[k],
-                trial_y[i],
-                trial_y[i + 1],
-                trial_y[i + 2],
-                trial_w[i],
-                trial_w[i + 1],
-                trial_w[i + 2],
-                phi[i : i + 3],
-                A[k],
-                B[k],
-                True,
-            )
-            stuck += state[k] == STUCK
+            stuck += state[k] == STICK
             free += state[k] == OPEN
         if stuck > free and len(inverse) > 0:
-            _linear_step(inverse, B, A, phi, state, STUCK, trial_w, 0.0, change, step)
+            _linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change, step)
         elif m - free > crowd:
             return error / size if size > 0.0 else 0.0, iteration
         else:
@@ -381,7 +369,7 @@ def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halv
             for _ in range(halvings):
                 trial_y = y + length * step
                 trial_w = w + length * change
-                trial = _merit(associated, mu, trial_y, trial_w, trial_phi)
+                trial = _merit(equation, parameters, trial_y, trial_w, trial_phi, trial_state)
                 if trial <= (1.0 - 1e-4 * length) * error:
                     break
                 length *= 0.5
@@ -389,7 +377,7 @@ def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halv
                 return error / size, iteration + 1
         _times(W, trial_y, trial_w)
         trial_w += q
-        trial = _merit(associated, mu, trial_y, trial_w, trial_phi)
+        trial = _merit(equation, parameters, trial_y, trial_w, trial_phi, trial_state)
         if not np.isfinite(trial):
             return error / size, iteration + 1
         if trial < error or halvings > 0:
@@ -399,66 +387,86 @@ def newton(associated, W, inverse, q, mu, y, w, damping, scale, tol, steps, halv
     return error / size if size > 0.0 else 0.0, steps
 
 
-@_jit
-def starting_scale(mu, q):
+@_jit(_number(_vector))
+def starting_scale(q):
     """Norm of ``Φ`` at ``y = 0``: the force with which each overlapping contact alone would answer ``q``."""
     total = 0.0
-    for k in range(len(mu)):
-        if q[3 * k] < 0.0:
-            total += q[3 * k] * q[3 * k]
+    for i in range(0, len(q), 3):
+        if q[i] < 0.0:
+            total += q[i] * q[i]
     return np.sqrt(total)
 
 
-@_jit
-def _split(associated, resolvent, q, mu, rho, z, l, r, x, steps):
+@_jit(void(_number, _matrix, _vector, _matrix, _number, _vector, _vector, _vector, _vector, int64))
+def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
     """Over-relaxed ADMM, in place, with ``resolvent = (W + ρ I)⁻¹``.
 
-    ``x = resolvent r``; ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that
-    De Saxcé's shift is ``μ‖l_t‖``; ``r = ρ z - l - q - shift``.
+    ``x = resolvent r``; ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so
+    that De Saxcé's shift is ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
     """
     for _ in range(steps):
         _times(resolvent, r, x)
-        for k in range(len(mu)):
+        for k in range(len(parameters)):
             i = 3 * k
+            mu = parameters[k, 0]
             v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
             v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
             v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
             t = np.sqrt(v1 * v1 + v2 * v2)
-            if mu[k] * t <= -v0:
+            if mu * t <= -v0:
                 z0, shrink = 0.0, 0.0
-            elif t <= mu[k] * v0:
+            elif t <= mu * v0:
                 z0, shrink = v0, 1.0
             else:
-                z0 = (v0 + mu[k] * t) / (1.0 + mu[k] * mu[k])
-                shrink = mu[k] * z0 / t
+                z0 = (v0 + mu * t) / (1.0 + mu * mu)
+                shrink = mu * z0 / t
             z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
             l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
-            shift = 0.0 if associated else mu[k] * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
-            r[i] = rho * z0 - l[i] - q[i] - shift
+            opening = shift * mu * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
+            r[i] = rho * z0 - l[i] - q[i] - opening
             r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
             r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
-@_jit
-def solve_by_splitting(associated, W, inverse, resolvent, rho, Q, mu, Y, tol, steps, rounds, errors, iterations):
+@_jit(
+    void(
+        _equation,
+        _number,
+        _matrix,
+        _matrix,
+        _matrix,
+        _number,
+        _matrix,
+        _matrix,
+        _matrix,
+        _number,
+        int64,
+        int64,
+        _vector,
+        _counts,
+    )
+)
+def solve_by_splitting(
+    equation, shift, W, inverse, resolvent, rho, Q, parameters, Y, tol, steps, rounds, errors, iterations
+):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
     ``Y`` holds the initial guess and receives the forces.
     """
-    m = len(mu)
+    m = len(parameters)
     for s in range(len(Q)):
         q = Q[s]
-        scale = starting_scale(mu, q)
+        scale = starting_scale(q)
         z, l, x = Y[s].copy(), np.zeros_like(q), np.empty_like(q)
         r = rho * z - q
         w = np.empty_like(q)
         run, best = steps, np.inf
         for _ in range(rounds):
-            _split(associated, resolvent, q, mu, rho, z, l, r, x, run)
+            _split(shift, resolvent, q, parameters, rho, z, l, r, x, run)
             y = z.copy()
             _times(W, y, w)
             w += q
-            error, more = newton(associated, W, inverse, q, mu, y, w, 1e-12, scale, tol, 15, 0, m)
+            error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
             iterations[s] += run + more
             if error < best:
                 best = error
@@ -469,35 +477,34 @@ def solve_by_splitting(associated, W, inverse, resolvent, rho, Q, mu, Y, tol, st
         errors[s] = best
 
 
-@_jit
-def solve_frictional(associated, W, P, Q, mu, Y, tol, rounds, sweeps, crowd, errors, iterations):
+@_jit(void(_equation, _matrix, _matrix, _matrix, _matrix, _matrix, _number, int64, int64, _number, _vector, _counts))
+def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
-    ``Y`` holds the initial guess and receives the forces.  For the associated law, which the Gauss-Seidel kernel does not
-    know, only Newton runs.  Where Newton would need the forces of more than ``crowd`` contacts at once, its steps are dear and the
-    sample is left for :func:`solve_by_splitting`.
+    ``Y`` holds the initial guess and receives the forces.  A law whose single contact Gauss-Seidel does not solve has
+    no ``sweeps`` and one round: Newton alone.  Where Newton would need the forces of more than ``crowd`` contacts at
+    once, its steps are dear and the sample is left for :func:`solve_by_splitting`.
     """
-    m = len(mu)
+    m = len(parameters)
     slip = np.zeros(m)
     none = np.empty((0, 0))
     for s in range(len(Q)):
         q = Q[s]
         y = Y[s].copy()
-        scale = starting_scale(mu, q)
+        scale = starting_scale(q)
         w = np.empty_like(q)
         _times(W, y, w)
         w += q
         slip[:] = 0.0
         run = sweeps
         best = np.inf
-        for _ in range(1 if associated else rounds):
-            if not associated:
-                done, _ = gauss_seidel(W, P, mu, y, w, slip, run, 1e-15)
-                iterations[s] += done
-                _times(W, y, w)
-                w += q
+        for _ in range(rounds):
+            done, _ = gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
+            iterations[s] += done
+            _times(W, y, w)
+            w += q
             guess = y.copy()
-            error, more = newton(associated, W, none, q, mu, y, w, 1e-12, scale, tol, 15, 0, crowd)
+            error, more = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, 15, 0, crowd)
             iterations[s] += more
             if error < best:
                 best = error
@@ -511,7 +518,7 @@ def solve_frictional(associated, W, P, Q, mu, Y, tol, rounds, sweeps, crowd, err
         errors[s] = best
 
 
-@_jit
+@_jit(void(_matrix, _matrix, _matrix, _number, int64, _vector, _counts))
 def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 

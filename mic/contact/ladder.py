@@ -1,0 +1,187 @@
+"""The ladder: which methods look for a solution, in which order, with which settings, and for which laws.
+
+Every sample starts on the first rung that applies to its law and leaves at the first whose force is good enough.  The
+rungs of :data:`BATCH` are cheap and take all samples together; those of :data:`PATIENT` take one stubborn sample at a
+time, until :data:`BUDGET` is spent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from mic.contact.laws import Law
+
+__all__ = [
+    "BATCH",
+    "BUDGET",
+    "INTERIOR_POINT",
+    "MARGIN",
+    "NEWTON",
+    "PATIENT",
+    "SPLITTING",
+    "SWEEP_COST",
+    "Rung",
+    "rungs",
+]
+
+#: The compiled kernels work to this fraction of the tolerance, because their residual and the certificate weigh
+#: contacts differently.
+MARGIN = 1e-2
+#: The patient rungs may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts
+#: and 100 s for 600.
+BUDGET = 200.0
+#: A sweep of Gauss-Seidel counts as ``SWEEP_COST / 3m`` factorisations, its share of time.
+SWEEP_COST = 10.0
+
+
+def _smooth(law: Law) -> bool:
+    return not law.frictional
+
+
+def _frictional(law: Law) -> bool:
+    return law.frictional
+
+
+def _swept(law: Law) -> bool:
+    return law.gauss_seidel
+
+
+def _unswept(law: Law) -> bool:
+    return law.frictional and not law.gauss_seidel
+
+
+def _shifted(law: Law) -> bool:
+    return law.frictional and law.shift != 0.0
+
+
+def _every(law: Law) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One method.
+
+    Attributes
+    ----------
+    name : str
+        What :class:`mic.contact.ContactSolution` reports.
+    reason : str
+        One sentence: why it is there.
+    applies : function of a law
+        Whether the method serves the law.
+    settings : mapping of str to number or tuple
+        Its tunables; ``rung["steps"]`` reads one.
+    """
+
+    name: str
+    reason: str
+    applies: Callable[[Law], bool]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
+
+    def __getitem__(self, name):
+        return self.settings[name]
+
+
+# Rungs whose settings other rungs share.
+SPLITTING = Rung(
+    "splitting",
+    "Each step is one product with an inverse formed once per S, however many contacts touch: for loads that stick.",
+    _frictional,
+    # Steps before the first Newton, and rounds of twice as many each; Newton uses W⁻¹ up to this condition number of W:
+    # the inverse is then good to 1e-8, and each step gains that much.
+    {"steps": 20, "rounds": 4, "invertible": 1e8},
+)
+NEWTON = Rung(
+    "newton",
+    "From the best force so far, other dampings and a search along the line may be all that is missing.",
+    _frictional,
+    # Damping of the derivative and halvings of the step, run by run: searching along the line, plain and damped, and
+    # whole steps.
+    {"runs": ((1e-9, 7), (1e-12, 0), (1e-6, 7), (1e-14, 7)), "tol": 1e-14, "steps": 20},
+)
+INTERIOR_POINT = Rung(
+    "interior point",
+    "It ends in the middle of the set of solutions, where redundant contacts stick inside their cones: stacks, arches.",
+    _frictional,
+    {"tol": 1e-11, "steps": 100},
+)
+
+#: Cheap methods, for all samples together.
+BATCH = (
+    Rung(
+        "sweeps",
+        "A few sweeps of Gauss-Seidel find which contacts touch, and one run of Newton lands.",
+        _swept,
+        # Above this share of contacts that are not open, Newton for their forces costs more than the splitting.
+        {"sweeps": 10, "rounds": 1, "crowd": 0.65},
+    ),
+    Rung(
+        "guess",
+        "Newton lands from a guess that is near; from afar it is a waste, so it is tried with a guess alone.",
+        _unswept,
+        {"crowd": 0.65},
+    ),
+    SPLITTING,
+    Rung(
+        "active set",
+        "Without friction a few sweeps of projected Gauss-Seidel and the Newton steps of an active set suffice.",
+        _smooth,
+        {"rounds": 3},
+    ),
+)
+
+#: Methods for one sample that the cheap ones did not solve.
+PATIENT = (
+    NEWTON,
+    INTERIOR_POINT,
+    Rung(
+        "patient sweeps",
+        "Gauss-Seidel is slow on stacks, but hard to defeat.",
+        _swept,
+        # Runs of this many sweeps, then twice as many, and so on, Newton after each; left for the next rung after so
+        # many forces.
+        {"sweeps": 100, "runs": 10, "forces": 15},
+    ),
+    Rung(
+        "fixed point",
+        "With De Saxcé's shift held the problem is convex and has one answer; then the shift is renewed.",
+        _shifted,
+        {"steps": 8},
+    ),
+    Rung("last sweeps", "The patient sweeps go on where they stopped.", _swept),
+    Rung(
+        "proximal points",
+        "Each step is a problem with a regular W + α I near the last answer; α falls while the steps succeed.",
+        _every,
+        # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits.
+        # Each problem gets so many rounds of Newton, after sweeps where the law has them.
+        {
+            "steps": 25,
+            "start": 1e-1,
+            "gain": 0.2,
+            "loss": 5.0,
+            "smallest": 1e-9,
+            "largest": 10.0,
+            "sweeps": 10,
+            "rounds": 3,
+        },
+    ),
+    Rung(
+        "interior proximal points",
+        "Constant α, each problem by the interior point: slow and steady, for jammed piles.",
+        _frictional,
+        {"steps": 25, "alphas": (1e-4, 1e-3)},
+    ),
+)
+
+
+def rungs(law: Law) -> list[str]:
+    """Names of the rungs that serve a law, from the first to the last."""
+    return [rung.name for rung in BATCH + PATIENT if rung.applies(law)]

@@ -1,0 +1,36 @@
+"""Contact laws, one file each, and the registry that names them.
+
+=============  ==========================================================================================
+coulomb        ``K ∋ f  ⊥  u + μ‖u_t‖ n ∈ K*``, Coulomb's law as De Saxcé and Feng (1998) write it
+associated     ``K ∋ f  ⊥  u ∈ K*``, the optimality conditions of a second-order cone programme
+frictionless   ``0 <= f_n  ⊥  u_n >= 0`` and ``f_t = 0``
+=============  ==========================================================================================
+
+:mod:`mic.contact.laws.law` has the notation.  A new law is a file here and its place in :data:`LAWS`.
+"""
+
+from mic.contact.laws.associated import ASSOCIATED
+from mic.contact.laws.coulomb import COULOMB
+from mic.contact.laws.frictionless import FRICTIONLESS
+from mic.contact.laws.law import Law
+
+__all__ = ["ASSOCIATED", "COULOMB", "FRICTIONLESS", "LAWS", "Law", "find"]
+
+#: Every law by its name, in the order of reports.
+LAWS: dict[str, Law] = {law.name: law for law in (COULOMB, ASSOCIATED, FRICTIONLESS)}
+
+
+def find(law: str | Law) -> Law:
+    """The law of this name; a law is its own.
+
+    Raises
+    ------
+    ValueError
+        Naming the laws that there are.
+    """
+    if isinstance(law, Law):
+        return law
+    try:
+        return LAWS[law]
+    except (KeyError, TypeError):
+        raise ValueError(f"law must be one of {', '.join(LAWS)}; got {law!r}") from None

@@ -1,0 +1,193 @@
+r"""What a contact law is: the cone of its forces, and the displacement that is complementary to them.
+
+Contact ``k`` carries the force ``f = (f_n, f_t1, f_t2)`` and the relative displacement ``u = (u_n, u_t1, u_t2)``;
+``f_n >= 0`` is compression, ``u_n >= 0`` separation.  With the friction cone ``K`` and its dual ``K*``,
+
+.. math::
+
+    K   = \{f : \|f_t\| \le \mu f_n\},        \qquad
+    K^* = \{v : v_n \ge \mu \|v_t\|\},
+
+a law reads
+
+.. math::
+
+    K \ni f \perp \hat u \in K^*, \qquad \hat u = u + s \, \mu \|u_t\| \, n,
+
+with its own share ``s`` of De Saxcé's shift.  A contact that slips under load opens by ``(1 - s) μ‖u_t‖``.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Law"]
+
+
+class _FormerEnumeration(type):
+    """Keeps ``Law("coulomb")``, ``Law.COULOMB`` and iteration for one version: ``Law`` was an enumeration."""
+
+    def __call__(cls, *arguments, **fields):
+        if len(arguments) == 1 and not fields:
+            return _former(f"Law({arguments[0]!r})", "mic.contact.laws.find(name)")(arguments[0])
+        return super().__call__(*arguments, **fields)
+
+    def __getattr__(cls, name):
+        if not name.isupper():
+            raise AttributeError(f"class Law has no attribute {name!r}")
+        find = _former(f"Law.{name}", f"mic.contact.laws.{name}")
+        try:
+            return find(name.lower())
+        except ValueError as error:
+            raise AttributeError(str(error)) from None
+
+    def __iter__(cls) -> Iterator[Law]:
+        from mic.contact.laws import LAWS  # the registry imports this module
+
+        _former("iteration over Law", "mic.contact.laws.LAWS")
+        return iter(LAWS.values())
+
+
+def _former(old, new):
+    """Warn about the old name; return the function that finds a law by its name."""
+    from mic.contact.laws import find  # the registry imports this module
+
+    warnings.warn(f"{old} is deprecated: use {new}", DeprecationWarning, stacklevel=3)
+    return find
+
+
+@dataclass(frozen=True, eq=False)
+class Law(metaclass=_FormerEnumeration):
+    """A contact law: one object, known by its name.
+
+    Attributes
+    ----------
+    name : str
+        The word that scenes and calls use.
+    title : str
+        One line that explains it.
+    colour, mark : str
+        How pictures show it: a colour ``#rrggbb`` and a marker of Matplotlib.
+    frictional : bool
+        Whether tangential forces exist.  Without them the law is ``0 <= f_n ⊥ u_n >= 0``, ``f_t = 0``.
+    shift : float
+        Share ``s`` of ``μ‖u_t‖`` that the law adds to ``u_n``: 1 keeps slipping contacts closed, 0 makes the problem
+        convex.
+    equation : function or None
+        One contact's equation ``Φ(y, w) = 0`` in scaled force ``y`` and displacement ``w``, for Newton's method; see
+        :func:`mic.contact.laws.coulomb.equation`.  Plain Python on numbers and small arrays, to be compiled by Numba,
+        so it calls nothing but ``math``, ``numpy`` and what Numba compiled.  None for a law without friction only.
+    gauss_seidel : bool
+        Whether the exact solution of a single contact in the Gauss-Seidel sweeps is this law's.
+    paper_backend : str
+        The backend that the paper used for it; native where the paper had none.
+
+    Raises
+    ------
+    ValueError
+        If a law with friction has no equation.
+    """
+
+    name: str
+    title: str
+    colour: str
+    mark: str
+    frictional: bool = True
+    shift: float = 0.0
+    equation: Callable | None = None
+    gauss_seidel: bool = False
+    paper_backend: str = "native"
+
+    def __post_init__(self):
+        if self.frictional and self.equation is None:
+            raise ValueError(f"law {self.name} has friction: give its equation")
+
+    def __eq__(self, other):
+        if isinstance(other, str):
+            warnings.warn("comparing a law with a string is deprecated: use law.name", DeprecationWarning, stacklevel=2)
+            return self.name == other
+        return isinstance(other, Law) and self.name == other.name
+
+    def __hash__(self):
+        return hash(self.name)
+
+    @property
+    def value(self) -> str:
+        """Deprecated: the name."""
+        warnings.warn("law.value is deprecated: use law.name", DeprecationWarning, stacklevel=2)
+        return self.name
+
+    def projection(self, x: np.ndarray, mu: np.ndarray) -> np.ndarray:
+        """Euclidean projection ``P_K`` on the friction cones.
+
+        Parameters
+        ----------
+        x : (..., m, 3) array
+            One vector (n, t1, t2) per contact.
+        mu : (m,) array
+            Coefficients of friction; ``0`` makes the cone the half-line ``f_n >= 0``.
+
+        Returns
+        -------
+        (..., m, 3) array
+            The nearest points with ``‖f_t‖ <= μ f_n``.
+        """
+        normal = x[..., 0]
+        tangential = np.hypot(x[..., 1], x[..., 2])
+        inside = (tangential <= mu * normal) & (normal >= 0.0)
+        polar = mu * tangential <= -normal
+        # On the cone's surface: f = p (1, μ x_t/‖x_t‖) with p = (x_n + μ‖x_t‖)/(1 + μ²).
+        pressure = (normal + mu * tangential) / (1.0 + mu * mu)
+        pressure = np.where(inside, normal, np.where(polar, 0.0, pressure))
+        shrink = np.where(inside, 1.0, mu * pressure / np.where(tangential > 0.0, tangential, 1.0))
+        projected = x * shrink[..., None]
+        projected[..., 0] = pressure
+        return projected
+
+    def complementary(self, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
+        """The displacement ``û = u + s μ‖u_t‖ n`` that the law makes complementary to the force.
+
+        Parameters
+        ----------
+        u : (..., m, 3) array
+            Relative displacements.
+        mu : (m,) array
+            Coefficients of friction.
+
+        Returns
+        -------
+        (..., m, 3) array
+            ``u`` itself where the law has no shift.
+        """
+        if not self.shift:
+            return u
+        shifted = u.copy()
+        shifted[..., 0] += self.shift * mu * np.hypot(u[..., 1], u[..., 2])
+        return shifted
+
+    def bound(self, normal: np.ndarray, mu: np.ndarray) -> np.ndarray:
+        """Largest tangential force ``μ f_n`` under the normal forces (..., m)."""
+        return mu * normal
+
+    def opening(self, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
+        """``û_n - μ‖u_t‖ = u_n - (1 - s) μ‖u_t‖``: a contact without force obeys the law exactly where it is not
+        negative.
+
+        Parameters
+        ----------
+        u : (..., m, 3) array
+            Relative displacements.
+        mu : (m,) array
+            Coefficients of friction.
+
+        Returns
+        -------
+        (..., m) array
+        """
+        if self.shift == 1.0:
+            return u[..., 0]
+        return u[..., 0] - (1.0 - self.shift) * mu * np.hypot(u[..., 1], u[..., 2])

@@ -1,0 +1,1 @@
+"""The native backend: compiled kernels, the cheap rungs, the patient rungs."""

@@ -1,0 +1,76 @@
+"""The cheap rungs: all samples of a batch, in compiled code.
+
+A method is made for one problem, rung and tolerance, which prepares what all samples share; it then takes ``Q`` (n, d
+m), the guess
+``Y``, which receives the forces, ``errors`` (n,) and ``iterations`` (n,), which it adds to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mic.contact.ladder import Rung
+from mic.contact.native import kernels
+from mic.contact.native.problem import ScaledProblem
+
+__all__ = ["METHODS", "relaxation", "splitting"]
+
+
+def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
+    """Sweeps of Gauss-Seidel where the law has them, then Newton."""
+    if not problem.law.frictional:
+
+        def active_set(Q, Y, errors, iterations):
+            kernels.solve_frictionless(problem.W, Q, Y, tol, rung["rounds"], errors, iterations)
+
+        return active_set
+    # Rounds differ in their sweeps alone: without them the second would repeat the first.
+    rounds, sweeps = (rung["rounds"], rung["sweeps"]) if problem.law.gauss_seidel else (1, 0)
+    crowd = rung.settings.get("crowd", 1.0) * len(problem.parameters)
+
+    def sweep(Q, Y, errors, iterations):
+        kernels.solve_by_sweeps(
+            problem.equation,
+            problem.W,
+            problem.factors,
+            Q,
+            problem.parameters,
+            Y,
+            tol,
+            rounds,
+            sweeps,
+            crowd,
+            errors,
+            iterations,
+        )
+
+    return sweep
+
+
+def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
+    """The splitting, then Newton."""
+    inverse, resolvent, rho = problem.splitting
+
+    def split(Q, Y, errors, iterations):
+        kernels.solve_by_splitting(
+            problem.equation,
+            problem.law.shift,
+            problem.W,
+            inverse,
+            resolvent,
+            rho,
+            Q,
+            problem.parameters,
+            Y,
+            tol,
+            rung["steps"],
+            rung["rounds"],
+            errors,
+            iterations,
+        )
+
+    return split
+
+
+#: The method of every rung of :data:`mic.contact.ladder.BATCH`, by its name.
+METHODS = {"sweeps": relaxation, "guess": relaxation, "splitting": splitting, "active set": relaxation}

@@ -1,0 +1,86 @@
+"""One compliance in scaled variables, as every native method takes it.
+
+With ``f = D y``, ``w = D u``, ``D_k = diag(d_n, d_t, d_t)``, ``d_n = S_nn^{-1/2}`` and one ``d_t`` per contact, so that
+the cone stays circular, the problem becomes ``w = W y + q`` with ``W = D S D``, ``q = D b`` and ``μ' = μ d_n / d_t``:
+the same laws, without units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import eigvalsh, inv
+
+from mic.contact.ladder import SPLITTING
+from mic.contact.laws import Law
+from mic.contact.native.kernels import compiled, local_factors
+
+__all__ = ["ScaledProblem", "inverse_root"]
+
+
+@dataclass(frozen=True)
+class ScaledProblem:
+    """``W`` and the law of its contacts.
+
+    Attributes
+    ----------
+    law : Law
+    W : (3m, 3m) array, or (m, m) for a law without friction
+    parameters : (m, p) array
+        Of the law, contact by contact; scaled friction ``μ'`` first.
+    equation : compiled function or None
+        The law's equation; None without friction.
+    factors : (m, 7) array or None
+        :func:`mic.contact.native.kernels.local_factors` of ``W``; None without friction.
+    """
+
+    law: Law
+    W: np.ndarray
+    parameters: np.ndarray
+    equation: Callable | None
+    factors: np.ndarray | None
+
+    @classmethod
+    def of(cls, law: Law, W: np.ndarray, friction: np.ndarray) -> ScaledProblem:
+        """The problem of scaled compliance ``W`` and scaled friction (m,)."""
+        parameters = np.ascontiguousarray(friction, dtype=float).reshape(-1, 1)
+        if not law.frictional:
+            return cls(law, W, parameters, None, None)
+        return cls(law, W, parameters, compiled(law.equation), local_factors(W))
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Scaled friction ``μ'`` (m,)."""
+        return self.parameters[:, 0]
+
+    @cached_property
+    def splitting(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """What the splitting needs: ``W⁻¹``, empty where it is not accurate; ``(W + ρ I)⁻¹``; and ``ρ``.
+
+        ``ρ`` is the geometric mean of the extreme eigenvalues, the smallest bounded from below.
+        """
+        eigenvalues = eigvalsh(self.W, check_finite=False)
+        smallest, largest = eigenvalues[0], eigenvalues[-1]
+        rho = np.sqrt(max(smallest, 1e-6 * largest) * largest)
+        invertible = SPLITTING["invertible"] * smallest > largest
+        return (
+            np.ascontiguousarray(inv(self.W)) if invertible else np.empty((0, 0)),
+            np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))),
+            rho,
+        )
+
+    def proximal(self, alpha: float) -> ScaledProblem:
+        """The same contacts with ``W + α I``."""
+        W = self.W + alpha * np.eye(len(self.W))
+        return replace(self, W=W, factors=None if self.factors is None else local_factors(W))
+
+
+def inverse_root(diagonal: np.ndarray) -> np.ndarray:
+    """``d^{-1/2}``, the mean of the others' where the diagonal vanishes."""
+    vanishing = diagonal <= np.finfo(float).eps * diagonal.max(initial=0.0)
+    if vanishing.all():
+        return np.ones_like(diagonal)
+    return np.where(vanishing, diagonal[~vanishing].mean(), diagonal) ** -0.5

@@ -1,0 +1,128 @@
+"""The native backend: scaling once per ``S``, then every sample down the ladder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from mic.contact import ladder
+from mic.contact.laws import Law
+from mic.contact.native import batch, patience
+from mic.contact.native.infeasibility import infeasible
+from mic.contact.native.problem import ScaledProblem, inverse_root
+
+__all__ = ["NativeSolver"]
+
+#: Tasks for each thread: few, because handing them out costs as much as an easy sample, and enough to level the load.
+TASKS = 8
+
+_THREADPOOLS = ThreadpoolController()
+
+
+class NativeSolver:
+    """One compliance, scaled; solves batches of right-hand sides, :class:`mic.contact.backends.Backend`.
+
+    Parameters
+    ----------
+    S : (3m, 3m) array, or (m, m) for ``dimension`` 1
+        Symmetric compliance.
+    mu : (m,) array
+    law : Law
+    tol : float
+        Certificate to reach.
+    threads : int
+    dimension : {3, 1}
+
+    Attributes
+    ----------
+    problem : ScaledProblem
+    scaling : (3m,) or (m,) array
+        ``D``, the scaled force's unit.
+    """
+
+    def __init__(self, S: np.ndarray, mu: np.ndarray, law: Law, tol: float, threads: int, dimension: int):
+        self.tol, self.threads = tol, threads
+        # Without friction the normal rows are all there is to solve.
+        self._stride = 1 if law.frictional else dimension
+        self._size = 3 if law.frictional else 1
+        S = S[:: self._stride, :: self._stride]
+        diagonal = S.diagonal()
+        if law.frictional:
+            diagonal = diagonal.reshape(-1, 3)
+            d_n = inverse_root(diagonal[:, 0])
+            d_t = inverse_root(0.5 * (diagonal[:, 1] + diagonal[:, 2]))
+            self.scaling = np.column_stack([d_n, d_t, d_t]).ravel()
+            mu = mu * d_n / d_t
+        else:
+            self.scaling = inverse_root(diagonal)
+        W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
+        self.problem = ScaledProblem.of(law, W, mu)
+
+    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All samples, by the cheap rungs: each takes those that the ones before left unsolved.
+
+        See :meth:`mic.contact.backends.Backend.solve`.
+        """
+        n, law, tol = len(b), self.problem.law, ladder.MARGIN * self.tol
+        Q = np.ascontiguousarray(b[:, :: self._stride] * self.scaling)
+        Y = np.zeros_like(Q) if guess is None else np.ascontiguousarray(guess[:, :: self._stride] / self.scaling)
+        rungs = [rung for rung in ladder.BATCH if rung.applies(law) and (rung.name != "guess" or Y.any())]
+        errors, iterations = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
+        found = np.full(n, rungs[0].name, dtype=object)
+        with _THREADPOOLS.limit(limits=1):
+            for rung in rungs if Q.size else ():
+                unsolved = np.flatnonzero(errors > tol)
+                if not unsolved.size:
+                    break
+                self._share(batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations)
+                found[unsolved] = rung.name
+        force = np.zeros_like(b)
+        force[:, :: self._stride] = Y * self.scaling
+        return force, iterations, found
+
+    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, str]]:
+        """The patient rungs, each starting from the last, until :data:`mic.contact.ladder.BUDGET` is spent.
+
+        See :meth:`mic.contact.backends.Backend.attempts`.
+        """
+        search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
+        budget = ladder.BUDGET * (1.0 + 1000.0 / len(self.problem.parameters))
+        with _THREADPOOLS.limit(limits=self.threads):
+            for rung in ladder.PATIENT:
+                if not rung.applies(self.problem.law):
+                    continue
+                for y, iterations, work in patience.METHODS[rung.name](search, rung):
+                    candidate = np.zeros_like(b)
+                    candidate[:: self._stride] = y * self.scaling
+                    yield candidate, iterations, rung.name
+                    budget -= work
+                    if budget < 0.0:
+                        return
+
+    def infeasible(self, b: np.ndarray) -> bool:
+        """See :meth:`mic.contact.backends.Backend.infeasible`."""
+        return infeasible(self.problem.W, self._scaled(b), self._size)
+
+    def _scaled(self, b):
+        return b[:: self._stride] * self.scaling
+
+    def _share(self, method, samples, Q, Y, errors, iterations):
+        """Run ``method(Q, Y, errors, iterations)`` on chunks of the samples, in parallel."""
+
+        def chunk(first):
+            pick = samples[first : first + size]
+            parts = Q[pick], Y[pick], errors[pick], iterations[pick]
+            method(*parts)
+            Y[pick], errors[pick], iterations[pick] = parts[1:]
+
+        size = -(-len(samples) // (TASKS * self.threads if self.threads > 1 else 1))
+        starts = range(0, len(samples), size)
+        if self.threads == 1:
+            for first in starts:
+                chunk(first)
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(chunk, starts))

@@ -1,0 +1,257 @@
+"""Laws, states and rungs as data: one more law is one file and one registration, and nobody else keeps a list."""
+
+import ast
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mic
+from mic.contact import ContactSolver, Law, Status, certify, ladder, solve
+from mic.contact.backends import BACKENDS
+from mic.contact.ladder import Rung
+from mic.contact.laws import ASSOCIATED, COULOMB, FRICTIONLESS, LAWS, find
+from mic.contact.native import batch, patience
+from mic.contact.native.solver import NativeSolver
+from mic.contact.problems import box_stack, compliant, manufactured, slip_dominated
+from mic.contact.states import STATES, ContactState, classify
+
+MIC = Path(mic.__file__).parent
+
+
+def half_dilatant_equation(parameters, y, w, phi, A, B, state, derivative):
+    """Slip opens by half of what the associated law opens: ``w_n = ½ μ‖w_t‖`` on the cone, ``w_t`` against ``y_t``."""
+    for k in range(len(state)):
+        i = 3 * k
+        mu = parameters[k, 0]
+        t = math.sqrt(w[i + 1] * w[i + 1] + w[i + 2] * w[i + 2])
+        # y - ŵ with ŵ = w + ½ μ‖w_t‖ n, projected on the cone.
+        a = y[i] - w[i] - 0.5 * mu * t
+        v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
+        v = math.sqrt(v1 * v1 + v2 * v2)
+        if mu * v <= -a:
+            state[k] = 0
+        elif v <= mu * a:
+            state[k] = 1
+        else:
+            state[k] = 2
+            e1, e2 = v1 / v, v2 / v
+            p = (a + mu * v) / (1.0 + mu * mu)
+            phi[i], phi[i + 1], phi[i + 2] = y[i] - p, y[i + 1] - mu * p * e1, y[i + 2] - mu * p * e2
+            if derivative:
+                g, r = 1.0 / (1.0 + mu * mu), mu * p / v
+                c = mu * mu * g - r
+                P = ((g, mu * g * e1, mu * g * e2),
+                     (mu * g * e1, r + c * e1 * e1, c * e1 * e2),
+                     (mu * g * e2, c * e1 * e2, r + c * e2 * e2))  # fmt: skip
+                d1, d2 = (w[i + 1] / t, w[i + 2] / t) if t > 0.0 else (0.0, 0.0)
+                for row in range(3):
+                    for column in range(3):
+                        A[k, row, column] = -P[row][column]
+                        B[k, row, column] = P[row][column]
+                    A[k, row, row] += 1.0
+                    # ŵ_n depends on w_t.
+                    B[k, row, 1] += P[row][0] * 0.5 * mu * d1
+                    B[k, row, 2] += P[row][0] * 0.5 * mu * d2
+
+
+@pytest.fixture
+def dilatant(monkeypatch):
+    law = Law(
+        name="dilatant",
+        title="Half the dilatancy.",
+        colour="#000000",
+        mark="x",
+        shift=0.5,
+        equation=half_dilatant_equation,
+    )
+    monkeypatch.setitem(LAWS, law.name, law)
+    return law
+
+
+def test_one_more_law_is_its_file_and_its_registration(dilatant):
+    """S = I, b = (-1, 1, 0): ``f = p (1, -μ, 0)``, ``u = (p - 1, 1 - μ p, 0)`` and ``u_n = ½ μ u_t``."""
+    mu = 0.27
+    p = (1.0 + 0.5 * mu) / (1.0 + 0.5 * mu**2)
+    solution = solve(np.eye(3), [-1.0, 1.0, 0.0], mu, law="dilatant")
+    assert solution.status is Status.CONVERGED
+    np.testing.assert_allclose(solution.force, [p, -mu * p, 0.0], atol=1e-10)
+    np.testing.assert_allclose(solution.displacement, [p - 1.0, 1.0 - mu * p, 0.0], atol=1e-10)
+    assert certify(np.eye(3), [-1.0, 1.0, 0.0], mu, solution.force, "dilatant").residual <= 1e-10
+    for other in (COULOMB, ASSOCIATED):
+        assert certify(np.eye(3), [-1.0, 1.0, 0.0], mu, solution.force, other).residual > 1e-2
+    rng = np.random.default_rng(3)
+    problem = manufactured(compliant(15, rng, condition=1e3), np.full(15, mu), 6, rng, 0.4, 0.4, dilatant)
+    many = solve(problem.S, problem.b, problem.mu, dilatant)
+    assert many.converged.all()
+    np.testing.assert_allclose(many.displacement, problem.displacement, atol=1e-8 * np.abs(problem.b).max())
+
+
+def test_every_patient_rung_of_another_law_speaks_of_that_law(dilatant, monkeypatch):
+    """Whatever the method, the certificate of the law asked for falls."""
+    rng = np.random.default_rng(4)
+    problem = manufactured(compliant(6, rng, condition=1e2), np.full(6, 0.27), 1, rng, 0.4, 0.4, dilatant)
+    backend = BACKENDS["native"](problem.S, problem.mu, dilatant, 1e-10, 1, 3)
+    monkeypatch.setattr(ladder, "BUDGET", 1e6)
+    best = {}
+    for force, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
+        residual = certify(problem.S, problem.b[0], problem.mu, force, dilatant).residual
+        best[rung] = min(residual, best.get(rung, np.inf))
+    assert list(best) == [rung.name for rung in ladder.PATIENT if rung.applies(dilatant)]
+    assert max(best.values()) <= 1e-10, best
+
+
+def test_methods_head_for_the_law_before_newton_lands(dilatant):
+    """Newton would hide a wrong shift: judge what the interior point, the fixed point and the splitting hand to it."""
+    rng = np.random.default_rng(6)
+    problem = manufactured(compliant(5, rng, condition=1e2), np.full(5, 0.27), 1, rng, 0.3, 0.5, dilatant)
+    native = NativeSolver(problem.S, problem.mu, dilatant, 1e-10, 1, 3)
+    scaled, q = native.problem, problem.b[0] * native.scaling
+    for rung in (rung for rung in ladder.PATIENT if rung.name in ("interior point", "fixed point")):
+        search = patience.Search(scaled, q, np.zeros(15))
+        for _ in patience.METHODS[rung.name](search, rung):
+            pass
+        force = search.interior * native.scaling
+        assert certify(problem.S, problem.b[0], problem.mu, force, dilatant).residual <= 1e-4, rung.name
+    steps, iterations = 3000, np.zeros(1, np.int64)
+    long_rung = Rung("splitting", "Long enough to converge.", lambda law: True, {"steps": steps, "rounds": 1})
+    batch.splitting(scaled, long_rung, 1e-8)(q[None], np.zeros((1, 15)), np.zeros(1), iterations)
+    assert iterations[0] <= steps + 1
+
+
+def test_a_law_with_friction_needs_an_equation():
+    with pytest.raises(ValueError, match="law sticky has friction: give its equation"):
+        Law(name="sticky", title="", colour="", mark="")
+
+
+def test_unknown_laws_are_answered_with_those_there_are():
+    with pytest.raises(ValueError, match="law must be one of coulomb, associated, frictionless; got 'Tresca'"):
+        find("Tresca")
+    assert find("coulomb") is find(COULOMB) is COULOMB
+
+
+@pytest.mark.parametrize("law", [COULOMB, ASSOCIATED], ids=lambda law: law.name)
+def test_the_derivative_of_an_equation_is_that_of_its_values(law):
+    rng = np.random.default_rng(1)
+    m, step = 200, 1e-6
+    parameters = rng.uniform(0.1, 1.0, (m, 1))
+    y, w = rng.standard_normal(3 * m), rng.standard_normal(3 * m)
+    dy, dw = rng.standard_normal((2, 3 * m))
+    A, B, state = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.zeros(m, np.int64)
+    nothing = np.empty((0, 3, 3))
+    phi = np.zeros(3 * m)
+    law.equation(parameters, y, w, phi, A, B, state, True)
+    ends = []
+    for sign in (-0.5, 0.5):
+        end, changed = np.zeros(3 * m), np.zeros(m, np.int64)
+        law.equation(parameters, y + sign * step * dy, w + sign * step * dw, end, nothing, nothing, changed, False)
+        ends.append(end)
+        state[changed != state] = -1
+    slips = state == ContactState.SLIP
+    assert slips.sum() > 30
+    expected = ((ends[1] - ends[0]) / step).reshape(m, 3)[slips]
+    found = np.einsum("kij,kj->ki", A, dy.reshape(m, 3)) + np.einsum("kij,kj->ki", B, dw.reshape(m, 3))
+    np.testing.assert_allclose(found[slips], expected, atol=1e-6)
+
+
+def test_states_are_read_from_forces():
+    force = np.array([[[1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.0, 0.0, 0.0], [1e-12, 1.0, 0.0]]])
+    states = classify(force, 0.3)
+    assert states.dtype == np.int8 and [STATES[state] for state in states[0]] == ["slip", "stick", "open", "open"]
+    assert [ContactState(state).label for state in states[0]] == ["slip", "stick", "open", "open"]
+    # Nothing holds a contact without friction.
+    np.testing.assert_array_equal(classify(force * [1.0, 0.0, 0.0], 0.0), [[2, 2, 0, 0]])
+    np.testing.assert_array_equal(classify(force[..., :1], 0.3), [[2, 2, 0, 0]])
+    np.testing.assert_array_equal(classify(np.zeros((2, 3, 3)), 0.3), 0)
+    assert classify(np.zeros((2, 0, 3)), 0.3).shape == (2, 0)
+
+
+def test_a_solution_says_which_rung_found_it():
+    rng = np.random.default_rng(13)
+    slips = slip_dominated(12, 4, rng, condition=1e3)
+    assert set(solve(slips.S, slips.b, slips.mu).rung) == {"sweeps"}
+    assert set(solve(slips.S, slips.b, slips.mu, ASSOCIATED).rung) == {"splitting"}
+    guess = solve(slips.S, slips.b, slips.mu, ASSOCIATED).force
+    assert set(solve(slips.S, slips.b, slips.mu, ASSOCIATED, guess=guess).rung) == {"guess"}
+    assert set(solve(slips.S, slips.b, slips.mu, FRICTIONLESS).rung) == {"active set"}
+    assert solve(slips.S, slips.b[0], slips.mu).rung == "sweeps"
+    tower = box_stack(15, (0.3, 0.3, 1.0)).problem(0.3, np.random.default_rng(2), 0.05)
+    found = solve(tower.S, tower.b, tower.mu)
+    patient = {rung.name for rung in ladder.PATIENT}
+    assert found.converged and {*np.atleast_1d(found.rung)} <= {*ladder.rungs(COULOMB)}
+    assert {*np.atleast_1d(found.rung)} & (patient | {"splitting"})
+
+
+def test_a_backend_names_itself_as_its_rung():
+    pytest.importorskip("ecos")
+    problem = slip_dominated(4, 2, np.random.default_rng(1))
+    solution = solve(problem.S, problem.b, 0.3, ASSOCIATED, backend="ecos", tol=1e-5)
+    assert set(solution.rung) == {"ecos"}
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=lambda law: law.name)
+def test_the_rungs_of_a_law_are_those_that_it_climbs(law, monkeypatch):
+    monkeypatch.setattr(ladder, "BUDGET", 1e6)
+    S = compliant(4, np.random.default_rng(2))
+    backend = NativeSolver(S, np.full(4, 0.3), law, 1e-10, 1, 3)
+    climbed = dict.fromkeys(rung for _, _, rung in backend.attempts(-np.ones(12), np.zeros(12)))
+    batch = [rung.name for rung in ladder.BATCH if rung.applies(law)]
+    assert ladder.rungs(law) == batch + list(climbed)
+    assert all(rung.reason.endswith(".") for rung in ladder.BATCH + ladder.PATIENT)
+
+
+def test_the_page_on_contact_has_every_rung_and_every_law():
+    page = (MIC.parent / "docs" / "contact.md").read_text(encoding="utf-8")
+    for rung in ladder.BATCH + ladder.PATIENT:
+        assert f"| `{rung.name}` |" in page, rung.name
+    for law in LAWS:
+        assert f"| `{law}`" in page, law
+
+
+def test_contact_is_imported_without_a_compiler():
+    code = "import sys, mic.contact, mic.contact.comparison; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_nobody_else_keeps_a_list_of_laws_or_states():
+    """A literal collection, or an enumeration, that holds every law or every state."""
+    found = set()
+    for file in MIC.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            words = _words(node)
+            if words >= set(LAWS) or words >= set(STATES):
+                found.add(file.relative_to(MIC).as_posix())
+    assert found == set()
+
+
+def _words(node):
+    """Strings that a list, tuple, set, dictionary or class body holds."""
+    match node:
+        case ast.List(elts=items) | ast.Tuple(elts=items) | ast.Set(elts=items) | ast.Dict(keys=items):
+            pass
+        case ast.ClassDef(body=body):
+            items = [statement.value for statement in body if isinstance(statement, ast.Assign)]
+        case _:
+            items = []
+    return {item.value for item in items if isinstance(item, ast.Constant) and isinstance(item.value, str)}
+
+
+def test_the_former_enumeration_still_answers_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="Law.'coulomb'. is deprecated"):
+        assert Law("coulomb") is COULOMB
+    with pytest.warns(DeprecationWarning, match="Law.ASSOCIATED is deprecated"):
+        assert Law.ASSOCIATED is ASSOCIATED
+    with pytest.warns(DeprecationWarning, match="iteration over Law"):
+        assert set(Law) == set(LAWS.values())
+    with pytest.warns(DeprecationWarning, match="law.value"):
+        assert COULOMB.value == "coulomb"
+    with pytest.warns(DeprecationWarning, match="comparing a law"):
+        assert COULOMB == "coulomb"
+    with pytest.warns(DeprecationWarning), pytest.raises(ValueError, match="law must be one of"):
+        Law("Tresca")
+    with pytest.warns(DeprecationWarning), pytest.raises(AttributeError, match="law must be one of"):
+        Law.TRESCA  # noqa: B018
+    assert ContactSolver(np.eye(3), 0.3, COULOMB).law is ContactSolver(np.eye(3), 0.3, "coulomb").law
