@@ -112,11 +112,11 @@ def run(
     folder = out or Path("results") / asked.name
     try:
         outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
+        if outcome is not None:
+            _report(console, outcome)
     except KeyboardInterrupt:
         console.print(f"Interrupted. What is finished stands in {folder}; run the same command again to complete it.")
         raise typer.Exit(130) from None
-    if outcome is not None:
-        _report(console, outcome)
 
 
 @app.command()

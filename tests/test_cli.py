@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
+
+from mic.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
 LAP = ROOT / "meshes" / "lap_joint"
@@ -82,6 +85,21 @@ def test_errors_are_one_line_and_exit_with_two(command, arguments, words):
     assert len(done.stderr.strip().splitlines()) == 1
     for word in words:
         assert word in done.stderr
+
+
+def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mic.cli.run_scene", interrupt)
+    done = CliRunner().invoke(app, ["run", str(LAP), "--out", str(tmp_path)])
+    assert done.exit_code == 130 and "run the same command again" in " ".join(done.output.split())
+
+
+def test_laws_and_backends_of_the_options_are_those_of_the_program():
+    help_ = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).output
+    assert all(law in help_ for law in ("coulomb", "associated", "frictionless", "native", "paper"))
+    assert CliRunner().invoke(app, ["run", str(LAP), "--law", "glue"]).exit_code == 2
 
 
 def test_production_path_imports_no_finite_elements():

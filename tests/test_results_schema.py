@@ -31,6 +31,22 @@ def test_zone_slip_is_the_rms_over_the_zones_pairs(found):
     assert slip == pytest.approx(rms, rel=1e-12) and rms > 1e-5
 
 
+def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, lap_model):
+    evaluation = lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3))
+    contacts = found["contacts"].set_index(["stage", "sample", "contact"])
+    assert contacts.index.is_unique
+    for stage, resolution in evaluation.resolutions.items():
+        for sample in range(3):
+            for pair in (0, 7, len(lap_model.contacts) - 1):
+                row = contacts.loc[(stage, 5 + sample, pair)]
+                np.testing.assert_array_equal([row["f_n"], row["f_t1"], row["f_t2"]], resolution.force[sample, pair])
+                np.testing.assert_array_equal(
+                    [row["u_n"], row["u_t1"], row["u_t2"]], resolution.displacement[sample, pair]
+                )
+                assert row["state"] == ("open", "stick", "slip")[resolution.state[sample, pair]]
+                assert row["zone"] == "lap"
+
+
 @pytest.mark.parametrize(
     "change, words",
     [
