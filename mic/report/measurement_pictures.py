@@ -10,7 +10,7 @@ from mic.report.picture import MOST_PANELS, Picture, panels, svg
 from mic.report.style import LAWS, number, percent
 from mic.results.outcome import Outcome
 
-__all__ = ["measurement_picture"]
+__all__ = ["LIMIT_COLOUR", "measurement_picture"]
 
 LIMIT_COLOUR = "#b00020"
 
