@@ -1,4 +1,4 @@
-"""Command line: ``mic run``, ``mic check``, ``mic report``."""
+"""Command line: ``mic run``, ``mic check``, ``mic report``, ``mic init``."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, pr
 measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
 report.
 
-Start with:  mic check meshes/wheelhouse  and then  mic run meshes/wheelhouse --samples 50
+Start with:  mic init --example lap_joint  and then  mic check lap_joint  and  mic run lap_joint --samples 50
 """,
 )
 

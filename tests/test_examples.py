@@ -49,7 +49,8 @@ def test_nothing_is_overwritten_and_names_are_checked(tmp_path, monkeypatch):
         examples.copy("lap_joint", tmp_path / "file" / "below")
 
 
-def test_init_says_what_it_copied_and_what_comes_next(tmp_path):
+def test_init_says_what_it_copied_and_what_comes_next(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     out = tmp_path / "mine"
     result = CliRunner().invoke(app, ["init", "--example", "hat_on_plate", "--out", str(out)])
     assert result.exit_code == 0 and f"mic check {out}" in result.stdout

@@ -1,5 +1,7 @@
 """Surfaces of parts from files and scripts: what is kept, and how a script's failure reads."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from mic.geometry.load import fixture_surface, load_script, part_surface
 from mic.scene.schema import Fixture, Part
 
 STRIP = """
+import sys
+
 import numpy as np
 SIZES = {"coarse": 2.0}
 def build(part, size):
@@ -98,7 +102,7 @@ def test_a_script_that_fails_ends_in_one_sentence(tmp_path, case):
 
 
 def test_without_gmsh_the_message_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "gmsh", None)
+    monkeypatch.setitem(sys.modules, "gmsh", None)
     with pytest.raises(SceneError, match=r"needs the package gmsh; install it: pip install 'mic-contact\[mesh\]'"):
         script(tmp_path, "def build(part, size):\n    import gmsh")
 

@@ -6,16 +6,16 @@ lies at (r sin(angle), y, r cos(angle)).
 
 Each part starts as a *profile* in the (r, y) half-plane, a polyline with rounded corners whose length is measured by
 ``l`` from the free edge of the mating flange. It is swept along the arch and then formed: arch and flange leave circle
-and plane, panels are crowned, a dome, beads and pads are pressed. The result is an analytic map (angle, l) -> point, the
-part's *base surface*. Both parts share the base surface of the flange: it is where the two sheets touch.
-The mid-surfaces lie half a thickness to either side, ``base -/+ t/2 n``, so they are one thickness apart along the normal.
+and plane, panels are crowned, a dome, beads and pads are pressed. The result is an analytic map (angle, l) -> point,
+the part's *base surface*. Both parts share the base surface of the flange: it is where the two sheets touch. The
+mid-surfaces lie half a thickness to either side, ``base -/+ t/2 n``, so they are one thickness apart along the normal.
 
 Meshing happens in the plane: the map from the rectangle (angle, integral of dl/r) is conformal for a surface of
 revolution and nearly so here, hence gmsh meshes that rectangle with a size field and every node is mapped exactly.
 
 Normals: ``n``, and with it every triangle's orientation, points on the mating flange of **both** parts from the inner
-to the outer part (about +y). Following the sheet from there, ``n`` points to the wheel on the inner part's tread and away
-from the wheel on the outer part's panel.
+to the outer part (about +y). Following the sheet from there, ``n`` points to the wheel on the inner part's tread and
+away from the wheel on the outer part's panel.
 
 ``python geometry.py`` prints the proposed fixture, joints and measurement points as TOML.
 """
@@ -23,7 +23,7 @@ from the wheel on the outer part's panel.
 from __future__ import annotations
 
 from bisect import bisect_right
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -107,7 +107,7 @@ BEND_REFINEMENT = 1.6  # size / size along a bend
 GROWTH = 0.3  # mm of size per mm of distance
 
 
-# --- the analytic surface ----------------------------------------------------------------------------------------------
+# --- the analytic surface ---------------------------------------------------------------------------------------------
 
 
 class _Piece(NamedTuple):
@@ -131,7 +131,7 @@ class _Piece(NamedTuple):
         return [self.origin[i] + along * self.tangent[i] + across * left[i] for i in (0, 1)]
 
 
-@lru_cache(maxsize=None)
+@cache
 def _profile(part: str) -> tuple[_Piece, ...]:
     if part not in PROFILES:
         raise ValueError(f"the wheelhouse has no part {part!r}; its parts are {', '.join(PARTS)}")
@@ -171,7 +171,7 @@ def _bump(q2):
 
 
 def _base(part, phi, l):
-    """Base surface, shape (3, ...); ``phi`` (radians) and ``l`` (mm) may be complex, for derivatives by complex step."""
+    """Base surface, shape (3, ...); ``phi`` (radians) and ``l`` (mm) may be complex, for complex-step derivatives."""
     pieces = _profile(part)
     phi, l = np.broadcast_arrays(phi, l)
     r = np.zeros(phi.shape, np.result_type(phi, l, float))
@@ -263,7 +263,7 @@ def surface_point(part, region, angle, fraction):
     return _mid_surface(part, phi, l)
 
 
-# --- the mesh ----------------------------------------------------------------------------------------------------------
+# --- the mesh ---------------------------------------------------------------------------------------------------------
 
 
 def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -370,7 +370,7 @@ def _mesh_strips(u_range, v_lines, v_samples, sizes):
     return uv, triangles
 
 
-# --- proposed fixture, joints and measurement points --------------------------------------------------------------------
+# --- proposed fixture, joints and measurement points ------------------------------------------------------------------
 
 WELDS = {"W1": -86.0, "W2": -38.0, "W3": 24.0, "W4": 54.0, "W5": 92.0}  # arch angle, degrees
 ZONES = {"CZ1": (-78.0, -46.0), "CZ2": (-26.0, 14.0), "CZ3": (60.0, 84.0)}  # front, top, rear: arch angles, degrees

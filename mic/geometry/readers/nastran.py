@@ -35,7 +35,10 @@ def read(path: Path) -> RawMesh:
         includes other files, or a field is no number.
     """
     number: dict[int, int] = {}
-    points, triangles, quadrilaterals, kinds = [], [], [], set()
+    points: list[list[float]] = []
+    triangles: list[list[int]] = []
+    quadrilaterals: list[list[int]] = []
+    kinds: set[str] = set()
     for line, card in _cards(path.read_text(encoding="utf-8", errors="replace")):
         name = card[0]
         try:
@@ -57,19 +60,19 @@ def read(path: Path) -> RawMesh:
             raise FormatError(f"line {line}: {problem}") from None
         except ValueError:
             raise FormatError(f"line {line}: a field of this {name} is no number, or is missing") from None
+    corners = lambda elements, count: np.array(
+        [[number[point] for point in element] for element in elements], dtype=np.int64
+    ).reshape(-1, count)
     try:
-        corners = [
-            np.array([[number[point] for point in element] for element in elements], dtype=np.int64).reshape(-1, count)
-            for elements, count in ((triangles, 3), (quadrilaterals, 4))
-        ]
+        return RawMesh(
+            np.array(points, dtype=float).reshape(-1, 3),
+            corners(triangles, 3),
+            corners(quadrilaterals, 4),
+            tuple(sorted(kinds.intersection(SOLIDS))),
+            tuple(sorted(kinds.intersection(OTHERS))),
+        )
     except KeyError as problem:
         raise FormatError(f"an element names the point {problem.args[0]}, which has no GRID") from None
-    return RawMesh(
-        np.array(points, dtype=float).reshape(-1, 3),
-        *corners,
-        tuple(sorted(kinds.intersection(SOLIDS))),
-        tuple(sorted(kinds.intersection(OTHERS))),
-    )
 
 
 def _cards(text: str) -> Iterator[tuple[int, list[str]]]:
