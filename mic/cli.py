@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
-import time
 import traceback
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, get_args
 
 import typer
 from rich.console import Console
@@ -17,11 +15,15 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mic import cache_folder
-from mic.compliance.influence import influence_coefficients, is_cached
-from mic.errors import MicError, SceneError
-from mic.sampling.montecarlo import communicator
+from mic import cache_folder, examples
+from mic.compliance.cache import is_cached
+from mic.contact.laws import Law as ContactLaw
+from mic.errors import MicError
+from mic.runs import Listener, conclude
+from mic.runs import run as run_scene
+from mic.sampling.ranks import communicator
 from mic.scene import load_scene
+from mic.scene.schema import MonteCarlo
 
 __all__ = ["main"]
 
@@ -33,54 +35,33 @@ app = typer.Typer(
     help="""
 Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
 
-A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and measurements.
-`mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a report.
+A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
+measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
+report.
 
 Start with:  mic check meshes/wheelhouse  and then  mic run meshes/wheelhouse --samples 50
 """,
 )
 
 
-class Law(str, Enum):
-    """Contact laws."""
-
-    coulomb = "coulomb"
-    associated = "associated"
-    frictionless = "frictionless"
-
+#: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
+Law = Enum("Law", {law.value: law.value for law in reversed(ContactLaw)}, type=str)  # type: ignore[misc]
+Backend = Enum(  # type: ignore[misc]
+    "Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str
+)
 
 SceneArgument = Annotated[
     Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
 ]
 LawOption = Annotated[
-    Optional[list[Law]],
+    list[Law] | None,
     typer.Option(
         "--law",
-        help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of the paper, "
-        "which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.",
+        help="Contact law; repeat for several. `coulomb`: Coulomb's law. `associated`: the convex programme (13) of "
+        "the paper, which lets sliding contacts open. `frictionless`: normals only. Default: the scene's.",
         show_default=False,
     ),
 ]
-
-
-class _Clock:
-    """Wall time by phase, s."""
-
-    def __init__(self):
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, phase):
-        start = time.perf_counter()
-        yield
-        self.seconds[phase] = self.seconds.get(phase, 0.0) + time.perf_counter() - start
-
-
-class Backend(str, Enum):
-    """Who solves the contacts."""
-
-    native = "native"
-    paper = "paper"
 
 
 def _requested(scene, laws, samples=None, seed=None, backend=None):
@@ -100,14 +81,14 @@ def _requested(scene, laws, samples=None, seed=None, backend=None):
 def run(
     scene: SceneArgument,
     samples: Annotated[
-        Optional[int], typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
+        int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
     ] = None,
     seed: Annotated[
-        Optional[int], typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)
+        int | None, typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)
     ] = None,
     law: LawOption = None,
     backend: Annotated[
-        Optional[Backend],
+        Backend | None,
         typer.Option(
             help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
             "hundred times slower. Default: the scene's.",
@@ -115,52 +96,26 @@ def run(
         ),
     ] = None,
     out: Annotated[
-        Optional[Path], typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
+        Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
     ] = None,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
-    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of samples
-    are kept: call again to complete an interrupted run. Under `mpirun -n N` the samples are shared out over N processes.
+    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of
+    samples are kept: call again to complete an interrupted run. Under `mpirun -n N` the samples are shared out over N
+    processes.
     """
     world = communicator()
-    first = world is None or world.rank == 0
-    console = Console(quiet=not first)
-    clock = _Clock()
-    with clock("scene"):
-        scene = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
-        folder = out or Path("results") / scene.name
-        from mic.model.assembly import assemble
-        from mic.model.reduced import ReducedModel
-        from mic.results.outcome import keep_inputs
-        from mic.sampling.montecarlo import run as monte_carlo
-    cache = cache_folder()
-    with clock("meshes and pairs"):
-        console.print(f"[bold]{scene.name}[/]: meshing and pairing …")
-        assembly = assemble(scene, cache)
-    with clock("influence coefficients"):
-        influence, cached = influence_coefficients(assembly, cache, lambda line: console.print(line + " …"))
-        reused = [name for name, hit in cached.items() if hit]
-        if reused:
-            console.print(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
-    with clock("reduced model"):
-        model = ReducedModel.build(assembly, influence)
-        for sentence in model.process().redundant:
-            console.print(f"[yellow]note:[/] {escape(sentence)}", highlight=False)
-    if first:
-        keep_inputs(folder, assembly)
-    laws, count = scene.report.laws, scene.monte_carlo.samples
-    with clock("Monte Carlo"), _progress(console) as progress:
-        bars = {name: progress.add_task(f"{name} samples", total=count) for name in laws}
-        reused = monte_carlo(
-            model, folder, laws, count, scene.monte_carlo.seed, lambda name, n: progress.advance(bars[name], n)
-        )
-    if not first:
-        return
-    for name, n in reused.items():
-        if n:
-            console.print(f"{name}: {n} of {count} samples found finished in {folder}")
-    _finish(console, folder, clock)
+    console = Console(quiet=world is not None and world.rank > 0)
+    asked = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
+    folder = out or Path("results") / asked.name
+    try:
+        outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
+    except KeyboardInterrupt:
+        console.print(f"Interrupted. What is finished stands in {folder}; run the same command again to complete it.")
+        raise typer.Exit(130) from None
+    if outcome is not None:
+        _report(console, outcome)
 
 
 @app.command()
@@ -170,33 +125,34 @@ def report(
     ],
 ):
     """Write the statistics, fields and report of a results folder again."""
-    if not (folder / "run.json").is_file():
-        raise SceneError(
-            f"{folder}: holds no run (run.json is missing); give the folder that `mic run` wrote, such as results/wheelhouse"
-        )
-    _finish(Console(), folder, _Clock())
+    console = Console()
+    _report(console, conclude(folder, listener=_Listener(console)))
 
 
-def _finish(console, folder, clock):
-    """Statistics, fields and report of a run folder; the end of every run."""
-    with clock("statistics"):
-        from mic.report.page import write_report
-        from mic.results.outcome import read_outcome
+def _report(console, outcome):
+    """The page, and on the console the least that a user wants to know."""
+    from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
 
-        outcome = read_outcome(folder)
-    with clock("fields"):
-        if outcome.model.scene.report.fields:
-            from mic.results.fields import write_fields
-
-            write_fields(folder)
-    with clock("report"):
-        record = folder / "run.json"
-        content = json.loads(record.read_text())
-        content["wall_time"] = content.get("wall_time", {}) | {phase: round(s, 3) for phase, s in clock.seconds.items()}
-        record.write_text(json.dumps(content, indent=2) + "\n")
-        page = write_report(folder)
+    page = write_report(outcome.folder)
     _print_zones(console, outcome)
-    console.print(f"report: [bold]{page}[/]   tables: {folder / 'summary.json'}")
+    console.print(f"report: [bold]{page}[/]   tables: {outcome.folder / 'summary.json'}")
+
+
+class _Listener(Listener):
+    """Shows a run on the console."""
+
+    def __init__(self, console):
+        self.console = console
+
+    def say(self, sentence):
+        self.console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+
+    @contextmanager
+    def sampling(self, laws, samples):
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+        with Progress(*columns, TimeRemainingColumn(), console=self.console, disable=self.console.quiet) as progress:
+            bars = {law: progress.add_task(f"{law} samples", total=samples) for law in laws}
+            yield lambda law, count: progress.advance(bars[law], count)
 
 
 def _print_zones(console, outcome):
@@ -208,13 +164,9 @@ def _print_zones(console, outcome):
     if zones:
         table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
         for zone in zones:
-            table.add_row(
-                zone,
-                *(
-                    f"{number(law['zones'][zone]['mean_rms_slip'], 4)} / {number(law['zones'][zone]['six_sigma_rms_slip'], 4)}"
-                    for law in summary["laws"].values()
-                ),
-            )
+            found = [law["zones"][zone] for law in summary["laws"].values()]
+            figures = [(number(z["mean_rms_slip"], 4), number(z["six_sigma_rms_slip"], 4)) for z in found]
+            table.add_row(zone, *(f"{mean} / {spread}" for mean, spread in figures))
         console.print(table)
     for name, law in summary["laws"].items():
         console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
@@ -224,15 +176,15 @@ def _print_zones(console, outcome):
 def check(scene: SceneArgument, law: LawOption = None):
     """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
     from mic.model.assembly import assemble
-    from mic.process.process import plan_stages
+    from mic.process.plan import plan_stages
 
     console = Console()
-    scene = _requested(load_scene(scene), law)
-    assembly = assemble(scene, cache_folder())
-    console.print(f"[bold]{scene.name}[/] {scene.description}")
+    asked = _requested(load_scene(scene), law)
+    assembly = assemble(asked, cache_folder())
+    console.print(f"[bold]{asked.name}[/] {asked.description}")
     _print_parts(console, assembly)
     _print_contacts(console, assembly)
-    plans = plan_stages(scene, assembly.weld_size)
+    plans = plan_stages(asked, assembly.weld_size)
     table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
     for plan in plans:
         resolves = plan.resolves and len(assembly.contacts) > 0
@@ -286,41 +238,41 @@ def _print_contacts(console, assembly):
     console.print(table)
     if contacts.dimension == 1:
         console.print(
-            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of {3 * len(contacts)}."
+            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "
+            f"{3 * len(contacts)}."
         )
 
 
 def _print_cost(console, assembly, plans):
-    scene = assembly.scene
-    solved = sum(plan.increments for plan in plans if plan.resolves) if len(assembly.contacts) else 0
-    rows = sum(len(part.functionals) for part in assembly.parts)
-    lines = [
-        f"one factorisation per part not cached: {', '.join(f'{6 * len(p.surface.points)} freedoms' for p in assembly.parts)}"
-        if scene.element == "dkt-opt"
-        else "one factorisation per part not cached",
-        f"reduced model: {rows} functionals, {8 * sum(len(p.functionals) ** 2 for p in assembly.parts) / 1e6:.0f} MB of influence coefficients",
-        f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws ({', '.join(scene.report.laws)}) × {solved} contact resolutions "
-        f"= {scene.monte_carlo.samples * len(scene.report.laws) * solved} contact solves of {assembly.contacts.dimension * len(assembly.contacts)} unknowns",
-        "mean and 6σ fields: a few further solves per part and law"
-        if scene.report.fields
-        else "no fields asked for: no field solves",
-    ]
-    if solved == 0:
-        lines[2] = f"{scene.monte_carlo.samples} samples × {len(scene.report.laws)} laws, no contact to resolve"
-    for line in lines:
-        console.print(f"• {line}")
-
-
-def _progress(console):
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=console.quiet,
+    scene, contacts = assembly.scene, assembly.contacts
+    solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
+    sizes = [len(part.functionals) for part in assembly.parts]
+    freedoms = ", ".join(f"{6 * len(part.surface.points)} freedoms" for part in assembly.parts)
+    samples, laws = scene.monte_carlo.samples, scene.report.laws
+    console.print("• one factorisation per part not cached" + (f": {freedoms}" if scene.element == "dkt-opt" else ""))
+    console.print(
+        f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
+        "coefficients"
     )
+    if solved:
+        console.print(
+            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {solved} contact resolutions "
+            f"= {samples * len(laws) * solved} contact solves of {contacts.dimension * len(contacts)} unknowns"
+        )
+    else:
+        console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
+    fields = "mean and 6σ fields: a few further solves per part and law"
+    console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
+
+
+@app.command()
+def init(
+    example: Annotated[str, typer.Option(help="Name of the example scene.", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
+):
+    """Copy an example scene into a new folder, to start from: lap_joint, hat_on_plate or wheelhouse."""
+    folder = examples.copy(example, out)
+    print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
 
 
 def main():

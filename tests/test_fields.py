@@ -1,17 +1,18 @@
 """Mean and 6σ fields against one finite-element solve per sample, and against the reduced model's own readings."""
 
-import sys
-
-import meshio
+import meshlane
 import numpy as np
 import pytest
 
 import mic
+from mic.compliance import provider
+from mic.errors import FormatError, MissingProvider
 from mic.model.assembly import assemble
 from mic.results.fields import compute_fields, low_rank, read_fields, write_fields
-from mic.results.outcome import keep_inputs, read_outcome
+from mic.results.folder import RunFolder
+from mic.results.outcome import read_outcome
+from mic.runs import sample_into
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import run
 from mic.scene import Scene
 
 SAMPLES, SEED = 25, 3
@@ -21,8 +22,8 @@ LAWS = ["coulomb", "frictionless"]
 @pytest.fixture(scope="module")
 def folder(lap_model, lap_scene, cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    keep_inputs(folder, assemble(lap_scene, cache))
-    run(lap_model, folder, LAWS, SAMPLES, SEED)
+    RunFolder(folder).keep_inputs(assemble(lap_scene, cache))
+    sample_into(folder, lap_model, LAWS, SAMPLES, SEED)
     return folder
 
 
@@ -121,7 +122,7 @@ def test_fields_on_disk(folder):
     for one, other in zip(written, read):
         np.testing.assert_array_equal(one.mean, other.mean)
         np.testing.assert_array_equal(one.six_sigma_normal, other.six_sigma_normal)
-        mesh = meshio.read(folder / "fields" / f"{one.law}-{one.part}.vtu")
+        mesh = meshlane.read(folder / "fields" / f"{one.law}-{one.part}.vtu")
         assert mesh.point_data["six_sigma"].shape == (len(mesh.points), 3)
         np.testing.assert_allclose(mesh.point_data["six_sigma_magnitude"], np.linalg.norm(one.six_sigma, axis=1))
         assert one.error < 1e-3 * one.six_sigma.max()
@@ -131,6 +132,8 @@ def test_fields_on_disk(folder):
 def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
     write_fields(folder)
     path = folder / "fields" / "coulomb-lower.vtu"
+    note = folder / "fields" / "notes.vtu"
+    note.write_text("mine")
     before = path.stat().st_mtime_ns
     write_fields(folder)
     assert path.stat().st_mtime_ns == before
@@ -138,15 +141,29 @@ def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
         samples.rename(samples.with_name(".aside"))
     write_fields(folder)
     assert path.stat().st_mtime_ns > before and not (folder / "fields" / "frictionless-lower.vtu").exists()
+    assert note.read_text() == "mine"  # of no run
     for aside in folder.glob("samples/law=frictionless/.aside"):
         aside.rename(aside.with_name(f"{0:06d}-{SAMPLES - 1:06d}.parquet"))
 
 
 def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkeypatch):
-    (folder / "fields" / "fields.json").unlink(missing_ok=True)
-    monkeypatch.setitem(sys.modules, "fem_reference.shell.part", None)
+    (folder / "fields" / "fields.npz").unlink(missing_ok=True)
+
+    def none(part):
+        raise MissingProvider("none is at hand")
+
+    monkeypatch.setattr(provider, "find", none)
     assert write_fields(folder) == []
     fields, skipped = read_fields(folder)
-    assert fields == [] and "not installed" in skipped
+    assert fields == [] and "not installed" in skipped and "none is at hand" in skipped
     monkeypatch.undo()
     assert len(write_fields(folder)) == 4  # tried again once they are there
+
+
+def test_cut_fields_are_refused_in_one_sentence_and_computed_anew(folder):
+    write_fields(folder)
+    path = folder / "fields" / "fields.npz"
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(FormatError, match="fields.npz.*damaged"):
+        read_fields(folder)
+    assert len(write_fields(folder)) == 4 and len(read_fields(folder)[0]) == 4

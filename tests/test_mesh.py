@@ -1,10 +1,9 @@
 """Mesh repair: one defect at a time on a 3 × 2 grid of squares, whose repaired form is known."""
 
-import meshio
 import numpy as np
 import pytest
 
-from mic.geometry.repair import read_mesh, repair
+from mic.geometry.repair import repair
 from mic.geometry.surface import Surface
 
 
@@ -90,7 +89,7 @@ def test_a_point_on_an_edge_splits_the_triangle_across():
 
 
 def test_a_flat_cap_between_two_triangles_heals():
-    """The triangle (0, 1, 2) has no area, since point 2 lies on the edge 0-1: dropped, and the neighbour is split there."""
+    """The triangle (0, 1, 2) has no area, point 2 lies on the edge 0-1: dropped, and the neighbour is split there."""
     points = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 0], [1, -1, 0], [0, 1, 0], [2, 1, 0.0]])
     triangles = [[0, 1, 2], [0, 3, 1], [0, 2, 4], [2, 5, 4], [2, 1, 5]]
     new_points, new, report = repair(points, triangles)
@@ -138,28 +137,3 @@ def test_a_one_sided_strip_is_refused():
 def test_what_is_no_mesh_is_refused(points, triangles, message):
     with pytest.raises(ValueError, match=message):
         repair(points, triangles)
-
-
-@pytest.mark.parametrize("suffix", [".bdf", ".inp", ".msh", ".vtk"])
-def test_files_are_read(tmp_path, suffix):
-    points, quadrilaterals = grid()
-    path = tmp_path / f"part{suffix}"
-    cells = [("triangle", triangles_of(quadrilaterals[:2])), ("quad", quadrilaterals[2:]), ("line", [[0, 1]])]
-    file_format = {"file_format": "gmsh22"} if suffix == ".msh" else {}
-    meshio.write(path, meshio.Mesh(points, cells), **file_format)
-    new_points, new, report = read_mesh(path)
-    assert report.quadrilaterals_split == 4 and report.pieces == 1
-    assert Surface(new_points, new).areas.sum() == pytest.approx(6)
-
-
-def test_files_that_hold_no_sheet_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="does not exist"):
-        read_mesh(tmp_path / "none.bdf")
-    garbage = tmp_path / "garbage.vtk"
-    garbage.write_text("this is no mesh")
-    with pytest.raises(ValueError, match="cannot be read"):
-        read_mesh(garbage)
-    solid = tmp_path / "solid.vtk"
-    meshio.write(solid, meshio.Mesh(np.eye(4, 3), [("tetra", [[0, 1, 2, 3]])]))
-    with pytest.raises(ValueError, match="solid elements"):
-        read_mesh(solid)

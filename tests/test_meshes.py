@@ -1,6 +1,5 @@
 """The geometries: exact where they claim to be, sound as meshes, the same every time."""
 
-import importlib
 import tomllib
 
 import numpy as np
@@ -9,11 +8,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from meshes.wheelhouse import geometry as wheelhouse
+from mic import examples
+from mic.geometry.load import load_script
 
-GEOMETRIES = {
-    name: importlib.import_module(f"meshes.{name}.geometry") for name in ("wheelhouse", "lap_joint", "hat_on_plate")
-}
+GEOMETRIES = {name: load_script(examples.folder(name) / "geometry.py") for name in examples.names()}
+wheelhouse = GEOMETRIES["wheelhouse"]
 CASES = [(name, part) for name, geometry in GEOMETRIES.items() for part in geometry.PARTS]
 ARCH = np.linspace(wheelhouse.ARCH_START, wheelhouse.ARCH_END, 61)[:, None]
 ACROSS = np.linspace(0, wheelhouse.FLANGE_WIDTH, 9)
@@ -79,7 +78,7 @@ def test_unusable_arguments_are_refused(name):
         GEOMETRIES[name].build(GEOMETRIES[name].PARTS[0], -1.0)
 
 
-# --- wheelhouse --------------------------------------------------------------------------------------------------------
+# --- wheelhouse ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -231,7 +230,7 @@ def test_layout_prints_as_toml(capsys):
                 assert np.abs(np.array(printed[quantity]) - row[quantity]).max() < 5.1e-4
 
 
-# --- the two small ones ------------------------------------------------------------------------------------------------
+# --- the two small ones ----------------------------------------------------------------------------------------------
 
 
 def test_lap_joint_dimensions(medium):

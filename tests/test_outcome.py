@@ -5,11 +5,16 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from support.runs import fail
 
+from mic.errors import FormatError, RunError
 from mic.model.assembly import assemble
-from mic.results.outcome import keep_inputs, kept_parts, read_outcome, write_summary
+from mic.results.folder import RunFolder
+from mic.results.outcome import read_outcome
+from mic.results.summary import write_summary, write_tables
+from mic.runs import sample_into
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import BLOCK, run
+from mic.sampling.montecarlo import BLOCK
 
 SAMPLES, SEED = BLOCK + 10, 5
 LAWS = ["coulomb", "frictionless"]
@@ -17,7 +22,7 @@ LAWS = ["coulomb", "frictionless"]
 
 @pytest.fixture
 def folder(lap_model, tmp_path):
-    run(lap_model, tmp_path, LAWS, SAMPLES, SEED)
+    sample_into(tmp_path, lap_model, LAWS, SAMPLES, SEED)
     return tmp_path
 
 
@@ -25,20 +30,6 @@ def folder(lap_model, tmp_path):
 def evaluation(lap_model):
     """The same samples by another route: one batch in memory."""
     return {law: lap_model.process(law).evaluate(draw(lap_model.scene, SEED, 0, SAMPLES)) for law in LAWS}
-
-
-def _fail(folder, law, numbers):
-    """Mark samples as failed, with NaN for everything they hold."""
-    for path in (folder / "samples" / f"law={law}").glob("*.parquet"):
-        table = pd.read_parquet(path, partitioning=None)
-        hit = table["sample"].isin(numbers)
-        table.loc[hit, "failed"] = True
-        for name in table.columns:
-            if name.startswith(("slip:", "measurement:", "residual:")):
-                table.loc[hit, name] = np.nan
-            if name.startswith("status:"):
-                table.loc[hit, name] = "not converged"
-        table.to_parquet(path, index=False)
 
 
 def test_contact_arrays_are_those_of_the_evaluation(folder, evaluation):
@@ -89,7 +80,7 @@ def test_shares_of_states_add_up(folder):
 
 
 def test_failed_samples_are_named_and_enter_no_statistic(folder, evaluation):
-    _fail(folder, "coulomb", [3, BLOCK + 1])
+    fail(folder, "coulomb", {3: ("clamp", "not converged"), BLOCK + 1: ("release", "overflow in a product")})
     outcome = read_outcome(folder)
     summary = outcome.summary()
     assert summary["failed_samples"] == {"coulomb": [3, BLOCK + 1], "frictionless": []}
@@ -98,7 +89,12 @@ def test_failed_samples_are_named_and_enter_no_statistic(folder, evaluation):
     assert summary["laws"]["coulomb"]["measurements"]["M1"]["mean"] == pytest.approx(kept.mean(), rel=1e-6)
     assert len(outcome.contact("coulomb", "clamp", "f_n")) == SAMPLES - 2
     assert summary["laws"]["coulomb"]["worst_residual"] < 1e-8
-    assert set(outcome.failures("coulomb")["sample"]) == {3, BLOCK + 1}
+    assert outcome.sample_numbers("coulomb").tolist() == [i for i in range(SAMPLES) if i not in (3, BLOCK + 1)]
+    failures = outcome.failures("coulomb")
+    assert failures[["sample", "stage", "status"]].to_numpy().tolist() == [
+        [3, "clamp", "not converged"],
+        [BLOCK + 1, "release", "overflow in a product"],
+    ]
 
 
 def test_an_interrupted_run_is_read_and_says_what_is_missing(folder, evaluation):
@@ -122,6 +118,7 @@ def test_a_run_without_any_finished_block_is_read(folder):
 def test_summary_and_tables_on_disk(folder):
     record = json.loads((folder / "run.json").read_text()) | {"wall_time": {"Monte Carlo": 1.5}}
     (folder / "run.json").write_text(json.dumps(record))
+    write_tables(read_outcome(folder))
     path = write_summary(read_outcome(folder))
 
     def refuse(name):
@@ -136,13 +133,77 @@ def test_summary_and_tables_on_disk(folder):
 
 def test_kept_parts_are_the_parts(folder, lap_scene, cache):
     assembly = assemble(lap_scene, cache)
-    assert kept_parts(read_outcome(folder)) == ()
-    keep_inputs(folder, assembly)
-    assert [part.fingerprint() for part in kept_parts(read_outcome(folder))] == [
+    assert read_outcome(folder).parts == ()
+    RunFolder(folder).keep_inputs(assembly)
+    assert [part.fingerprint() for part in read_outcome(folder).parts] == [
         part.fingerprint() for part in assembly.parts
     ]
 
 
 def test_a_folder_that_holds_no_run_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match="run.json"):
+    with pytest.raises(RunError, match="run.json"):
         read_outcome(tmp_path)
+
+
+def test_accessors_give_what_the_evaluation_holds(folder, evaluation, lap_model):
+    outcome = read_outcome(folder)
+    assert outcome.stages == ["clamp", "release"] and outcome.has_slip
+    for law in LAWS:
+        assert outcome.sample_numbers(law).tolist() == list(range(SAMPLES))
+        for j, name in enumerate(lap_model.parameters):
+            np.testing.assert_array_equal(outcome.deviation(law, name), evaluation[law].deviations[:, j])
+        for j, item in enumerate(lap_model.scene.measurements):
+            np.testing.assert_allclose(outcome.measured(law, item.name), evaluation[law].measurements[:, j], rtol=1e-7)
+        for stage, resolution in evaluation[law].resolutions.items():
+            slip = np.sqrt((resolution.displacement[:, :, 1:] ** 2).sum(axis=2).mean(axis=1))
+            np.testing.assert_allclose(outcome.slip(law, stage, "lap"), slip, rtol=1e-6)
+            assert outcome.residual(law, stage).max() <= outcome.worst_residual(law) < 1e-8
+
+
+def test_a_name_that_the_run_does_not_know_is_refused_with_those_that_it_knows(folder):
+    with pytest.raises(KeyError, match="M7.*M1"):
+        read_outcome(folder).measured("coulomb", "M7")
+
+
+def test_the_wide_table_of_old_stays_with_a_warning(folder, evaluation):
+    outcome = read_outcome(folder)
+    with pytest.warns(DeprecationWarning, match="Outcome.samples"):
+        wide = outcome.samples["coulomb"]
+    np.testing.assert_array_equal(wide["measurement:M1"], outcome.measured("coulomb", "M1"))
+    np.testing.assert_array_equal(wide["slip:release:lap"], outcome.slip("coulomb", "release", "lap"))
+    assert set(wide["status:clamp"]) == {"converged"} and len(wide) == SAMPLES
+
+
+def test_a_cut_block_counts_as_missing_and_is_named(folder):
+    path = folder / "contacts" / "law=coulomb" / f"{0:06d}-{BLOCK - 1:06d}.parquet"
+    path.write_bytes(path.read_bytes()[:300])
+    outcome = read_outcome(folder)
+    assert outcome.missing == {"coulomb": BLOCK, "frictionless": 0}
+    assert outcome.sample_numbers("coulomb")[0] == BLOCK
+    (sentence,) = outcome.damaged
+    assert path.name in sentence and "damaged" in sentence
+
+
+def test_a_cut_record_is_one_sentence(folder):
+    (folder / "run.json").write_text((folder / "run.json").read_text()[:100])
+    with pytest.raises(FormatError, match="run.json.*damaged.*run the scene again"):
+        read_outcome(folder)
+
+
+def test_the_study_of_friction_is_solved_once_and_read_back(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, ["coulomb", "associated"], 14, SEED)
+    assert read_outcome(tmp_path).friction_study is None
+    write_tables(read_outcome(tmp_path))
+    study = read_outcome(tmp_path).friction_study
+    assert set(study["law"]) == {"coulomb", "associated", "frictionless"} and study["sample"].nunique() == 12
+    at_scene = study[(study["mu"] == lap_model.contacts.friction.mean()) & (study["law"] == "coulomb")]
+    stored = read_outcome(tmp_path).contact("coulomb", "clamp", "f_n")  # the scene's own friction: what the run found
+    assert at_scene["normal_force"].iloc[0] == pytest.approx(stored[0].sum(), rel=1e-6)
+
+
+def test_a_study_that_no_longer_applies_goes(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, ["coulomb", "associated"], 3, SEED)
+    write_tables(read_outcome(tmp_path))
+    sample_into(tmp_path, lap_model, ["coulomb"], 3, SEED)
+    write_tables(read_outcome(tmp_path))
+    assert read_outcome(tmp_path).friction_study is None

@@ -3,19 +3,19 @@
 import base64
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from support.runs import all_fail, fail
 
-from mic.compliance.influence import influence_coefficients
-from mic.model.assembly import assemble
-from mic.model.reduced import ReducedModel
 from mic.report import pictures
 from mic.report.page import write_report
 from mic.results.fields import write_fields
-from mic.results.outcome import PUBLISHED, keep_inputs, read_outcome
-from mic.sampling.montecarlo import run
+from mic.results.folder import PUBLISHED
+from mic.results.outcome import read_outcome
+from mic.runs import conclude, run
 from mic.scene import Scene
 
 WHEELHOUSE = Path(__file__).resolve().parents[1] / "meshes" / "wheelhouse"
@@ -61,10 +61,10 @@ class _Page(HTMLParser):
 
 def _results(scene, cache, folder, samples=12, seed=2):
     """Everything that a run of a scene leaves behind, and its page."""
-    assembly = assemble(scene, cache)
-    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
-    keep_inputs(folder, assembly)
-    run(model, folder, scene.report.laws, samples, seed)
+    scene = scene.model_copy(
+        update={"monte_carlo": scene.monte_carlo.model_copy(update={"samples": samples, "seed": seed})}
+    )
+    run(scene, folder, cache)
     write_fields(folder)
     return _Page(write_report(folder))
 
@@ -158,7 +158,12 @@ def test_figures_in_the_text_are_those_of_the_summary(page, folder):
 
 def test_summary_tables_and_pictures_lie_beside_the_page(page, folder):
     assert (folder / "assembly.png").read_bytes().startswith(b"\x89PNG")
-    assert {path.name for path in (folder / "tables").iterdir()} == {"zones.csv", "contacts.csv", "measurements.csv"}
+    assert {path.name for path in (folder / "tables").iterdir()} == {
+        "zones.csv",
+        "contacts.csv",
+        "measurements.csv",
+        "friction.csv",
+    }
 
 
 def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, page):
@@ -173,22 +178,13 @@ def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, 
     assert "measured range" not in page.words and "by −57 % in the paper" in found.words
 
 
-def test_failed_and_missing_samples_are_named_with_advice(folder, page):
-    import pandas as pd
-
-    (block,) = (folder / "samples" / "law=associated").glob("*.parquet")
-    original = block.read_bytes()
-    table = pd.read_parquet(block, partitioning=None)
-    table.loc[7, "failed"] = True
-    table.loc[7, "status:clamp"] = "not converged"
-    table.loc[11, "failed"] = True
-    table.loc[11, "status:release"] = "overflow in a product"
-    table.to_parquet(block)
-    record = (folder / "run.json").read_text()
-    (folder / "run.json").write_text(json.dumps(json.loads(record) | {"samples": 100}))
-    words = _Page(write_report(folder)).words
-    block.write_bytes(original)
-    (folder / "run.json").write_text(record)
+def test_failed_and_missing_samples_are_named_with_advice(folder, page, tmp_path):
+    spoilt = tmp_path / "spoilt"
+    shutil.copytree(folder, spoilt)
+    fail(spoilt, "associated", {7: ("clamp", "not converged"), 11: ("release", "overflow in a product")})
+    record = json.loads((spoilt / "run.json").read_text())
+    (spoilt / "run.json").write_text(json.dumps(record | {"samples": 100}))
+    words = _Page(write_report(spoilt)).words
     assert "7 (clamp, residual" in words and "leave this sample out of any statistics" in words
     assert "associated: overflow in a product" in words and "11 (release, residual" in words
     assert "60 of 100 samples are missing" in words
@@ -243,18 +239,13 @@ def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
     assert "1 (clamp)" in page.words and "table-1" in page.ids
 
 
-def test_report_of_a_law_that_failed_throughout(folder, page):
-    import pandas as pd
-
-    (block,) = (folder / "samples" / "law=coulomb").glob("*.parquet")
-    original = block.read_bytes()
-    table = pd.read_parquet(block, partitioning=None)
-    table["failed"] = True
-    table["status:clamp"] = "not converged"
-    table.to_parquet(block)
-    words = _Page(write_report(folder)).words
-    summary = json.loads((folder / "summary.json").read_text())
-    block.write_bytes(original)
+def test_report_of_a_law_that_failed_throughout(folder, page, tmp_path):
+    spoilt = tmp_path / "spoilt"
+    shutil.copytree(folder, spoilt)
+    all_fail(spoilt, "coulomb", 40)
+    conclude(spoilt)
+    words = _Page(write_report(spoilt)).words
+    summary = json.loads((spoilt / "summary.json").read_text())
     assert "coulomb: not converged (40)" in words
     assert (
         summary["laws"]["coulomb"]["zones"]["lap"]["mean_rms_slip"] is None

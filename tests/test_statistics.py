@@ -7,6 +7,7 @@ import pytest
 import scipy.stats
 
 from mic.results import statistics as st
+from mic.results.capability import capability, centred_capability, share_outside
 
 TEN = np.arange(1.0, 11.0)  # mean 5.5, s = 3.0276504
 
@@ -50,7 +51,7 @@ def test_wilks_needs_93_samples_for_95_per_cent_with_95_per_cent_confidence():
 def test_capability_of_known_samples():
     x = 5 + 2 * np.tile([-1.0, 1.0], 50)  # mean 5, s = 2 sqrt(100/99)
     s = 2 * (100 / 99) ** 0.5
-    cp, cpk = st.capability(x, -1, 17), st.centred_capability(x, -1, 17)
+    cp, cpk = capability(x, -1, 17), centred_capability(x, -1, 17)
     assert cp.value == pytest.approx(18 / (6 * s), rel=1e-12)
     assert [cp.low, cp.high] == pytest.approx(
         cp.value * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], 99) / 99), rel=1e-10
@@ -74,7 +75,7 @@ def test_clopper_pearson_agrees_with_scipy(count, n):
 
 
 def test_share_outside_counts_both_sides_and_leaves_failed_samples_out():
-    found = st.share_outside([-2.0, 0.0, 0.5, 3.0, np.nan], -1, 1)
+    found = share_outside([-2.0, 0.0, 0.5, 3.0, np.nan], -1, 1)
     assert (found.value, found.used, found.excluded) == (0.5, 4, 1)
 
 
@@ -88,7 +89,7 @@ def test_density_integrates_to_one_and_agrees_with_scipy():
 
 def test_failed_samples_are_excluded_and_counted_column_by_column():
     x = np.column_stack([np.append(TEN, np.nan), np.append(np.nan, TEN), np.full(11, np.nan)])
-    for estimate in (st.mean(x), st.sigma(x), st.capability(x, 0, 11), st.centred_capability(x, 0, 11)):
+    for estimate in (st.mean(x), st.sigma(x), capability(x, 0, 11), centred_capability(x, 0, 11)):
         assert list(estimate.used) == [10, 10, 0] and list(estimate.excluded) == [1, 1, 11]
         assert estimate.value[0] == pytest.approx(estimate.value[1], rel=1e-14) and np.isnan(estimate.value[2])
     assert st.mean(x).value[0] == pytest.approx(5.5)
@@ -98,8 +99,8 @@ def test_failed_samples_are_excluded_and_counted_column_by_column():
 def test_degenerate_samples_claim_no_certainty(x):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mean, sigma, cp, cpk = st.mean(x), st.sigma(x), st.capability(x, 0, 10), st.centred_capability(x, 0, 10)
-        smallest, outside, curve = st.minimum(x), st.share_outside(x, 0, 10), st.density(x, [3.0])
+        mean, sigma, cp, cpk = st.mean(x), st.sigma(x), capability(x, 0, 10), centred_capability(x, 0, 10)
+        smallest, outside, curve = st.minimum(x), share_outside(x, 0, 10), st.density(x, [3.0])
     used = int(np.isfinite(x).sum())
     for estimate in (mean, sigma, cp, cpk):
         assert np.isnan(estimate.low) and np.isnan(estimate.high)
@@ -112,11 +113,12 @@ def test_degenerate_samples_claim_no_certainty(x):
 
 
 def test_without_spread_cpk_tells_in_from_out():
-    assert st.centred_capability([2.0, 2.0], 0, 1).value == -np.inf
-    assert np.isnan(st.centred_capability([1.0, 1.0], 0, 1).value)
+    assert centred_capability([2.0, 2.0], 0, 1).value == -np.inf
+    assert np.isnan(centred_capability([1.0, 1.0], 0, 1).value)
 
 
-# A promise of 95 % is checked by repetition: over R sets the observed coverage has a standard deviation sqrt(0.95 0.05 / R).
+# A promise of 95 % is checked by repetition: over R sets the observed coverage has a standard deviation
+# sqrt(0.95 0.05 / R).
 REPEATED, TRUE_MEAN, TRUE_SIGMA = 8000, 2.0, 0.7
 TOLERANCE = 4 * (0.95 * 0.05 / REPEATED) ** 0.5
 
@@ -135,7 +137,7 @@ def _coverage(low, high, truth):
         (st.mean, TRUE_MEAN),
         (st.sigma, TRUE_SIGMA),
         (st.six_sigma, 6 * TRUE_SIGMA),
-        (lambda x: st.capability(x, 0, 5), 5 / (6 * TRUE_SIGMA)),
+        (lambda x: capability(x, 0, 5), 5 / (6 * TRUE_SIGMA)),
     ],
 )
 @pytest.mark.parametrize("n", [3, 6, 50])
@@ -152,7 +154,7 @@ def test_the_coverage_check_can_fail():
 
 
 def test_bissells_interval_covers_to_its_own_accuracy():
-    found = st.centred_capability(_sets(100), 0, 5)  # limits to one side, where the approximation is meant to hold
+    found = centred_capability(_sets(100), 0, 5)  # limits to one side, where the approximation is meant to hold
     assert abs(_coverage(found.low, found.high, TRUE_MEAN / (3 * TRUE_SIGMA)) - 0.95) < TOLERANCE + 0.005
 
 
@@ -161,7 +163,7 @@ def test_intervals_hold_for_skewed_samples_with_heavy_tails():
     shape = 2.2
     mean, sigma = shape, shape**0.5
     x = np.random.default_rng(4).gamma(shape, 1.0, (500, 4000))
-    found, cpk = st.sigma(x), st.centred_capability(x, mean - 20 * sigma, mean + 4 * sigma)
+    found, cpk = st.sigma(x), centred_capability(x, mean - 20 * sigma, mean + 4 * sigma)
     assert 0.91 < _coverage(found.low, found.high, sigma) < 0.97
     assert 0.91 < _coverage(cpk.low, cpk.high, 4 / 3) < 0.97
 

@@ -16,13 +16,15 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mic.sampling.montecarlo import communicator, versions
+from mic import examples
+from mic.results.folder import versions
+from mic.sampling.ranks import communicator
 from verification.plots import svg
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
 
-JUDGED_PACKAGES = ("mic", "fem_reference", "meshes")
+JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
 
 
@@ -45,7 +47,7 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     """
     folder = Path(folder)
     first = team.rank == 0
-    base = _digest([FOLDER.parent / package for package in JUDGED_PACKAGES])
+    base = _digest(JUDGED)
     cache = folder / "cache" / base
     if first:
         for old in (folder / "cache").glob("*"):

@@ -23,10 +23,10 @@ from threadpoolctl import threadpool_limits
 
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.results import statistics
+from mic.results.folder import versions
 from mic.results.outcome import read_outcome
+from mic.runs import sample_into
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import run as monte_carlo
-from mic.sampling.montecarlo import versions
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
@@ -127,10 +127,10 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
         model, assembly = reduced_and_assembly(scene, cache)
         prepared = time.perf_counter()
-        monte_carlo(model, folder / "reduced", scene.report.laws, samples, seed)
+        sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
         evaluated = time.perf_counter()
         outcome = read_outcome(folder / "reduced")
-        cheap = {law: _quantities(outcome.valid(law)) for law in outcome.laws}
+        cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         base = cheap.get(truth, next(iter(cheap.values())))
         if base.shape[1] == 0 or len(base) == 0:
             raise ValueError(
@@ -223,10 +223,18 @@ def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
     return result
 
 
-def _quantities(valid) -> pd.DataFrame:
+def _quantities(outcome, law) -> pd.DataFrame:
     """Slips and measurements of the valid samples, indexed by sample."""
-    columns = [name for name in valid.columns if name.startswith(("slip:", "measurement:"))]
-    return valid.set_index("sample")[columns]
+    columns = {
+        f"slip:{stage}:{zone}": outcome.slip(law, stage, zone)
+        for stage in outcome.stages
+        for zone in outcome.zones
+        if outcome.has_slip
+    }
+    columns |= {
+        f"measurement:{item.name}": outcome.measured(law, item.name) for item in outcome.model.scene.measurements
+    }
+    return pd.DataFrame(columns, index=outcome.sample_numbers(law))
 
 
 def _of_full(model, result) -> dict[str, float]:
@@ -249,8 +257,7 @@ def _sample_rows(outcome, model, choice, result) -> list[dict]:
     axes = ("n", "t1", "t2")[: model.contacts.dimension]
     truth, rows = _of_full(model, result), []
     for law in outcome.laws:
-        valid = outcome.valid(law)
-        place = np.flatnonzero(valid["sample"].to_numpy() == choice.sample)
+        place = np.flatnonzero(outcome.sample_numbers(law) == choice.sample)
         if not len(place):
             continue
         force, states = [], 0
@@ -258,7 +265,7 @@ def _sample_rows(outcome, model, choice, result) -> list[dict]:
             mine = np.stack([outcome.contact(law, stage, f"f_{axis}")[place[0]] for axis in axes], axis=-1)
             force.append(relative(mine, result[f"force:{stage}"]))
             states += int((outcome.contact(law, stage, "state")[place[0]] != result[f"state:{stage}"]).sum())
-        row = valid.iloc[place[0]]
+        row = _quantities(outcome, law).iloc[place[0]]
         slips, measured = ([name for name in truth if name.startswith(kind)] for kind in ("slip:", "measurement:"))
         rows.append(
             {

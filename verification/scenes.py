@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from mic.examples import folder
 from mic.scene import Scene, load_scene
-from verification.study import FOLDER
 
 __all__ = ["shipped"]
 
 
 def shipped(name: str, size: str | float, laws=("coulomb",)) -> Scene:
-    """A scene of ``meshes/``, all parts meshed at one size, without fields.
+    """An example scene, all parts meshed at one size, without fields.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ def shipped(name: str, size: str | float, laws=("coulomb",)) -> Scene:
         A named size of the geometry, or mm.
     laws : sequence of str
     """
-    scene = load_scene(FOLDER.parent / "meshes" / name)
+    scene = load_scene(folder(name))
     parts = [part.model_copy(update={"size": size}) for part in scene.parts]
     return scene.model_copy(
         update={"parts": parts, "report": scene.report.model_copy(update={"laws": list(laws), "fields": False})}

@@ -7,12 +7,11 @@ file, so that a case goes the way of a user's own part.
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
-import meshio
 import numpy as np
 
+from mic.geometry.readers.vtu import write_vtu
 from mic.geometry.structured import extrude
 from mic.scene import Scene
 
@@ -30,12 +29,9 @@ def write_mesh(folder: Path, points: np.ndarray, triangles: np.ndarray) -> str:
     triangles : (k, 3) int array
     """
     points, triangles = np.ascontiguousarray(points, dtype=float), np.ascontiguousarray(triangles, dtype=np.int64)
-    name = hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()[:16] + ".vtk"
-    folder.mkdir(parents=True, exist_ok=True)
+    name = hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()[:16] + ".vtu"
     if not (folder / name).is_file():
-        temporary = folder / f"{os.getpid()}-{name}"
-        meshio.write(temporary, meshio.Mesh(points, [("triangle", triangles)]), file_format="vtk")
-        temporary.replace(folder / name)
+        write_vtu(folder / name, points, triangles)
     return name
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 from mic.report import pictures
 from mic.results.fields import read_fields
-from mic.results.outcome import kept_parts, read_outcome
+from mic.results.outcome import read_outcome
 
 
 def main(folder):
     outcome = read_outcome(folder)
-    surfaces = {part.name: part.surface for part in kept_parts(outcome)}
+    surfaces = {part.name: part.surface for part in outcome.parts}
     for name, picture in (
         ("wheelhouse", pictures.overview_picture(outcome, surfaces, read_fields(folder)[0], "coulomb")),
         ("slip_density", pictures.slip_density_picture(outcome, outcome.stages[0])),

@@ -17,7 +17,7 @@ Normals: ``n``, and with it every triangle's orientation, points on the mating f
 to the outer part (about +y). Following the sheet from there, ``n`` points to the wheel on the inner part's tread and away
 from the wheel on the outer part's panel.
 
-``python -m meshes.wheelhouse.geometry`` prints the proposed fixture, joints and measurement points as TOML.
+``python geometry.py`` prints the proposed fixture, joints and measurement points as TOML.
 """
 
 from __future__ import annotations

@@ -85,3 +85,8 @@ def complementary_displacement(u: np.ndarray, mu: np.ndarray, law: Law) -> np.nd
     shifted = u.copy()
     shifted[..., 0] += mu * np.hypot(u[..., 1], u[..., 2])
     return shifted
+
+
+from types import SimpleNamespace  # noqa: E402
+
+LAWS = {n: SimpleNamespace(name=n, title=n) for n in ("coulomb", "associated", "frictionless")}

@@ -1,13 +1,13 @@
 """Contact pairs: where two nominal surfaces face each other, and over which patches.
 
-The candidate points are a fine sampling of the first surface. A candidate belongs to the zone when it lies in the zone's
-region and its closest point on the other surface faces it: normals within an angle, the joining line along the normal,
-the gap between the *facing* surfaces (both half-thicknesses taken off) within a limit. The candidates are then gathered
-into cells of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the projections
-on the other, so that a pair's two forces act on one line and leave no couple behind.
+The candidate points are a fine sampling of the first surface. A candidate belongs to the zone when it lies in the
+zone's region and its closest point on the other surface faces it: normals within an angle, the joining line along the
+normal, the gap between the *facing* surfaces (both half-thicknesses taken off) within a limit. The candidates are then
+gathered into cells of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the
+projections on the other, so that a pair's two forces act on one line and leave no couple behind.
 
-`node_pairs` takes the mesh's own sampling instead: every vertex of the first surface in the zone against its closest point on
-the other, as node-to-surface contact does.
+`node_pairs` takes the mesh's own sampling instead: every vertex of the first surface in the zone against its closest
+point on the other, as node-to-surface contact does.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
         lost = np.flatnonzero(cKDTree(cloud.point).query(centres)[0] > np.sqrt(area / count))
         if len(lost):
             raise ValueError(
-                f"points[{lost[0]}] lies where the parts do not face each other; move it, or widen max_gap or the region"
+                f"points[{lost[0]}] lies where the parts face nothing; move it, or widen max_gap or the region"
             )
     else:
         centres = _centres(cloud.point, cloud.area, count)
@@ -132,8 +132,9 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
 def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     """A pair at every vertex of the first surface that lies in the zone and faces the second; its patches are points.
 
-    The zone's own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it, and
-    looks along the mean normal of its triangles. (A rigid first body is looked at from the second, as in `find_pairs`.)
+    The zone's own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it,
+    and looks along the mean normal of its triangles. (A rigid first body is looked at from the second, as in
+    `find_pairs`.)
 
     Raises
     ------
@@ -225,7 +226,7 @@ def _first_spacing(surface):
 
 def _facing(zone, sampled, other, spacing):
     surface = sampled.surface
-    triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface._reach))
+    triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface.reach))
     triangle, barycentric, area = surface.sample(triangles, spacing)
     inside = _in_region(zone, surface.at(triangle, barycentric))
     cloud = _project(

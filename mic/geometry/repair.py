@@ -1,7 +1,8 @@
 """Triangle meshes as they come, made fit for a `Surface`: what is wrong is repaired and reported, or refused.
 
-Repaired: quadrilaterals (split), coincident points (merged), triangles without area or given twice (dropped), points of one triangle on
-an edge of another (that triangle split), inconsistent orientation (turned), points without a triangle (dropped).
+Repaired: quadrilaterals (split), coincident points (merged), triangles without area or given twice (dropped), points of
+one triangle on an edge of another (that triangle split), inconsistent orientation (turned), points without a triangle
+(dropped).
 Kept and reported: edges where three or more triangles meet, separate pieces.
 Refused: coordinates that are not finite, vertex numbers out of range, no triangle left, one-sided (Möbius) sheets.
 """
@@ -9,15 +10,13 @@ Refused: coordinates that are not finite, vertex numbers out of range, no triang
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import meshio
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-__all__ = ["MeshReport", "read_mesh", "repair"]
+__all__ = ["MeshReport", "repair"]
 
 MERGE = 1e-7  # points closer than this share of the mesh's diagonal are one
 FLAT = 1e-6  # a triangle lower than this share of its longest side has no area
@@ -83,42 +82,6 @@ class MeshReport:
             (self.pieces if self.pieces > 1 else 0, "separate pieces"),
         ]
         return "\n".join(f"{count} {text}" for count, text in lines if count) or "nothing to repair"
-
-
-def read_mesh(path) -> tuple[np.ndarray, np.ndarray, MeshReport]:
-    """Points (n, 3) in mm, triangles (k, 3) and a report, of any surface mesh that meshio reads (Nastran, Abaqus, gmsh, STL, VTK, …).
-
-    Of higher-order elements the corners are taken; beams and points are passed over.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read, holds no surface elements or solid elements, or `repair` refuses them.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"mesh file {path} does not exist")
-    try:
-        mesh = meshio.read(path)
-    except (Exception, SystemExit) as problem:  # meshio's readers raise whatever their parsing trips over, some exit
-        raise ValueError(f"mesh file {path} cannot be read: {problem}") from problem
-    kinds = {block.type for block in mesh.cells}
-    solids = sorted(kind for kind in kinds if kind.startswith(("tetra", "hexa", "wedge", "pyramid")))
-    if solids:
-        raise ValueError(f"mesh file {path} holds solid elements ({', '.join(solids)}): give the mid-surface")
-    triangles = [block.data[:, :3] for block in mesh.cells if block.type.startswith("triangle")]
-    quadrilaterals = [block.data[:, :4] for block in mesh.cells if block.type.startswith("quad")]
-    if not triangles and not quadrilaterals:
-        raise ValueError(
-            f"mesh file {path} holds no triangles or quadrilaterals, only {', '.join(sorted(kinds)) or 'nothing'}"
-        )
-    points = np.zeros((len(mesh.points), 3))
-    points[:, : mesh.points.shape[1]] = mesh.points
-    return repair(
-        points,
-        np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64),
-        np.concatenate(quadrilaterals) if quadrilaterals else None,
-    )
 
 
 def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarray, MeshReport]:

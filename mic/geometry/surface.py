@@ -149,8 +149,8 @@ class Surface:
         return self.corners.mean(1)
 
     @cached_property
-    def _reach(self) -> np.ndarray:
-        """(k,) largest distance from a triangle's centroid to one of its vertices."""
+    def reach(self) -> np.ndarray:
+        """(k,) radius about its centroid within which each triangle lies, mm."""
         return np.linalg.norm(self.corners - self._centroids[:, None], axis=2).max(1)
 
     @cached_property
@@ -179,7 +179,7 @@ class Surface:
             normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
             bound = self._nearest_aligned(x, normal, cosine)
         candidates = self._tree.query_ball_point(
-            x, np.where(np.isfinite(bound), bound + self._reach.max() * (1 + 1e-9), 0.0)
+            x, np.where(np.isfinite(bound), bound + self.reach.max() * (1 + 1e-9), 0.0)
         )
         owner = np.repeat(np.arange(len(x)), [len(c) for c in candidates])
         triangle = (
@@ -210,7 +210,7 @@ class Surface:
         return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine)  # NaN passes
 
     def _nearest_aligned(self, x, normal, cosine):
-        """(n,) distance from each point to the nearest centroid whose triangle passes the normal filter; inf if none."""
+        """(n,) distance of each point to the nearest centroid whose triangle passes the normal filter; inf if none."""
         bound, todo, count = np.full(len(x), np.inf), np.arange(len(x)), 4
         while len(todo):
             count = min(count, len(self.triangles))
@@ -254,8 +254,8 @@ class Surface:
             raise ValueError(f"no triangle near {np.asarray(center).tolist()} is aligned with the given normal")
         if radius == 0:
             return Patch(foot.triangle, foot.barycentric, np.ones(1))
-        near = np.asarray(self._tree.query_ball_point(foot.point[0], radius + self._reach.max()), dtype=np.int64)
-        near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= radius + self._reach[near]]
+        near = np.asarray(self._tree.query_ball_point(foot.point[0], radius + self.reach.max()), dtype=np.int64)
+        near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= radius + self.reach[near]]
         near = near[self.normals[near] @ self.normals[seed] > 0.5]
         near = np.sort(near[self._connected(near, seed)])
         triangle, barycentric, area = self.sample(near, radius / 8)

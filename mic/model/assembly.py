@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from mic.compliance.part import Part, fixture_surface, part_surface
+from mic.compliance.part import Part
 from mic.errors import SceneError
+from mic.geometry.load import fixture_surface, part_surface
 from mic.geometry.pairing import Side, find_pairs, node_pairs, pair_at
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources

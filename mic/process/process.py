@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from mic.contact import ContactSolver
 from mic.process.drive import drive
@@ -84,8 +87,7 @@ class Process:
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
         model = self.model
-        shape = {kind: deviations @ (rows @ model.shape).T for kind, rows in model.rows.items()}
-        asked = drive(model, deviations, shape)
+        asked = drive(model, deviations, {kind: deviations @ unit.T for kind, unit in self._unit_shapes.items()})
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS}
         state = ProcessState.start(len(deviations), len(model.contacts), model.contacts.dimension, rows)
         resolutions, read = {}, np.zeros((len(deviations), 0))
@@ -131,22 +133,39 @@ class Process:
             motion=nan(6 * len(model.compliance)),
         )
 
+    @cached_property
+    def _unit_shapes(self) -> dict[str, np.ndarray]:
+        """By kind, what the rows read of the shape that each unit deviation gives, (r, p)."""
+        return {kind: rows @ self.model.shape for kind, rows in self.model.rows.items()}
+
+    @cached_property
+    def _unit_motions(self) -> np.ndarray:
+        """(p, 6P) rigid motions of these shapes, beside the elastic readings of the forces that make them."""
+        model = self.model
+        return model.compliance.fit(model.shape.T - model.compliance.displace(model.shape_forces.T))
+
+    @cached_property
+    def _last_rows(self) -> tuple[np.ndarray, csr_matrix, np.ndarray]:
+        """Numbers of the last stage's bilateral rows that are not redundant, the rows A, and ``A G``."""
+        last = self.stages[-1]
+        own = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
+        return own, last.bilateral[own], self.model.compliance.rigid(last.bilateral[own])
+
     def _equilibrium(self, state: ProcessState, deviations):
         """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end, the shape deviation included.
 
-        The motions put the bilateral rows A at their values v: least squares over ``A G q = v − A H f``. Redundant
-        rows take no part: their values have no effect, and may contradict the others.
+        The motions put the bilateral rows A at their values v: least squares over ``A G q = v − A H f``. Redundant rows
+        take no part: their values have no effect, and may contradict the others.
         """
-        model, last = self.model, self.stages[-1]
-        force = np.zeros((len(deviations), model.compliance.size))
-        for (kind, i), reaction in state.reaction.items():
-            force += np.outer(reaction, model.rows[kind][i].toarray())
-        for i, push in state.push.items():
-            force += np.outer(push, model.rows["clamp"][i].toarray())
-        force += state.force.reshape(len(deviations), -1) @ model.rows["contact"]
-        rows = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
-        A, v = last.bilateral[rows], np.column_stack([state.value[row] for row in last.plan.bilateral])[:, rows]
-        misfit = v - model.compliance.displace(force) @ A.T
-        motion = np.linalg.lstsq(model.compliance.rigid(A), misfit.T, rcond=None)[0].T
-        shape_motion = model.compliance.fit(model.shape.T - model.compliance.displace(model.shape_forces.T))
-        return force + deviations @ model.shape_forces.T, motion + deviations @ shape_motion
+        model, last, n = self.model, self.stages[-1], len(deviations)
+        reaction = np.column_stack([np.zeros((n, 0)), *(state.reaction[row] for row in last.plan.bilateral)])
+        value = np.column_stack([np.zeros((n, 0)), *(state.value[row] for row in last.plan.bilateral)])
+        push = np.zeros((n, model.rows["clamp"].shape[0]))
+        for i, force in state.push.items():
+            push[:, i] = force
+        force = reaction @ last.bilateral + push @ model.rows["clamp"]
+        force = force + state.force.reshape(n, -1) @ model.rows["contact"]
+        own, A, AG = self._last_rows
+        misfit = value[:, own] - model.compliance.displace(force) @ A.T
+        motion = np.linalg.lstsq(AG, misfit.T, rcond=None)[0].T
+        return force + deviations @ model.shape_forces.T, motion + deviations @ self._unit_motions

@@ -17,7 +17,8 @@ from mic.contact.solution import Status
 from mic.report import pictures
 from mic.report.pictures import LAW_COLOURS, PART_COLOURS, number, percent, zone_colour
 from mic.results.fields import read_fields
-from mic.results.outcome import PUBLISHED, kept_parts, read_outcome, write_summary
+from mic.results.folder import PUBLISHED
+from mic.results.outcome import read_outcome
 from mic.results.statistics import LEVEL, covered_share
 
 __all__ = ["write_report"]
@@ -28,7 +29,7 @@ ARROW = 0.07  # length of a locator's arrow, as a share of the largest part
 
 
 def write_report(folder) -> Path:
-    """Write ``report.html``, ``summary.json``, ``tables/`` and ``assembly.png`` into a run folder, finished or interrupted.
+    """Write ``report.html`` and ``assembly.png`` into a run folder, finished or interrupted.
 
     Fields are shown as :func:`mic.results.fields.write_fields` left them.
 
@@ -42,9 +43,8 @@ def write_report(folder) -> Path:
         The page.
     """
     outcome = read_outcome(folder)
-    write_summary(outcome)
     published = _published(outcome.folder)
-    surfaces = {part.name: part.surface for part in kept_parts(outcome)}
+    surfaces = {part.name: part.surface for part in outcome.parts}
     fields, no_fields = read_fields(outcome.folder)
     stage = outcome.stages[0] if outcome.stages else None
     drawn = {"assembly": pictures.assembly_picture(outcome, surfaces)}
@@ -126,7 +126,7 @@ def _facts(outcome):
         ),
         (
             "Retained functionals",
-            ", ".join(f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.offsets))),
+            ", ".join(f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.compliance.offsets))),
         ),
     ]
 

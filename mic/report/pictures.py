@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
-from mic.contact.comparison import compare_laws, summarise
-from mic.process.process import STATES
+from mic.contact.comparison import summarise
+from mic.contact.states import STATES
 from mic.results.statistics import density
 
 __all__ = [
@@ -67,8 +67,6 @@ STYLE = {
     "legend.fontsize": 8.5,
     "svg.hashsalt": "mic",
 }
-STUDIED_SAMPLES = 12
-STUDIED_FRICTION = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
 ACTIVE = 1.0  # N: from this mean friction force on, a contact counts as active (the paper's smallest)
 MOST_PANELS = 24
 
@@ -433,7 +431,7 @@ def law_cost(outcome, stage) -> dict | None:
 @_styled
 def friction_picture(outcome, stage) -> Picture | None:
     """The three laws on some of the samples as friction is scaled down and up; drawn where the associated law was asked for."""
-    study = _friction_study(outcome, stage)
+    study = outcome.friction_study
     if study is None:
         return None
     table = summarise(study)
@@ -462,29 +460,6 @@ def friction_picture(outcome, stage) -> Picture | None:
     if left_out:
         text += f" {left_out} of {len(study)} solutions did not converge and are left out."
     return _svg(fig, "friction", "The laws as friction grows", text)
-
-
-def _friction_study(outcome, stage):
-    """:func:`mic.contact.comparison.compare_laws` on evenly spread samples; None where the scene does not ask for the associated law."""
-    if (
-        not outcome.has_slip
-        or not {"coulomb", "associated"} <= set(outcome.laws)
-        or not outcome.model.contacts.friction.any()
-    ):
-        return None
-    n = len(outcome.valid("coulomb"))
-    chosen = np.unique(np.linspace(0, n - 1, min(n, STUDIED_SAMPLES)).round().astype(int)) if n else []
-    if not len(chosen):
-        return None
-    S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
-    force, displacement = (
-        np.stack(
-            [outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")], axis=2
-        ).reshape(len(chosen), -1)
-        for quantity in ("f", "u")
-    )
-    b = displacement - force @ S  # u = S f + b
-    return compare_laws(S, b, [scale * outcome.model.contacts.friction for scale in STUDIED_FRICTION], threads=2)
 
 
 @_styled

@@ -1,30 +1,38 @@
 """Mean and 6σ displacement fields of the parts: deviation from nominal at every vertex, shape deviation included.
 
-Sample i deforms a part by ``u_i(x) = Φ(x) f_i + R(x) q_i``, with ``f_i`` the forces on the part's functionals, ``q_i`` its
-rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. Rather than solve once per functional,
-the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ``),
+Sample i deforms a part by ``u_i(x) = Φ(x) f_i + R(x) q_i``, with ``f_i`` the forces on the part's functionals, ``q_i``
+its rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. Rather than solve once per
+functional, the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ``),
 
     (F - 1 f̄ᵀ) C = U Σ Vᵀ ≈ U_r Σ_r V_rᵀ,
 
-so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no solve and are
-kept whole, so with ``c(x)`` the r solved fields
+so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no
+solve and are kept whole, so with ``c(x)`` the r solved fields
 
     σ²(x) = g M gᵀ / (n - 1),    g = [c(x), R(x)],    M = [U_r, Q]ᵀ [U_r, Q],    Q the centred motions.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mic.results.outcome import Outcome, kept_parts, read_outcome
+from mic.compliance import provider
+from mic.errors import FormatError, MissingProvider
+from mic.geometry.readers.vtu import write_vtu
+from mic.results.folder import RunFolder
+from mic.results.outcome import Outcome, read_outcome
+from mic.results.schema import FIELDS
+from mic.store import Format, load_arrays, save_arrays
 
 __all__ = ["DISCARDED_ENERGY", "Factor", "PartField", "compute_fields", "low_rank", "read_fields", "write_fields"]
 
-FORMAT = 1
+STORE = "fields.npz"
+_FORMAT = Format("set of displacement fields", 1, "call `mic report` on the run folder")
+_NUMBERS = ("law", "part", "rank", "samples", "discarded", "error")
+_ARRAYS = ("mean", "six_sigma", "six_sigma_normal")
 DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
 
 
@@ -77,8 +85,8 @@ class PartField:
     discarded : float
         See :class:`Factor`.
     error : float
-        Largest error of 6σ that the truncation makes at the part's retained functionals that read displacements, where the
-        reduced model knows it exactly, mm.
+        Largest error of 6σ that the truncation makes at the part's retained functionals that read displacements, where
+        the reduced model knows it exactly, mm.
     """
 
     law: str
@@ -139,24 +147,19 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
 
     Raises
     ------
-    ImportError
-        If the finite elements are not installed.
+    MissingProvider
+        If no finite elements are installed.
     """
-    from fem_reference.shell.part import ShellPart
-
     model, found = outcome.model, []
     forces = {law: _forces(outcome, law) for law in outcome.laws}
     forces = {law: pair for law, pair in forces.items() if pair is not None and len(pair[0])}
-    for p, part in enumerate(kept_parts(outcome)):
-        rows, motions = slice(model.offsets[p], model.offsets[p + 1]), slice(6 * p, 6 * p + 6)
-        H, G = model.H[rows, rows], model.G[rows, motions]
+    for p, part in enumerate(outcome.parts if forces else ()):
+        rows, motions = model.compliance.functionals[p], model.compliance.motions[p]
+        H, G = model.compliance.H[p], model.compliance.G[p]
         factors = {law: low_rank(force[:, rows], motion[:, motions], H) for law, (force, motion) in forces.items()}
         loads = [np.column_stack([factor.mean_force, factor.force]) for factor in factors.values()]
-        if not loads:
-            continue
-        shell = ShellPart(part.surface, part.thickness, part.young, part.poisson, part.element)
-        solved = shell.field(part.functionals, np.hstack(loads))[:, :3]  # (v, 3, columns)
-        rigid = shell.rigid_field()[:, :3]
+        solved, rigid = provider.find(part).field(part, np.hstack(loads))  # (v, 6, columns), (v, 6, 6)
+        solved, rigid = solved[:, :3], rigid[:, :3]
         start = 0
         for law, factor in factors.items():
             stop = start + 1 + factor.rank
@@ -184,108 +187,100 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
 def write_fields(folder) -> list[PartField]:
     """Compute the fields of a run folder and write them into it, where its scene asks for them.
 
-    ``fields/<law>-<part>.vtu`` holds, at the vertices, ``mean``, ``six_sigma``, ``six_sigma_magnitude`` and
-    ``six_sigma_normal`` in mm; ``fields/<part>.vtu`` the nominal surface alone. Where the finite elements are missing,
-    ``fields/fields.json`` says so and no field is written.
+    ``fields/fields.npz`` holds them for the program. For ParaView, ``fields/<law>-<part>.vtu`` holds the columns of
+    :data:`mic.results.schema.FIELDS` at the vertices, and ``fields/<part>.vtu`` the nominal surface alone. Where the
+    finite elements are missing, ``fields.npz`` says so and holds no field.
 
-    Fields that are there already, of the same model and samples, are kept.
+    Fields that are there already, of the same run and samples, are kept.
 
     Parameters
     ----------
     folder : path-like
-        As :func:`mic.sampling.montecarlo.run` and :func:`mic.results.outcome.keep_inputs` left it.
+        As :func:`mic.runs.run` left it.
     """
-    import meshio
-
     outcome = read_outcome(folder)
     folder = outcome.folder / "fields"
     basis = [
-        FORMAT,
-        outcome.record["fingerprint"],
-        {law: len(outcome.valid(law)) for law in outcome.laws},
+        outcome.record["identity"],
+        {law: len(outcome.sample_numbers(law)) for law in outcome.laws},
         DISCARDED_ENERGY,
     ]
-    if _record(folder).get("basis") == basis:
+    try:
+        header, _ = load_arrays(folder / STORE, _FORMAT)
+    except (FileNotFoundError, FormatError):
+        header = {"basis": None, "files": []}  # nothing that could be kept
+    if header["basis"] == basis:
         return read_fields(outcome.folder)[0]
-    folder.mkdir(exist_ok=True)
-    for old in [*folder.glob("*.vtu"), *folder.glob("fields.json")]:
-        old.unlink()
-    surfaces = {part.name: part.surface for part in kept_parts(outcome)}
-    for name, surface in surfaces.items():
-        data = {"normal": surface.vertex_normals}
-        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(folder / f"{name}.vtu")
     found, skipped = [], None
     if not outcome.model.scene.report.fields:
         skipped = "The scene does not ask for fields, so none were computed."
-    elif not surfaces:
+    elif not outcome.parts:
         skipped = "The run folder holds no parts.npz, so no fields could be computed: run the scene again."
     else:
         try:
             found = compute_fields(outcome)
-        except ImportError as error:
+        except MissingProvider as error:
             skipped = (
-                f"The finite elements that the fields need are not installed ({error}), so none were computed: install them "
-                "(Debian: apt-get install python3-dolfinx) and call mic report on this folder."
+                f"The finite elements that the fields need are not installed, so none were computed ({error}): install "
+                "them and call mic report on this folder."
             )
-    records = []
-    for field in found:
-        surface = surfaces[field.part]
-        data = {
-            "mean": field.mean,
-            "six_sigma": field.six_sigma,
-            "six_sigma_magnitude": field.six_sigma_magnitude,
-            "six_sigma_normal": field.six_sigma_normal,
-        }
-        meshio.Mesh(surface.points, [("triangle", surface.triangles)], point_data=data).write(
-            folder / f"{field.law}-{field.part}.vtu"
+    surfaces = {part.name: part.surface for part in outcome.parts}
+    files = {f"{name}.vtu": (surface, {"normal": surface.vertex_normals}) for name, surface in surfaces.items()}
+    files |= {
+        f"{field.law}-{field.part}.vtu": (
+            surfaces[field.part],
+            {column.name: getattr(field, column.name) for column in FIELDS.columns},
         )
-        records.append(
-            {name: getattr(field, name) for name in ("law", "part", "rank", "samples", "discarded", "error")}
-        )
+        for field in found
+    }
+    for old in set(header["files"]) - set(files):
+        (folder / old).unlink(missing_ok=True)
+    for name, (surface, data) in files.items():
+        write_vtu(folder / name, surface.points, surface.triangles, data)
     # An assembly without its fields, for want of finite elements or parts, is tried again.
-    (folder / "fields.json").write_text(
-        json.dumps({"basis": basis if found else None, "skipped": skipped, "fields": records}, indent=2) + "\n"
-    )
+    header = {
+        "basis": basis if found else None,
+        "skipped": skipped,
+        "files": list(files),
+        "fields": [{name: getattr(field, name) for name in _NUMBERS} for field in found],
+    }
+    arrays = {f"{i}_{name}": getattr(field, name) for i, field in enumerate(found) for name in _ARRAYS}
+    save_arrays(folder / STORE, _FORMAT, header, arrays)
     return found
 
 
 def read_fields(folder) -> tuple[list[PartField], str | None]:
-    """The fields of a run folder, as :func:`write_fields` left them, and a sentence that says why where there are none."""
-    folder, found = Path(folder) / "fields", []
-    record = _record(folder)
-    if not record:
+    """The fields of a run folder, as :func:`write_fields` left them, and a sentence that says why where there are none.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    """
+    try:
+        header, arrays = load_arrays(Path(folder) / "fields" / STORE, _FORMAT)
+    except FileNotFoundError:
         return [], "No fields were computed for this run."
-    import meshio
-
-    for entry in record["fields"]:
-        data = meshio.read(folder / f"{entry['law']}-{entry['part']}.vtu").point_data
-        found.append(
-            PartField(
-                mean=data["mean"], six_sigma=data["six_sigma"], six_sigma_normal=data["six_sigma_normal"], **entry
-            )
-        )
-    return found, record["skipped"]
-
-
-def _record(folder):
-    path = folder / "fields.json"
-    return json.loads(path.read_text()) if path.is_file() else {}
+    found = [
+        PartField(**{**numbers, **{name: arrays[f"{i}_{name}"] for name in _ARRAYS}})
+        for i, numbers in enumerate(header["fields"])
+    ]
+    return found, header["skipped"]
 
 
 def _forces(outcome, law):
     """Forces (n, F) and motions (n, 6P) of the valid samples, or None where the run kept none."""
-    number, force, motion = [], [], []
-    for path in sorted((outcome.folder / "forces" / f"law={law}").glob("*.npz")):
-        first = int(path.stem.split("-")[0]) if not path.name.startswith(".") else None
-        if first is None:
-            continue
-        with np.load(path) as data:
-            number.append(first + np.arange(len(data["force"])))
-            force.append(data["force"])
-            motion.append(data["motion"])
+    folder, number, force, motion = RunFolder(outcome.folder), [], [], []
+    for block in outcome.blocks[law]:
+        arrays = folder.read_forces(block, outcome.record["identity"])
+        if arrays is None:
+            return None
+        number.append(block.first + np.arange(block.count))
+        force.append(arrays["force"])
+        motion.append(arrays["motion"])
     if not number:
         return None
-    keep = np.isin(np.concatenate(number), outcome.valid(law)["sample"])
+    keep = np.isin(np.concatenate(number), outcome.sample_numbers(law))
     return np.concatenate(force)[keep], np.concatenate(motion)[keep]
 
 

@@ -1,14 +1,13 @@
-"""The outcome of a run: its folder read back, and what the samples say.
+"""The outcome of a run: its folder read back, sample by sample.
 
-Everything is computed from the files of the run folder, so that an interrupted run, or one carried here from another
+Everything is read from the files of the run folder, so that an interrupted run, or one carried here from another
 machine, can be read too. Samples that failed, or are not there yet, enter no statistic; they are counted and named.
 """
 
 from __future__ import annotations
 
-import json
-import math
-import shutil
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,52 +15,57 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
-from mic.geometry.surface import Patch, Surface
-from mic.model.reduced import ReducedModel
-from mic.process.process import STATES
-from mic.results import statistics
-from mic.results.statistics import Estimate
+from mic.contact.states import STATES
+from mic.errors import FormatError
+from mic.process.model import ReducedModel
+from mic.results import summary
+from mic.results.folder import Block, RunFolder
+from mic.results.law_comparison import read_friction
+from mic.results.schema import DATASETS
 
-__all__ = ["PUBLISHED", "Outcome", "keep_inputs", "kept_parts", "read_outcome", "write_summary"]
-
-PUBLISHED = "paper.toml"  # published figures beside a scene, to set beside its results
-MEASUREMENT_STATISTICS = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
+__all__ = ["Outcome", "read_outcome"]
 
 
 @dataclass(frozen=True)
 class Outcome:
     """What a run folder holds.
 
+    Arrays over samples have one entry for each *valid* sample of a law, one that is there and did not fail, in
+    ascending order of the samples' numbers.
+
     Attributes
     ----------
     folder : Path
     record : dict
-        ``run.json``: scene, samples and seed asked for, laws, versions, and ``wall_time`` (s by phase) where known.
+        ``run.json``: scene, samples and seed asked for, laws, identity, versions, and ``wall_time`` (s by phase) where
+        known.
     model : ReducedModel
-    samples : dict of str to DataFrame
-        By law, one row per finished sample in ascending order; columns as :func:`mic.sampling.montecarlo.tables` writes them.
-    contacts : dict of str to DataFrame
-        By law, one row per sample, stage and contact pair; forces in N, displacements in mm.
+    tables : dict of str to dict of str to DataFrame
+        By law, then by name: the datasets of :data:`mic.results.schema.DATASETS`, failed samples included.
+    blocks : dict of str to list of Block
+        By law, the blocks that were read.
+    damaged : tuple of str
+        One sentence for each block that was left out since it could not be read.
     """
 
     folder: Path
     record: dict
     model: ReducedModel
-    samples: dict[str, pd.DataFrame]
-    contacts: dict[str, pd.DataFrame]
+    tables: Mapping[str, Mapping[str, pd.DataFrame]]
+    blocks: Mapping[str, list[Block]]
+    damaged: tuple[str, ...] = ()
 
     @property
     def laws(self) -> list[str]:
         """Laws with at least one finished sample, in the order in which they were asked for."""
-        return [law for law in self.record["laws"] if len(self.samples[law])]
+        return [law for law in self.record["laws"] if len(self.tables[law]["samples"])]
 
     @cached_property
     def stages(self) -> list[str]:
         """Stages that resolve contact, in their order in the process."""
-        first = self.samples[self.laws[0]] if self.laws else pd.DataFrame()
-        return [name.removeprefix("residual:") for name in first.columns if name.startswith("residual:")]
+        found = {stage for law in self.laws for stage in self.tables[law]["resolutions"]["stage"].cat.categories}
+        return [name for stage in self.model.scene.stages if (name := str(stage.name)) in found]
 
     @property
     def zones(self) -> list[str]:
@@ -76,209 +80,144 @@ class Outcome:
     @property
     def failed(self) -> dict[str, list[int]]:
         """Numbers of the failed samples, by law."""
-        return {law: [int(i) for i in table["sample"][table["failed"]]] for law, table in self.samples.items()}
+        tables = {law: found["samples"] for law, found in self.tables.items()}
+        return {law: [int(i) for i in table["sample"][table["failed"]]] for law, table in tables.items()}
 
     @property
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
-        return {law: self.record["samples"] - len(table) for law, table in self.samples.items()}
+        return {law: self.record["samples"] - len(found["samples"]) for law, found in self.tables.items()}
 
-    def valid(self, law: str) -> pd.DataFrame:
-        """The samples that did not fail."""
-        return self.samples[law][~self.samples[law]["failed"]]
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts with their meshes, as the run kept them; none where it did not."""
+        return RunFolder(self.folder).parts(self.model.scene)
+
+    # ---------------------------------------------------------------------------------------------- samples
+
+    def sample_numbers(self, law: str) -> np.ndarray:
+        """(n,) numbers of the valid samples."""
+        return self.tables[law]["samples"]["sample"].to_numpy()[self._valid[law]]
+
+    def deviation(self, law: str, name: str) -> np.ndarray:
+        """(n,) drawn values of a deviation, N or mm."""
+        return self._column(law, "deviations", "value", deviation=name)[self._valid[law]]
+
+    def residual(self, law: str, stage: str) -> np.ndarray:
+        """(n,) certificate residuals of a stage."""
+        return self._column(law, "resolutions", "residual", stage=stage)[self._valid[law]]
+
+    def slip(self, law: str, stage: str, zone: str) -> np.ndarray:
+        """(n,) RMS slip of a zone since the stage before, mm; NaN where no tangential motion was modelled."""
+        if not self.has_slip:
+            return np.full(len(self.sample_numbers(law)), np.nan)
+        return self._column(law, "slips", "rms_slip", stage=stage, zone=zone)[self._valid[law]]
+
+    def measured(self, law: str, name: str) -> np.ndarray:
+        """(n,) values of a measurement, mm from nominal."""
+        return self._column(law, "measurements", "value", measurement=name)[self._valid[law]]
 
     def contact(self, law: str, stage: str, column: str) -> np.ndarray:
-        """One quantity of all contacts, (n, m): n valid samples of the law in the order of :meth:`valid`, m pairs.
+        """One quantity of all m contact pairs, (n, m).
 
         Parameters
         ----------
         column : str
-            ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.process.process.STATES``), or the
-            magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts.
+            ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.contact.states.STATES``), or
+            the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts.
         """
         if column in ("f_t", "u_t"):
             return np.hypot(self.contact(law, stage, f"{column}1"), self.contact(law, stage, f"{column}2"))
-        values = self._arrays[law][stage][column]
-        return values[~self.samples[law]["failed"].to_numpy()]
+        return self._contacts(law, stage, column)[self._valid[law]]
+
+    def failures(self, law: str) -> pd.DataFrame:
+        """Why samples failed: ``sample, stage, residual, status``.
+
+        One row per failed sample and stage that did not converge.
+        """
+        table = self.tables[law]["resolutions"]
+        table = table[table["sample"].isin(self.failed[law]) & ~table["converged"]]
+        table = table[["sample", "stage", "residual", "status"]].astype({"stage": str, "status": str})
+        return table.sort_values("sample", kind="stable", ignore_index=True)
+
+    def worst_residual(self, law: str) -> float:
+        """Largest certificate residual of the valid samples over all stages.
+
+        0 where no contact is resolved, NaN without samples.
+        """
+        if not len(self.sample_numbers(law)):
+            return float("nan")
+        return max((float(self.residual(law, stage).max()) for stage in self.stages), default=0.0)
 
     @cached_property
-    def _arrays(self):
-        """law -> stage -> column -> (samples, pairs)."""
-        arrays = {}
-        for law in self.laws:
-            table = self.contacts[law]
-            arrays[law] = {}
-            for code, stage in enumerate(table["stage"].cat.categories if len(table) else ()):
-                part = table[(table["stage"].cat.codes == code).to_numpy()]
-                shape = (len(self.samples[law]), len(self.model.contacts))
-                columns = {name: part[name].to_numpy() for name in part.columns if name.startswith(("f_", "u_"))}
-                columns["state"] = part["state"].cat.codes.to_numpy()
-                arrays[law][stage] = {name: values.reshape(shape) for name, values in columns.items()}
-        return arrays
+    def _valid(self) -> dict[str, np.ndarray]:
+        """By law, which of the samples that are there did not fail."""
+        return {law: ~found["samples"]["failed"].to_numpy() for law, found in self.tables.items()}
 
-    # ------------------------------------------------------------------------------------------ statistics
+    def _column(self, law: str, table: str, column: str, **keys: str) -> np.ndarray:
+        """One column of the rows with the given keys, one value per finished sample."""
+        frame = self.tables[law][table]
+        chosen = np.ones(len(frame), dtype=bool)
+        for key, name in keys.items():
+            if name not in frame[key].cat.categories:
+                raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(frame[key].cat.categories)}")
+            chosen &= (frame[key] == name).to_numpy()
+        return frame[column].to_numpy()[chosen]
+
+    def _contacts(self, law: str, stage: str, column: str) -> np.ndarray:
+        """One quantity of the contact pairs of all finished samples, (samples, m)."""
+        key = (law, stage, column)
+        if key not in self._arrays:
+            frame = self.tables[law]["contacts"]
+            values = frame[column][(frame["stage"] == stage).to_numpy()]
+            if column == "state":
+                values = values.cat.set_categories(STATES).cat.codes
+            shape = (len(self.tables[law]["samples"]), len(self.model.contacts))
+            self._arrays[key] = values.to_numpy().reshape(shape)
+        return self._arrays[key]
+
+    @cached_property
+    def _arrays(self) -> dict[tuple[str, str, str], np.ndarray]:
+        return {}
+
+    # ---------------------------------------------------------------------------------------------- statistics
 
     @cached_property
     def zone_statistics(self) -> pd.DataFrame:
-        """RMS slip over each zone, one row per law, stage and zone.
-
-        Columns: ``law, stage, zone, contacts, friction, samples``; ``mean_rms_slip, six_sigma_rms_slip`` (mm), each
-        with ``_low`` and ``_high``. Slip is counted from where the contact was left in the stage before. NaN where no
-        tangential motion was modelled.
-        """
-        rows = []
-        pairs = np.bincount(self.model.contacts.zone, minlength=len(self.zones))
-        for law in self.laws:
-            valid = self.valid(law)
-            for stage in self.stages:
-                for zone, count in zip(self.model.scene.zones, pairs):
-                    name = f"slip:{stage}:{zone.name}"
-                    slip = valid[name].to_numpy() if name in valid else np.full(len(valid), np.nan)
-                    rows.append(
-                        {
-                            "law": law,
-                            "stage": stage,
-                            "zone": zone.name,
-                            "contacts": int(count),
-                            "friction": 0.0 if law == "frictionless" else zone.friction,
-                            "samples": len(valid),
-                        }
-                        | _spread("mean_rms_slip", statistics.mean(slip))
-                        | _spread("six_sigma_rms_slip", statistics.six_sigma(slip))
-                    )
-        return pd.DataFrame(rows)
+        """RMS slip over each zone: :data:`mic.results.schema.ZONE_STATISTICS`."""
+        return summary.zone_statistics(self)
 
     @cached_property
     def contact_statistics(self) -> pd.DataFrame:
-        """Forces and states of each contact pair, one row per law, stage and pair.
-
-        Columns: ``law, stage, zone, contact, samples``; ``mean_f_n, six_sigma_f_n`` (N), ``mean_gap`` (mm); where tangential
-        motion is modelled ``mean_slip_force, six_sigma_slip_force`` (N, of ``‖f_t‖``) and ``mean_slip`` (mm, of
-        ``‖u_t‖``), each force and slip with ``_low`` and ``_high``; shares of the samples ``open, stick, slip``, each with
-        ``_low`` and ``_high``.
-        """
-        frames = []
-        m = len(self.model.contacts)
-        zone = np.array(self.zones, dtype=object)[self.model.contacts.zone] if m else np.zeros(0, dtype=object)
-        for law in self.laws:
-            for stage in self.stages:
-                f_n, state = self.contact(law, stage, "f_n"), self.contact(law, stage, "state")
-                columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": len(f_n)}
-                columns |= _spread("mean_f_n", statistics.mean(f_n)) | _spread(
-                    "six_sigma_f_n", statistics.six_sigma(f_n)
-                )
-                columns["mean_gap"] = statistics.mean(self.contact(law, stage, "u_n")).value
-                if self.has_slip:
-                    force, slip = self.contact(law, stage, "f_t"), self.contact(law, stage, "u_t")
-                    columns |= _spread("mean_slip_force", statistics.mean(force))
-                    columns |= _spread("six_sigma_slip_force", statistics.six_sigma(force))
-                    columns |= _spread("mean_slip", statistics.mean(slip))
-                for code, name in enumerate(STATES):
-                    columns |= _spread(name, statistics.share((state == code).sum(axis=0), len(state)))
-                frames.append(pd.DataFrame(columns, index=np.arange(m)))
-        return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
+        """Forces and states of each contact pair: :data:`mic.results.schema.CONTACT_STATISTICS`."""
+        return summary.contact_statistics(self)
 
     @cached_property
     def measurement_statistics(self) -> pd.DataFrame:
-        """Key characteristics, one row per law and measurement.
+        """Key characteristics against their limits: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
+        return summary.measurement_statistics(self)
 
-        Columns: ``law, measurement, lower, upper, samples``; ``mean, sigma, six_sigma, min, max`` (mm), ``cp, cpk``,
-        ``share_outside``, each with ``_low`` and ``_high``.
-        """
-        rows = []
-        for law in self.laws:
-            valid = self.valid(law)
-            for item in self.model.scene.measurements:
-                x = valid[f"measurement:{item.name}"].to_numpy()
-                estimates = (
-                    statistics.mean(x),
-                    statistics.sigma(x),
-                    statistics.six_sigma(x),
-                    statistics.minimum(x),
-                    statistics.maximum(x),
-                    statistics.capability(x, item.lower, item.upper),
-                    statistics.centred_capability(x, item.lower, item.upper),
-                    statistics.share_outside(x, item.lower, item.upper),
-                )
-                row = {
-                    "law": law,
-                    "measurement": item.name,
-                    "lower": item.lower,
-                    "upper": item.upper,
-                    "samples": estimates[0].used,
-                }
-                for name, estimate in zip(MEASUREMENT_STATISTICS, estimates):
-                    row |= _spread(name, estimate)
-                rows.append(row)
-        return pd.DataFrame(rows)
-
-    def worst_residual(self, law: str) -> float:
-        """Largest certificate residual of the valid samples, over all stages; 0 where no contact is resolved, NaN without samples."""
-        valid = self.valid(law)
-        if not len(valid):
-            return float("nan")
-        return max((float(valid[f"residual:{stage}"].max()) for stage in self.stages), default=0.0)
-
-    def failures(self, law: str) -> pd.DataFrame:
-        """Why samples failed: ``sample, stage, residual, status``, one row per failed sample and stage that did not converge."""
-        table = self.samples[law][self.samples[law]["failed"]]
-        rows = [
-            {
-                "sample": int(row["sample"]),
-                "stage": stage,
-                "residual": row[f"residual:{stage}"],
-                "status": row[f"status:{stage}"],
-            }
-            for _, row in table.iterrows()
-            for stage in self.stages
-            if row[f"status:{stage}"] != "converged"
-        ]
-        return pd.DataFrame(rows, columns=["sample", "stage", "residual", "status"])
+    @cached_property
+    def friction_study(self) -> pd.DataFrame | None:
+        """The laws compared as friction grows: :data:`mic.results.schema.FRICTION`; None where not stored."""
+        return read_friction(self.folder)
 
     def summary(self) -> dict:
-        """The outcome in one JSON-ready dict (``summary.json``).
+        """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""
+        return summary.summary(self)
 
-        The zone figures of each law are those of the first stage that resolves contact, clamping in the default process;
-        every stage stands under ``"stages"``. Intervals ``…_ci`` are at 95 %. What does not exist is None.
-        """
-        laws = {}
-        for law in self.laws:
-            zones = {}
-            for _, row in (
-                self.zone_statistics[self.zone_statistics["law"] == law].iterrows() if len(self.zone_statistics) else ()
-            ):
-                entry = _with_intervals(row, ("mean_rms_slip", "six_sigma_rms_slip"))
-                zone = zones.setdefault(
-                    row["zone"], {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
-                )
-                zone["stages"][row["stage"]] = entry
-            table = self.measurement_statistics
-            measurements = {
-                row["measurement"]: {"lower": row["lower"], "upper": row["upper"]}
-                | _with_intervals(row, MEASUREMENT_STATISTICS)
-                for _, row in (table[table["law"] == law].iterrows() if len(table) else ())
-            }
-            laws[law] = {
-                "samples": len(self.valid(law)),
-                "worst_residual": self.worst_residual(law),
-                "failed": len(self.failed[law]),
-                "zones": zones,
-                "measurements": measurements,
-            }
-        return _json_ready(
-            {
-                "scene": self.model.scene.name,
-                "description": self.model.scene.description,
-                "samples": self.record["samples"],
-                "seed": self.record["seed"],
-                "failed_samples": self.failed,
-                "missing_samples": self.missing,
-                "confidence_level": statistics.LEVEL,
-                "laws": laws,
-                "versions": self.record["versions"],
-                "wall_time": self.record.get("wall_time", {}),
-            }
-        )
+    # ---------------------------------------------------------------------------------------------- old names
+
+    @property
+    def samples(self) -> dict[str, pd.DataFrame]:
+        """Deprecated: one wide table per law, one row per sample, with keys in the names of its columns."""
+        warnings.warn("Outcome.samples is deprecated: use Outcome.tables or its accessors", DeprecationWarning, 2)
+        return {law: _wide(found) for law, found in self.tables.items()}
+
+    def valid(self, law: str) -> pd.DataFrame:
+        """Deprecated: the valid samples of a law as one wide table."""
+        warnings.warn("Outcome.valid is deprecated: use Outcome.sample_numbers and its kin", DeprecationWarning, 2)
+        return _wide(self.tables[law])[self._valid[law]]
 
 
 def read_outcome(folder) -> Outcome:
@@ -290,159 +229,50 @@ def read_outcome(folder) -> Outcome:
 
     Raises
     ------
-    FileNotFoundError
+    RunError
         If it is no run folder.
+    FormatError
+        If its record or model cannot be read. A block that cannot be read counts as missing.
     """
-    folder = Path(folder)
-    if not (folder / "run.json").is_file():
-        raise FileNotFoundError(
-            f"{folder}: no run.json, so this is not the folder of a run; name the folder that mic run wrote"
-        )
-    record = json.loads((folder / "run.json").read_text())
-    samples, contacts = {}, {}
+    store = RunFolder(Path(folder))
+    record = store.record()
+    tables: dict[str, dict[str, pd.DataFrame]] = {}
+    blocks: dict[str, list[Block]] = {}
+    damaged = []
     for law in record["laws"]:
-        # A block counts once its samples are there: they are written last.
-        blocks = [
-            path
-            for path in sorted((folder / "samples" / f"law={law}").glob("*.parquet"))
-            if not path.name.startswith(".")
-        ]
-        samples[law] = _read(blocks, ["sample", "failed"])
-        contacts[law] = _read([folder / "contacts" / f"law={law}" / path.name for path in blocks], ["sample"])
-    return Outcome(folder, record, ReducedModel.load(folder / "model.npz"), samples, contacts)
-
-
-def write_summary(outcome: Outcome) -> Path:
-    """Write ``summary.json`` and ``tables/*.csv`` into the run folder; returns the path of the summary."""
-    tables = outcome.folder / "tables"
-    tables.mkdir(exist_ok=True)
-    for name in ("zone", "contact", "measurement"):
-        table = getattr(outcome, f"{name}_statistics")
-        if len(table):
-            table.to_csv(tables / f"{name}s.csv", index=False, float_format="%.9g")
-    path = outcome.folder / "summary.json"
-    temporary = path.with_suffix(".partial")
-    temporary.write_text(json.dumps(outcome.summary(), indent=2, allow_nan=False) + "\n")
-    temporary.replace(path)
-    return path
-
-
-def keep_inputs(folder, assembly) -> None:
-    """Copy into a run folder what fields and report need beside the results, so that the folder can be read on any machine.
-
-    These are the parts with their retained functionals (``parts.npz``) and, if the scene's folder has one, the published
-    figures (``paper.toml``) to set beside the results.
-
-    Parameters
-    ----------
-    folder : path-like
-    assembly : mic.model.assembly.Assembly
-    """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    arrays = {}
-    for i, part in enumerate(assembly.parts):
-        f = part.functionals
-        table = {
-            "points": part.surface.points,
-            "triangles": part.surface.triangles,
-            "patch": f.patch,
-            "direction": f.direction,
-            "rotation": f.rotation,
-            "side": f.side,
-            "label": np.array(f.label, dtype=str),
-            "ends": np.cumsum([len(patch.weight) for patch in f.patches]),
+        found, blocks[law] = [], []
+        for block in store.blocks(law):
+            try:
+                found.append(store.read_block(block, record["identity"]))
+                blocks[law].append(block)
+            except FormatError as problem:
+                damaged.append(f"{problem}.")
+        tables[law] = {
+            table.name: pd.concat([block[table.name] for block in found], ignore_index=True) if found else table.empty()
+            for table in DATASETS
         }
-        table |= {
-            name: np.concatenate([getattr(patch, name) for patch in f.patches])
-            for name in ("triangle", "barycentric", "weight")
-        }
-        arrays |= {f"{i}_{name}": array for name, array in table.items()}
-    temporary = folder / "parts.partial.npz"
-    np.savez(temporary, **arrays)
-    temporary.replace(folder / "parts.npz")
-    published = assembly.scene.folder / PUBLISHED
-    if published.is_file():
-        shutil.copyfile(published, folder / PUBLISHED)
-    else:
-        (folder / PUBLISHED).unlink(missing_ok=True)
+        for table in DATASETS:  # blocks in which other names occur
+            for column in table.columns:
+                if column.dtype == "category":
+                    tables[law][table.name][column.name] = tables[law][table.name][column.name].astype("category")
+    model = ReducedModel.load(store.path / "model.npz")
+    return Outcome(store.path, record, model, tables, blocks, tuple(damaged))
 
 
-def kept_parts(outcome: Outcome) -> tuple[Part, ...]:
-    """The parts as :func:`keep_inputs` left them in the run folder; none if it was not called."""
-    path = outcome.folder / "parts.npz"
-    if not path.is_file():
-        return ()
-    scene, parts = outcome.model.scene, []
-    with np.load(path) as data:
-        for i, part in enumerate(scene.parts):
-            table = {
-                name: data[f"{i}_{name}"]
-                for name in (
-                    "points",
-                    "triangles",
-                    "patch",
-                    "direction",
-                    "rotation",
-                    "side",
-                    "label",
-                    "ends",
-                    "triangle",
-                    "barycentric",
-                    "weight",
-                )
-            }
-            split = [np.split(table[name], table["ends"][:-1]) for name in ("triangle", "barycentric", "weight")]
-            functionals = Functionals(
-                tuple(Patch(*arrays) for arrays in zip(*split)),
-                table["patch"],
-                table["direction"],
-                table["rotation"],
-                table["side"],
-                tuple(str(label) for label in table["label"]),
-            )
-            parts.append(
-                Part(
-                    part.name,
-                    Surface(table["points"], table["triangles"]),
-                    part.thickness,
-                    part.young,
-                    part.poisson,
-                    scene.element,
-                    functionals,
-                )
-            )
-    return tuple(parts)
-
-
-def _read(paths, columns):
-    frames = [pd.read_parquet(path, partitioning=None) for path in paths]
-    if not frames:
-        return pd.DataFrame({name: np.zeros(0, dtype=bool if name == "failed" else int) for name in columns})
-    return pd.concat(frames, ignore_index=True)
-
-
-def _spread(name, estimate: Estimate) -> dict:
-    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
-
-
-def _with_intervals(row, names) -> dict:
-    entry = {}
-    for name in names:
-        entry |= {name: row[name], f"{name}_ci": [row[f"{name}_low"], row[f"{name}_high"]]}
-    return entry
-
-
-def _json_ready(value):
-    """Plain Python values; numbers that JSON does not know become None."""
-    if isinstance(value, dict):
-        return {str(key): _json_ready(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_json_ready(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
+def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """The samples with everything else as columns ``KIND:KEY:KEY``."""
+    wide = tables["samples"].copy()
+    columns = {}
+    for _, row in tables["deviations"].groupby("deviation", observed=True, sort=False):
+        columns[f"deviation:{row['deviation'].iloc[0]}"] = row["value"].to_numpy()
+    for stage, rows in tables["resolutions"].groupby("stage", observed=True, sort=False):
+        for column in ("residual", "status", "iterations"):
+            values = rows[column].astype(object) if column == "status" else rows[column]
+            columns[f"{column}:{stage}"] = values.to_numpy()
+        for zone, slips in tables["slips"][tables["slips"]["stage"] == stage].groupby(
+            "zone", observed=True, sort=False
+        ):
+            columns[f"slip:{stage}:{zone}"] = slips["rms_slip"].to_numpy()
+    for name, rows in tables["measurements"].groupby("measurement", observed=True, sort=False):
+        columns[f"measurement:{name}"] = rows["value"].to_numpy()
+    return wide.assign(**columns)

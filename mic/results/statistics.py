@@ -1,19 +1,18 @@
 """Statistics of Monte Carlo samples, each with the uncertainty that a finite number of samples leaves.
 
-Samples run along the first axis of ``x``, (n,) or (n, k); values that are not finite (failed samples) are left out of every
-estimate and counted. Where an estimate does not exist it is NaN: no interval can be had from one sample, nor from samples
-without spread, which would otherwise pass for certainty.
+Samples run along the first axis of ``x``, (n,) or (n, k); values that are not finite (failed samples) are left out of
+every estimate and counted. Where an estimate does not exist it is NaN: no interval can be had from one sample, nor from
+samples without spread, which would otherwise pass for certainty.
 
 References
 ----------
 .. [1] G. Casella, R. L. Berger: Statistical Inference, 2nd ed., 2002, section 9.2 (t and chi-squared intervals).
-.. [2] A. F. Bissell: How reliable is your capability index?, Applied Statistics 39 (1990) 331-340.
-.. [3] C. J. Clopper, E. S. Pearson: The use of confidence or fiducial limits illustrated in the case of the binomial,
+.. [2] C. J. Clopper, E. S. Pearson: The use of confidence or fiducial limits illustrated in the case of the binomial,
        Biometrika 26 (1934) 404-413.
-.. [4] S. S. Wilks: Determination of sample sizes for setting tolerance limits, Ann. Math. Statist. 12 (1941) 91-96.
-.. [5] D. W. Scott: Multivariate Density Estimation, 2nd ed., 2015, section 6.2.
-.. [6] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat. Data Anal.
-       50 (2006) 775-782.
+.. [3] S. S. Wilks: Determination of sample sizes for setting tolerance limits, Ann. Math. Statist. 12 (1941) 91-96.
+.. [4] D. W. Scott: Multivariate Density Estimation, 2nd ed., 2015, section 6.2.
+.. [5] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat.
+       Data Anal. 50 (2006) 775-782.
 """
 
 from __future__ import annotations
@@ -27,17 +26,15 @@ from scipy.special import betaincinv, chdtri, ndtri, stdtrit
 __all__ = [
     "LEVEL",
     "Estimate",
-    "capability",
-    "centred_capability",
     "covered_share",
     "density",
     "maximum",
     "mean",
     "minimum",
     "share",
-    "share_outside",
     "sigma",
     "six_sigma",
+    "tails",
 ]
 
 LEVEL = 0.95
@@ -61,24 +58,30 @@ class Estimate:
     used: np.ndarray
     excluded: np.ndarray
 
+    @classmethod
+    def of(cls, x, value, low, high) -> Estimate:
+        """The estimate from samples `x`, of which those that are not finite were left out."""
+        finite = np.isfinite(np.asarray(x, dtype=float))
+        return cls(*(_plain(np.asarray(a)) for a in (value, low, high, finite.sum(axis=0), (~finite).sum(axis=0))))
+
 
 def mean(x, level: float = LEVEL) -> Estimate:
     """Mean, with the interval of Student's t [1]_; NaN without samples."""
     n, m, s = _moments(x)
     half = _t_quantile(n, level) * np.where(s > 0, s, np.nan) / np.sqrt(np.maximum(n, 1))
-    return _estimate(x, m, m - half, m + half)
+    return Estimate.of(x, m, m - half, m + half)
 
 
 def sigma(x, level: float = LEVEL) -> Estimate:
     """Standard deviation (n - 1 in the denominator).
 
-    Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that; such an
-    interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [6]_.
+    Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that;
+    such an interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [5]_.
     """
     n, _, s = _moments(x)
     low, high = _sigma_factors(x, level)
     spread = np.where(s > 0, s, np.nan)
-    return _estimate(x, s, low * spread, high * spread)
+    return Estimate.of(x, s, low * spread, high * spread)
 
 
 def six_sigma(x, level: float = LEVEL) -> Estimate:
@@ -88,19 +91,25 @@ def six_sigma(x, level: float = LEVEL) -> Estimate:
 
 
 def minimum(x) -> Estimate:
-    """Smallest sample. The population's minimum is no larger; nothing bounds it from below, see :func:`covered_share`."""
+    """Smallest sample.
+
+    The population's minimum is no larger; nothing bounds it from below, see :func:`covered_share`.
+    """
     value = _extreme(x, np.minimum)
-    return _estimate(x, value, np.where(np.isnan(value), np.nan, -np.inf), value)
+    return Estimate.of(x, value, np.where(np.isnan(value), np.nan, -np.inf), value)
 
 
 def maximum(x) -> Estimate:
-    """Largest sample. The population's maximum is no smaller; nothing bounds it from above, see :func:`covered_share`."""
+    """Largest sample.
+
+    The population's maximum is no smaller; nothing bounds it from above, see :func:`covered_share`.
+    """
     value = _extreme(x, np.maximum)
-    return _estimate(x, value, value, np.where(np.isnan(value), np.nan, np.inf))
+    return Estimate.of(x, value, value, np.where(np.isnan(value), np.nan, np.inf))
 
 
 def covered_share(n: int, level: float = LEVEL) -> float:
-    """Share of the population that lies between the smallest and largest of n samples, with the given confidence [4]_.
+    """Share of the population that lies between the smallest and largest of n samples, with the given confidence [3]_.
 
     The root p of ``n p^(n-1) - (n-1) p^n = 1 - level``, whatever the distribution; NaN for fewer than two samples.
     """
@@ -109,44 +118,8 @@ def covered_share(n: int, level: float = LEVEL) -> float:
     return float(brentq(lambda p: n * p ** (n - 1) - (n - 1) * p**n - (1 - level), 0.0, 1.0, xtol=1e-14))
 
 
-def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Cp = (upper - lower) / 6σ, with the interval that belongs to that of :func:`sigma`; infinite without spread.
-
-    Parameters
-    ----------
-    x : (n,) or (n, k) array
-    lower, upper : float or (k,) array
-        Limits in the unit of `x`.
-    """
-    n, _, s = _moments(x)
-    with np.errstate(divide="ignore"):
-        value = (np.asarray(upper, dtype=float) - lower) / (6 * s)
-    low, high = _sigma_factors(x, level)
-    known = np.where(np.isfinite(value), value, np.nan)
-    return _estimate(x, value, known / high, known / low)
-
-
-def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Cpk = min(upper - mean, mean - lower) / 3σ, with Bissell's interval [2]_.
-
-    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples that look normal. Where they show heavier tails, the variance is that
-    of the ratio to first order, ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis κ, plus towards the upper limit.
-    Without spread it is infinite, of the sign that the mean's place demands.
-    """
-    n, m, s = _moments(x)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value = np.minimum(np.asarray(upper, dtype=float) - m, m - lower) / (3 * s)
-    known = np.where(np.isfinite(value), value, np.nan)
-    skewness, kurtosis, heavy = _tails(x)
-    towards = np.where(np.asarray(upper, dtype=float) - m <= m - lower, 1, -1)
-    normal = 1 / (9 * np.maximum(n, 1)) + known**2 / (2 * np.maximum(n - 1, 1))
-    general = (1 / 9 + known**2 * (kurtosis - 1) / 4 + towards * known * skewness / 3) / np.maximum(n, 1)
-    half = ndtri(0.5 + level / 2) * np.sqrt(np.where(heavy, general, normal))
-    return _estimate(x, value, known - half, known + half)
-
-
 def share(count, n, level: float = LEVEL) -> Estimate:
-    """Share ``count / n`` with the exact interval of Clopper and Pearson [3]_.
+    """Share ``count / n`` with the exact interval of Clopper and Pearson [2]_.
 
     Parameters
     ----------
@@ -168,15 +141,8 @@ def share(count, n, level: float = LEVEL) -> Estimate:
     )
 
 
-def share_outside(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Share of the samples outside [lower, upper], with the exact interval of :func:`share`."""
-    x = np.asarray(x, dtype=float)
-    found = share(((x < lower) | (x > upper)).sum(axis=0), np.isfinite(x).sum(axis=0), level)
-    return Estimate(found.value, found.low, found.high, found.used, _plain((~np.isfinite(x)).sum(axis=0)))
-
-
 def density(x, points) -> np.ndarray:
-    """Gaussian kernel density of one set of samples, bandwidth by Scott's rule ``σ n^(-1/5)`` [5]_.
+    """Gaussian kernel density of one set of samples, bandwidth by Scott's rule ``σ n^(-1/5)`` [4]_.
 
     Parameters
     ----------
@@ -196,6 +162,27 @@ def density(x, points) -> np.ndarray:
     width = s * n ** (-0.2)
     z = (points[:, None] - x[np.isfinite(x)]) / width
     return np.exp(-0.5 * z**2).sum(axis=1) / (n * width * np.sqrt(2 * np.pi))
+
+
+def tails(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Skewness, kurtosis, and whether the tails are heavy.
+
+    They are where the kurtosis exceeds a normal population's by more than two of its standard errors.
+
+    Returns
+    -------
+    skewness, kurtosis : (k,) array
+        0 and 1 without spread.
+    heavy : (k,) bool array
+    """
+    x = np.asarray(x, dtype=float)
+    n, m, s = _moments(x)
+    z = np.where(np.isfinite(x), x - m, 0.0) / np.where(s > 0, s, 1.0)
+    second = (z**2).sum(axis=0) / np.maximum(n, 1)
+    second = np.where(second > 0, second, 1.0)
+    skewness = (z**3).sum(axis=0) / np.maximum(n, 1) / second**1.5
+    kurtosis = (z**4).sum(axis=0) / np.maximum(n, 1) / second**2
+    return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / np.maximum(n, 1))
 
 
 def _moments(x):
@@ -224,7 +211,7 @@ def _sigma_factors(x, level):
     n, _, _ = _moments(x)
     freedom = np.maximum(n - 1, 1)
     known = np.where(n > 1, 1.0, np.nan)
-    _, kurtosis, heavy = _tails(x)
+    _, kurtosis, heavy = tails(x)
     z = ndtri(0.5 + level / 2)
     c = n / np.maximum(n - z, 1)
     spread = z * c * np.sqrt(np.where(heavy, kurtosis - (n - 3) / np.maximum(n, 1), 0.0) / freedom)
@@ -234,28 +221,11 @@ def _sigma_factors(x, level):
     )
 
 
-def _tails(x):
-    """Skewness, kurtosis, and whether the kurtosis exceeds a normal population's by more than two of its standard errors."""
-    x = np.asarray(x, dtype=float)
-    n, m, s = _moments(x)
-    z = np.where(np.isfinite(x), x - m, 0.0) / np.where(s > 0, s, 1.0)
-    second = (z**2).sum(axis=0) / np.maximum(n, 1)
-    second = np.where(second > 0, second, 1.0)
-    skewness = (z**3).sum(axis=0) / np.maximum(n, 1) / second**1.5
-    kurtosis = (z**4).sum(axis=0) / np.maximum(n, 1) / second**2
-    return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / np.maximum(n, 1))
-
-
 def _extreme(x, choose):
     x = np.asarray(x, dtype=float)
     worst = np.inf if choose is np.minimum else -np.inf
     value = choose.reduce(np.where(np.isfinite(x), x, worst), axis=0, initial=worst)
     return np.where(np.isfinite(value), value, np.nan)
-
-
-def _estimate(x, value, low, high):
-    finite = np.isfinite(np.asarray(x, dtype=float))
-    return Estimate(*(_plain(np.asarray(a)) for a in (value, low, high, finite.sum(axis=0), (~finite).sum(axis=0))))
 
 
 def _plain(array):

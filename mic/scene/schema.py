@@ -1,30 +1,38 @@
-"""The scene file: everything that a user states about an assembly, validated before any work starts.
+"""The scene's tables: every key that a user may write, with its meaning, its unit and its default.
 
-Lengths are mm, forces N, stiffness MPa; keys that hold degrees end in ``_deg``. Unknown keys are errors.
+Lengths are mm, forces N, stiffness MPa; keys that hold degrees end in ``_deg``. Unknown keys are errors. The
+descriptions here are the scene reference: the documentation is generated from them.
 """
 
 from __future__ import annotations
 
-import difflib
-import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
-from mic.errors import SceneError
+from mic.contact.laws import LAWS
+from mic.scene.checks import check_held, check_references
+from mic.scene.settings import fill_in
 
-__all__ = ["SETTINGS", "Scene", "SceneError", "load_scene"]
-
-#: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per zone, load
-#: increments per stage, samples. What each of them costs, and how far off it is, `verification/trade` measures. The tolerance of the
-#: contact solver is not among them: the tightest costs no more than the loosest.
-SETTINGS = {
-    "draft": {"size": "coarse", "pairs": 17, "increments": 1, "samples": 100},
-    "standard": {"size": "medium", "pairs": 34, "increments": 16, "samples": 500},
-    "reference": {"size": "fine", "pairs": 68, "increments": 32, "samples": 2000},
-}
+__all__ = [
+    "Clamp",
+    "ClampDeviation",
+    "Deviation",
+    "Fixture",
+    "ForceDeviation",
+    "Locator",
+    "LocatorDeviation",
+    "Measurement",
+    "MonteCarlo",
+    "Part",
+    "Report",
+    "Scene",
+    "Stage",
+    "Weld",
+    "Zone",
+]
 
 
 class _Table(BaseModel):
@@ -37,23 +45,35 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
-def _unit(value: Vector) -> Vector:
+def _unit(value: Vector | None) -> Vector | None:
+    if value is None:
+        return None
     length = float(np.linalg.norm(value))
     if length < 1e-9:
         raise ValueError("a direction must not be zero: give a vector of any length, such as [0, 0, 1]")
-    return tuple(component / length for component in value)
+    if abs(length - 1) < 1e-14:  # so that a scene read back from a model is the scene that was written
+        return value
+    x, y, z = value
+    return x / length, y / length, z / length
 
 
 class Part(_Table):
     """One sheet-metal part."""
 
-    name: Name
-    mesh: str | None = Field(None, description="mesh file of the mid-surface, relative to the scene file")
-    geometry: str | None = Field(None, description="Python file with build(part, size) -> (points, triangles)")
-    size: str | Positive | None = Field(None, description="element size in mm, or a named size of the geometry")
-    thickness: Positive = Field(description="mm")
+    name: Name = Field(description="names the part in every other table")
+    mesh: str | None = Field(
+        None, description="mesh file of the mid-surface, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …"
+    )
+    geometry: str | None = Field(
+        None,
+        description="or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`; it is executed",
+    )
+    size: str | Positive | None = Field(
+        None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
+    )
+    thickness: Positive = Field(description="of the sheet, mm")
     young: Positive = Field(210e3, description="Young's modulus, MPa")
-    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] = 0.3
+    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] = Field(0.3, description="Poisson's ratio, −1 < ν < ½")
 
     @model_validator(mode="after")
     def _one_source(self):
@@ -69,15 +89,15 @@ class Part(_Table):
 
 
 class Fixture(_Table):
-    """A rigid surface that parts may touch."""
+    """A rigid surface that parts may touch: a mesh, or a flat round pad."""
 
-    name: Name
+    name: Name = Field(description="names the fixture in `[[zones]]`")
     mesh: str | None = Field(None, description="mesh file, relative to the scene file")
-    point: Vector | None = Field(None, description="centre of a flat round pad")
+    point: Vector | None = Field(None, description="or the centre of a flat round pad, mm")
     normal: Vector | None = Field(None, description="the pad's outward normal")
     radius: Positive | None = Field(None, description="the pad's radius, mm")
 
-    _normal = field_validator("normal")(lambda v: None if v is None else _unit(v))
+    _normal = field_validator("normal")(_unit)
 
     @model_validator(mode="after")
     def _one_shape(self):
@@ -94,12 +114,15 @@ class Locator(_Table):
     scheme close when the clamps do and force the part.
     """
 
-    name: Name
-    part: Name
-    point: Vector
-    direction: Vector
-    radius: NonNegative = 4.0
-    stage: Name = "locate"
+    name: Name = Field(description="names the locator in `keep` and in deviations")
+    part: Name = Field(description="the part that it supports")
+    point: Vector = Field(description="mm, at most 5 mm off the part")
+    direction: Vector = Field(description="of the support, of any length but zero")
+    radius: NonNegative = Field(4.0, description="of the pad, mm; 0 is nodal")
+    stage: Name = Field(
+        "locate",
+        description="the stage in which it engages; those of the locate stage must hold all six motions of their part",
+    )
 
     _direction = field_validator("direction")(_unit)
 
@@ -107,14 +130,16 @@ class Locator(_Table):
 class Clamp(_Table):
     """A clamp pushes a part along `direction`, by a force or to a position."""
 
-    name: Name
-    part: Name
-    point: Vector
-    direction: Vector
-    force: FiniteFloat | None = Field(None, description="N along direction")
-    stroke: FiniteFloat | None = Field(None, description="prescribed position along direction, mm from nominal")
-    radius: NonNegative = 5.0
-    stage: Name = "clamp"
+    name: Name = Field(description="names the clamp in deviations")
+    part: Name = Field(description="the part that it pushes")
+    point: Vector = Field(description="mm, at most 5 mm off the part")
+    direction: Vector = Field(description="into which it pushes")
+    force: FiniteFloat | None = Field(None, description="N along `direction`")
+    stroke: FiniteFloat | None = Field(
+        None, description="or the position that it enforces along `direction`, mm from nominal"
+    )
+    radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
+    stage: Name = Field("clamp", description="the clamp stage that closes it; release opens all clamps")
 
     _direction = field_validator("direction")(_unit)
 
@@ -128,39 +153,46 @@ class Clamp(_Table):
 class Weld(_Table):
     """A spot weld; it freezes the relative position that it finds, or closes the gap first."""
 
-    name: Name
-    parts: tuple[Name, Name]
-    point: Vector
-    radius: NonNegative = 2.5
-    close: bool = False
+    name: Name = Field(description="names the weld in results")
+    parts: tuple[Name, Name] = Field(description="the two parts that it joins")
+    point: Vector = Field(description="mm")
+    radius: NonNegative = Field(2.5, description="of the nugget, mm")
+    close: bool = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
     moment: bool = Field(True, description="whether the nugget also ties the rotations")
-    stage: Name = "weld"
+    stage: Name = Field("weld", description="the weld stage that makes it")
 
 
 class Zone(_Table):
     """A contact zone: candidate contact pairs between two parts, or between a part and a rigid fixture.
 
     The zone is where the two surfaces face each other within `max_gap` and `max_angle_deg`, inside the region: a box,
-    or a tube of radius `within` about the polyline `path`.
+    or a tube of radius `within` about the polyline `path`; without either, everywhere.
     """
 
-    name: Name
-    parts: tuple[Name, Name]
-    friction: NonNegative = 0.0
-    box: tuple[Vector, Vector] | None = None
-    path: Annotated[list[Vector], Field(min_length=1)] | None = None
-    within: Positive | None = None
-    pairs: Annotated[int, Field(gt=0)] | None = Field(None, description="number of contact pairs")
-    spacing: Positive | None = Field(None, description="distance between contact pairs, mm")
+    name: Name = Field(description="names the zone in results")
+    parts: tuple[Name, Name] = Field(
+        description="two parts, or a part and a fixture; normals point from the first to the second"
+    )
+    friction: NonNegative = Field(0.0, description="coefficient of friction μ")
+    box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
+    path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
+    within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
+    pairs: Annotated[int, Field(gt=0)] | None = Field(None, description="number of contact pairs; or")
+    spacing: Positive | None = Field(None, description="distance between contact pairs, mm; or")
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
-        None, description="the contact points themselves"
+        None, description="the contact points themselves, mm"
     )
     max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
-    max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = 30.0
-    patch: Literal["tributary"] | NonNegative = Field(
-        "tributary", description="patch radius in mm, or the tributary area"
+    max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
+        30.0, description="largest angle between the two surfaces"
     )
-    mid_surface: bool = Field(False, description="read the mid-surfaces instead of the facing surfaces")
+    patch: Literal["tributary"] | NonNegative = Field(
+        "tributary", description="area that a pair averages over: its tributary area, or a disc of this radius, mm"
+    )
+    mid_surface: bool = Field(
+        False,
+        description="read the mid-surfaces instead of the facing surfaces: stuck sheets then do not act as one",
+    )
 
     @model_validator(mode="after")
     def _consistent(self):
@@ -176,17 +208,21 @@ class Zone(_Table):
 
 
 class Stage(_Table):
-    """One step of the process.
+    """One step of the process; in order. The first is ``locate``, ``measure`` may only come last.
 
-    ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that name
-    it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`; ``measure`` reads
-    the measurements.
+    ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that
+    name it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`;
+    ``measure`` reads the measurements. What each of them does is a list of actions (`mic.process.actions`).
     """
 
-    kind: Literal["locate", "clamp", "weld", "release", "measure"]
-    name: Name | None = None
-    keep: list[Name] | None = Field(None, description="release only: locators that still hold the assembly")
-    increments: Annotated[int, Field(ge=1)] = Field(1, description="load increments of the contact resolution")
+    kind: Literal["locate", "clamp", "weld", "release", "measure"] = Field(description="what the stage does")
+    name: Name | None = Field(None, description="what `stage` keys refer to; the kind if left out")
+    keep: list[Name] | None = Field(
+        None, description="release only: the locators that still hold the assembly; all if left out"
+    )
+    increments: Annotated[int, Field(ge=1)] = Field(
+        1, description="load increments of the contact resolution; friction depends on the path"
+    )
 
     @model_validator(mode="after")
     def _fill(self):
@@ -197,49 +233,62 @@ class Stage(_Table):
         return self
 
 
-class Deviation(_Table):
-    """One random source of variation, of normal or uniform distribution with the given mean and sigma.
+class _Deviation(_Table):
+    """What every source of variation has."""
 
-    ``force`` (N, at `point` along `direction`, over `radius`) shapes a part as a corrective force would, the part held on
-    a statically determinate choice of the locators that it is set down on; ``locator`` and ``clamp`` move the named element along its direction
-    (mm; N for a clamp with a force).
+    name: Name = Field(description="names the deviation in results and in `model.evaluate`")
+    mean: FiniteFloat = Field(0.0, description="N or mm")
+    sigma: NonNegative = Field(description="standard deviation, N or mm")
+    distribution: Literal["normal", "uniform"] = Field("normal", description="with this mean and this sigma")
+
+    #: The scene's table in which `target` stands, where the deviation moves something.
+    moves: ClassVar[str | None] = None
+
+
+class ForceDeviation(_Deviation):
+    """``kind = "force"``: shapes a part as a corrective force would.
+
+    The part is held meanwhile on a statically determinate choice of the locators that it is set down on.
     """
 
-    name: Name
-    kind: Literal["force", "locator", "clamp"]
-    part: Name | None = None
-    point: Vector | None = None
-    direction: Vector | None = None
-    radius: NonNegative = 8.0
-    target: Name | None = Field(None, description="the locator or clamp that moves")
-    mean: FiniteFloat = 0.0
-    sigma: NonNegative
-    distribution: Literal["normal", "uniform"] = "normal"
+    kind: Literal["force"] = Field(description='`"force"`')
+    part: Name = Field(description="the part that it shapes")
+    point: Vector = Field(description="where the force acts, mm")
+    direction: Vector = Field(description="into which the force acts")
+    radius: NonNegative = Field(8.0, description="of the disc that it is spread over, mm")
 
-    _direction = field_validator("direction")(lambda v: None if v is None else _unit(v))
+    _direction = field_validator("direction")(_unit)
 
-    @model_validator(mode="after")
-    def _complete(self):
-        place = (self.part, self.point, self.direction)
-        if self.kind == "force" and (None in place or self.target is not None):
-            raise ValueError("a force deviation needs part, point and direction, and no target")
-        if self.kind != "force" and (self.target is None or any(value is not None for value in place)):
-            raise ValueError(
-                f'a {self.kind} deviation needs target = "<name of the {self.kind}>" and no part, point or direction'
-            )
-        return self
+
+class LocatorDeviation(_Deviation):
+    """``kind = "locator"``: moves a locator along its direction, mm."""
+
+    kind: Literal["locator"] = Field(description='`"locator"`')
+    target: Name = Field(description="the locator that moves")
+    moves: ClassVar[str | None] = "locators"
+
+
+class ClampDeviation(_Deviation):
+    """``kind = "clamp"``: moves a clamp along its direction, mm; for a clamp with a force, adds to it, N."""
+
+    kind: Literal["clamp"] = Field(description='`"clamp"`')
+    target: Name = Field(description="the clamp that moves")
+    moves: ClassVar[str | None] = "clamps"
+
+
+Deviation = Annotated[ForceDeviation | LocatorDeviation | ClampDeviation, Field(discriminator="kind")]
 
 
 class Measurement(_Table):
     """A key characteristic: the deviation of a point from nominal along a direction, mm."""
 
-    name: Name
-    part: Name
-    point: Vector
-    direction: Vector
-    radius: NonNegative = 2.5
-    lower: FiniteFloat
-    upper: FiniteFloat
+    name: Name = Field(description="names the key characteristic in results")
+    part: Name = Field(description="the part that is measured")
+    point: Vector = Field(description="mm, at most 5 mm off the part")
+    direction: Vector = Field(description="in which the deviation counts positive")
+    radius: NonNegative = Field(2.5, description="of the probe, mm; 0 is nodal")
+    lower: FiniteFloat = Field(description="lower limit of the tolerance, mm from nominal")
+    upper: FiniteFloat = Field(description="upper limit of the tolerance, mm from nominal")
 
     _direction = field_validator("direction")(_unit)
 
@@ -253,13 +302,22 @@ class Measurement(_Table):
 class Report(_Table):
     """What the run shall produce; what is not asked for is not computed."""
 
-    laws: Annotated[list[Literal["frictionless", "associated", "coulomb"]], Field(min_length=1)] = ["coulomb"]
-    slip: bool = Field(False, description="tangential motion of the contacts even where no friction requires it")
-    fields: bool = Field(False, description="mean and 6 sigma displacement fields of the parts")
+    laws: Annotated[list[str], Field(min_length=1)] = Field(
+        ["coulomb"], description="contact laws: " + ", ".join(f"`{law.name}` ({law.title})" for law in LAWS.values())
+    )
+    slip: bool = Field(
+        False,
+        description="report tangential motion even where no law with friction is asked for; "
+        "without either, a third of the contact functionals suffices",
+    )
+    fields: bool = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
 
     @field_validator("laws")
     @classmethod
-    def _no_repeats(cls, laws):
+    def _known_once(cls, laws):
+        for law in laws:
+            if law not in LAWS:
+                raise ValueError(f"there is no law called {law!r}; known: {', '.join(LAWS)}")
         if len(set(laws)) != len(laws):
             raise ValueError("each law may be named once")
         return laws
@@ -268,22 +326,24 @@ class Report(_Table):
 class MonteCarlo(_Table):
     """Size and seed of the Monte Carlo, and who solves the contacts."""
 
-    samples: Annotated[int, Field(ge=1)] = 500
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    samples: Annotated[int, Field(ge=1)] = Field(500, description="number of assemblies")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
     backend: Literal["native", "paper"] = Field(
-        "native", description="paper: OSQP for (12) and ECOS for (13) through CVXPY"
+        "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as the paper did"
     )
 
 
 class Scene(_Table):
-    """A whole scene; see the scene reference in the documentation for every key."""
+    """A whole scene: one TOML file, or a folder that holds ``scene.toml``."""
 
-    name: Name
-    description: str = ""
+    name: Name = Field(description="names the results folder; letters, digits, `_ . + -`")
+    description: str = Field("", description="one sentence for the report")
     setting: Literal["draft", "standard", "reference"] | None = Field(
-        None, description="fills in what the scene leaves open, see SETTINGS"
+        None, description="fills in what the scene leaves open, and only that"
     )
-    element: Literal["dkt-opt", "p2-cr"] = "dkt-opt"
+    element: Literal["dkt-opt", "p2-cr"] = Field(
+        "dkt-opt", description="`dkt-opt`, the production shell, or `p2-cr`, the independent check"
+    )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
     locators: Annotated[list[Locator], Field(min_length=1)]
@@ -299,158 +359,11 @@ class Scene(_Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_in(cls, table):
-        """What the named setting gives, where the scene leaves it open."""
-        setting = SETTINGS.get(table.get("setting")) if isinstance(table.get("setting"), str) else None
-        if setting is None:
-            return table
-
-        def filled(item, key, rivals=(), applies=True):
-            given = not isinstance(item, dict) or any(item.get(name) is not None for name in (key, *rivals))
-            return item if given or not applies else item | {key: setting[key]}
-
-        def each(key, fill):
-            return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
-
-        return (
-            table
-            | each("parts", lambda part: filled(part, "size", applies=isinstance(part, dict) and "geometry" in part))
-            | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
-            | each("stages", lambda stage: filled(stage, "increments"))
-            | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples")}
-        )
+    def _fill_in(cls, table: Any):
+        return fill_in(table)
 
     @model_validator(mode="after")
-    def _references(self):
-        part_names = _unique("parts", self.parts + self.fixtures)
-        bodies = {part.name for part in self.parts}
-        locators = _unique("locators", self.locators)
-        clamps = _unique("clamps", self.clamps)
-        for key in ("welds", "zones", "deviations", "measurements"):
-            _unique(key, getattr(self, key))
-        _unique("stages", self.stages)
-        for key in ("locators", "clamps", "measurements", "deviations"):
-            for i, item in enumerate(getattr(self, key)):
-                if item.part is not None:
-                    _known(f"{key}[{i}].part", item.part, bodies, "part")
-        for key, allowed in (("welds", bodies), ("zones", part_names)):
-            for i, item in enumerate(getattr(self, key)):
-                for name in item.parts:
-                    _known(f"{key}[{i}].parts", name, allowed, "part")
-                if item.parts[0] == item.parts[1]:
-                    raise ValueError(f"{key}[{i}].parts: a part cannot be joined to itself, name two different parts")
-                if not bodies & set(item.parts):
-                    raise ValueError(f"{key}[{i}].parts: at least one of the two must be a part, not a fixture")
-        for i, item in enumerate(self.deviations):
-            if item.kind != "force":
-                _known(
-                    f"deviations[{i}].target", item.target, locators if item.kind == "locator" else clamps, item.kind
-                )
-        for key, kinds in (("locators", ("locate", "clamp")), ("clamps", ("clamp",)), ("welds", ("weld",))):
-            fitting = [stage.name for stage in self.stages if stage.kind in kinds]
-            for i, item in enumerate(getattr(self, key)):
-                if item.stage not in fitting:
-                    raise ValueError(
-                        f"{key}[{i}].stage: no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
-                        f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
-                    )
-        for i, stage in enumerate(self.stages):
-            for name in stage.keep or ():
-                _known(f"stages[{i}].keep", name, locators, "locator")
-        kinds = [stage.kind for stage in self.stages]
-        if kinds[0] != "locate" or kinds.count("locate") != 1:
-            raise ValueError("stages: the first stage, and only the first, must be of kind 'locate'")
-        if "measure" in kinds[:-1]:
-            raise ValueError("stages: 'measure' may only come last, once")
-        if self.measurements and "measure" not in kinds:
-            raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
-        self._held()
+    def _check(self):
+        check_references(self)
+        check_held(self)
         return self
-
-    def _held(self):
-        """Every part needs six independent locators when it is set down, before anything can be computed."""
-        for i, part in enumerate(self.parts):
-            own = [
-                locator
-                for locator in self.locators
-                if locator.part == part.name and locator.stage == self.stages[0].name
-            ]
-            points = np.array([locator.point for locator in own]).reshape(-1, 3)
-            scale = max(1.0, float(np.ptp(points, axis=0).max(initial=0.0)))
-            arms = (points - points.mean(0)) / scale if len(own) else points
-            rows = np.array(
-                [[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)]
-            )
-            rank = np.linalg.matrix_rank(rows, tol=1e-6) if len(own) else 0
-            if rank < 6:
-                raise ValueError(
-                    f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {rank} of its 6 rigid-body motions; "
-                    "add locators (at least a 3-2-1 scheme) until all six are held"
-                )
-
-
-def _unique(key, items):
-    names = [item.name for item in items]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"{key}: the name {name!r} stands more than once; give each its own")
-    return set(names)
-
-
-def _known(key, name, names, what):
-    if name not in names:
-        near = difflib.get_close_matches(name, names, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(names)) or 'none'}"
-        raise ValueError(f"{key}: there is no {what} called {name!r}; {hint}")
-
-
-def load_scene(path) -> Scene:
-    """Read and validate a scene file.
-
-    Parameters
-    ----------
-    path : path-like
-        A TOML file, or a folder that holds ``scene.toml``.
-
-    Raises
-    ------
-    SceneError
-        With one line per problem: file, key, what is wrong, what to do.
-    """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "scene.toml"
-    try:
-        with open(path, "rb") as file:
-            table = tomllib.load(file)
-    except FileNotFoundError:
-        raise SceneError(f"{path}: there is no such scene file; check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not valid TOML: {error}; mend the syntax there") from None
-    if "folder" in table:
-        raise SceneError(f"{path}: folder: unknown key; remove it")
-    try:
-        return Scene(**table, folder=path.parent.resolve())
-    except ValidationError as error:
-        raise SceneError("\n".join(_explain(path, item) for item in error.errors())) from None
-
-
-def _explain(path, item) -> str:
-    """One line for one problem found by the validation."""
-    key = "".join(
-        f"[{step}]" if isinstance(step, int) else f".{step}"
-        for step in item["loc"]
-        if not (isinstance(step, str) and step.startswith(("literal[", "constrained", "float", "str", "function")))
-    ).lstrip(".")
-    message = item["msg"].removeprefix("Value error, ")
-    remedy = {
-        "extra_forbidden": "unknown key; remove it or mend its spelling",
-        "missing": "required key is missing; add it",
-        "greater_than": f"{message}; got {item.get('input')!r}, correct the value",
-        "greater_than_equal": f"{message}; got {item.get('input')!r}, correct the value",
-        "finite_number": f"{message}; got {item.get('input')!r}, give a finite number",
-    }
-    text = remedy.get(
-        item["type"], message if item["type"] == "value_error" else f"{message}; got {item.get('input')!r}, correct it"
-    )
-    return f"{path}: {key}: {text}" if key else f"{path}: {text}"

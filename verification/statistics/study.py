@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mic.results import statistics
+from mic.results import capability, statistics
 from mic.sampling.draw import draw
 from verification.plots import panels
 from verification.scenes import shipped
@@ -20,7 +20,7 @@ ESTIMATES = ("mean", "sigma", "six_sigma", "cpk")
 def estimate(name, x, limits):
     """One of mic's estimates, by name."""
     if name == "cpk":
-        return statistics.centred_capability(x, *limits)
+        return capability.centred_capability(x, *limits)
     return getattr(statistics, name)(x)
 
 

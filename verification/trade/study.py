@@ -14,15 +14,16 @@ import pandas as pd
 from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
+from mic import examples
 from mic.results import statistics
 from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
-from verification.study import FOLDER, Acceptance, Finding, Study
+from verification.study import Acceptance, Finding, Study
 
-WHEELHOUSE = FOLDER.parent / "meshes" / "wheelhouse"
+WHEELHOUSE = examples.folder("wheelhouse")
 LAWS = ("coulomb", "associated", "frictionless")
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)

@@ -7,7 +7,7 @@ functionals in the stress-free shape, so that with forces f and rigid motions q 
 
 from __future__ import annotations
 
-from mic.model.sources.clamp import ClampDeviation
+from mic.model.sources.clamp import ClampSetting
 from mic.model.sources.force import CorrectiveForce
 from mic.model.sources.locator import LocatorPosition
 from mic.model.sources.source import Source
@@ -15,7 +15,7 @@ from mic.model.sources.source import Source
 __all__ = ["SOURCES", "Source", "sources"]
 
 #: Kind in the scene's ``[[deviations]]`` → class.
-SOURCES: dict[str, type[Source]] = {"force": CorrectiveForce, "locator": LocatorPosition, "clamp": ClampDeviation}
+SOURCES: dict[str, type[Source]] = {"force": CorrectiveForce, "locator": LocatorPosition, "clamp": ClampSetting}
 
 
 def sources(scene) -> list[Source]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from mic.model.sources.source import Source
 
-__all__ = ["ClampDeviation"]
+__all__ = ["ClampSetting"]
 
 
-class ClampDeviation(Source):
+class ClampSetting(Source):
     """A clamp's position along its direction, mm per unit amplitude, or its force, N, whichever it is driven by."""
 
     def target(self, labels):

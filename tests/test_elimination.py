@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from mic.compliance.elimination import eliminate, statically_determinate
+from mic.compliance.blocks import Blocks
+from mic.compliance.elimination import eliminate, motion_size, statically_determinate
+from mic.errors import FreeMotion
 
 FREEDOMS, MODES = 30, 6
 
@@ -20,6 +22,11 @@ def free_part(rng):
     pinned = np.zeros((FREEDOMS, FREEDOMS))
     pinned[6:, 6:] = np.linalg.inv(K[6:, 6:])
     return K, R, L, L @ pinned @ L.T, L @ R
+
+
+def blocks(H, G):
+    """H and G of two parts of 20 functionals each."""
+    return Blocks.single(H, G, [0, 20, 40])
 
 
 @pytest.fixture
@@ -50,7 +57,7 @@ def test_elimination_matches_the_whole_system(two_parts, held):
         name: rng.normal(size=(count, 40))
         for name, count in (("bilateral", held), ("contact", 9), ("load", 2), ("output", 4))
     }
-    stage = eliminate(H, G, *(csr_matrix(rows[name]) for name in rows))
+    stage = eliminate(blocks(H, G), *(csr_matrix(rows[name]) for name in rows))
     v, f, p = rng.normal(size=held), rng.normal(size=9), rng.normal(size=2)
     u, reaction = whole(K, L, rows["bilateral"], v, np.vstack([rows["contact"], rows["load"]]), np.r_[f, p])
     scale = np.abs(L @ u).max()
@@ -68,9 +75,9 @@ def test_redundant_rows_are_named_and_change_nothing(two_parts):
     rng, K, R, L, H, G = two_parts
     bilateral, contact = rng.normal(size=(14, 40)), csr_matrix(rng.normal(size=(6, 40)))
     none = csr_matrix((0, 40))
-    once = eliminate(H, G, csr_matrix(bilateral), contact, none, none)
+    once = eliminate(blocks(H, G), csr_matrix(bilateral), contact, none, none)
     doubled = np.vstack([bilateral, bilateral[3], 0.5 * (bilateral[1] - bilateral[13])])
-    twice = eliminate(H, G, csr_matrix(doubled), contact, none, none)
+    twice = eliminate(blocks(H, G), csr_matrix(doubled), contact, none, none)
     assert once.redundant == () and len(twice.redundant) == 2
     np.testing.assert_allclose(twice.S, once.S, rtol=0, atol=1e-8 * np.abs(once.S).max())
 
@@ -81,8 +88,8 @@ def test_a_single_redundant_row_is_found_whatever_the_rounding(two_parts, noise)
     rng, K, R, L, H, G = two_parts
     bilateral, contact, none = rng.normal(size=(12, 40)), csr_matrix(rng.normal(size=(6, 40))), csr_matrix((0, 40))
     twin = bilateral[4] * (1 + noise)
-    once = eliminate(H, G, csr_matrix(bilateral), contact, none, none)
-    twice = eliminate(H, G, csr_matrix(np.vstack([bilateral, twin])), contact, none, none)
+    once = eliminate(blocks(H, G), csr_matrix(bilateral), contact, none, none)
+    twice = eliminate(blocks(H, G), csr_matrix(np.vstack([bilateral, twin])), contact, none, none)
     assert len(twice.redundant) == 1
     np.testing.assert_allclose(twice.S, once.S, rtol=0, atol=1e-8 * np.abs(once.S).max())
 
@@ -90,9 +97,11 @@ def test_a_single_redundant_row_is_found_whatever_the_rounding(two_parts, noise)
 def test_a_part_that_can_move_is_refused(two_parts):
     rng, K, R, L, H, G = two_parts
     rows = csr_matrix(np.hstack([rng.normal(size=(11, 20)), np.zeros((11, 20))]))  # nothing holds the second part
-    with pytest.raises(ValueError, match="6 rigid-body motions are free") as caught:
-        statically_determinate(rows, G)
-    assert np.linalg.norm(caught.value.free[6:]) == pytest.approx(np.linalg.norm(caught.value.free), rel=1e-6)
+    parts = blocks(H, G)
+    with pytest.raises(FreeMotion, match="6 rigid-body motions are free") as caught:
+        statically_determinate(parts.rigid(rows), motion_size(parts.G))
+    motions = caught.value.motions
+    assert np.linalg.norm(motions[6:]) == pytest.approx(np.linalg.norm(motions), rel=1e-6)
 
 
 def test_support_does_not_matter(two_parts):
@@ -103,6 +112,6 @@ def test_support_does_not_matter(two_parts):
         free = np.r_[start : start + 10, start + 16 : start + FREEDOMS]
         other[np.ix_(free, free)] = np.linalg.inv(K[np.ix_(free, free)])
     rows = [csr_matrix(rng.normal(size=(count, 40))) for count in (15, 6, 0, 3)]
-    first, second = eliminate(H, G, *rows), eliminate(L @ other @ L.T, G, *rows)
+    first, second = eliminate(blocks(H, G), *rows), eliminate(blocks(L @ other @ L.T, G), *rows)
     np.testing.assert_allclose(second.S, first.S, rtol=0, atol=1e-7 * np.abs(first.S).max())
     np.testing.assert_allclose(second.T_out, first.T_out, rtol=0, atol=1e-7 * np.abs(first.T_out).max())

@@ -1,1 +1,0 @@
-"""A hat section standing on a plate."""

@@ -1,1 +1,0 @@
-"""Two flat strips in a lap joint."""

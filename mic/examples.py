@@ -1,0 +1,64 @@
+"""The example scenes that come with the program: where they are, and a copy of one to start from."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from mic.errors import RunError, SceneError
+
+__all__ = ["copy", "folder", "names"]
+
+_ROOT = Path(__file__).with_name("example_scenes")  # in a checkout a link to meshes/
+_FILES = ("*.toml", "*.py", "*.md")
+
+
+def names() -> list[str]:
+    """Names of the example scenes, sorted."""
+    return sorted(path.parent.name for path in _ROOT.glob("*/scene.toml"))
+
+
+def folder(name: str) -> Path:
+    """Folder of an example scene; `mic.load_scene` takes it as it is.
+
+    Raises
+    ------
+    SceneError
+        If there is no such example.
+    """
+    if name not in names():
+        raise SceneError(f"there is no example scene called {name!r}; the examples are {', '.join(names())}")
+    return _ROOT / name
+
+
+def copy(name: str, out: Path | str | None = None) -> Path:
+    """Copy an example scene into a new folder.
+
+    Parameters
+    ----------
+    name : str
+    out : path-like, optional
+        The new folder; default: one called `name` where the program was started.
+
+    Returns
+    -------
+    Path
+        The new folder.
+
+    Raises
+    ------
+    SceneError
+        If there is no such example.
+    RunError
+        If the new folder exists already, or cannot be written.
+    """
+    source, target = folder(name), Path(out if out is not None else name)
+    try:
+        target.mkdir(parents=True)
+        for path in sorted(path for pattern in _FILES for path in source.glob(pattern)):
+            shutil.copyfile(path, target / path.name)
+    except FileExistsError as problem:
+        raise RunError(f"{target}: this exists already and is left alone; name another folder with --out") from problem
+    except OSError as problem:
+        raise RunError(f"{target}: cannot be written ({problem.strerror}); name another folder with --out") from problem
+    return target

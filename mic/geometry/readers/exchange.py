@@ -1,0 +1,36 @@
+"""Formats in which further programs exchange meshes: Ansys, Salome, Medit, SU2, XDMF. Salome needs the package h5py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import meshlane
+
+from mic.geometry.readers.raw import RawMesh, from_meshlane
+
+__all__ = ["read_ansys", "read_med", "read_medit", "read_su2", "read_xdmf"]
+
+
+def read_ansys(path: Path) -> RawMesh:
+    """Ansys Mechanical APDL decks (``.cdb``)."""
+    return from_meshlane(meshlane.ansysInp.read(path))
+
+
+def read_med(path: Path) -> RawMesh:
+    """MED files of Salome and code_aster."""
+    return from_meshlane(meshlane.med.read(path))
+
+
+def read_medit(path: Path) -> RawMesh:
+    """Medit, text or binary (``.mesh``, ``.meshb``)."""
+    return from_meshlane(meshlane.medit.read(path))
+
+
+def read_su2(path: Path) -> RawMesh:
+    """SU2."""
+    return from_meshlane(meshlane.su2.read(path))
+
+
+def read_xdmf(path: Path) -> RawMesh:
+    """XDMF; with HDF5 beside it, needs h5py."""
+    return from_meshlane(meshlane.xdmf.read(path))

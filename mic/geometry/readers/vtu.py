@@ -1,0 +1,58 @@
+"""VTK's XML files of unstructured grids (``.vtu``): meshes of parts, and fields over surfaces, which ParaView shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import meshlane
+import numpy as np
+
+from mic.errors import FormatError
+from mic.geometry.readers.raw import RawMesh, from_meshlane
+from mic.store import replacing
+
+__all__ = ["read", "read_vtu", "write_vtu"]
+
+
+def read(path: Path) -> RawMesh:
+    """Cells of an unstructured grid."""
+    return from_meshlane(meshlane.vtu.read(path))
+
+
+def write_vtu(
+    path: Path, points: np.ndarray, triangles: np.ndarray, point_data: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Write a surface with fields at its vertices; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Ends in ``.vtu``.
+    points : (n, 3) array
+        mm.
+    triangles : (k, 3) int array
+    point_data : mapping of str to (n,) or (n, m) array, optional
+    """
+    mesh = meshlane.Mesh(points, [("triangle", triangles)], point_data=dict(point_data or {}))
+    with replacing(Path(path)) as temporary:
+        meshlane.vtu.write(temporary, mesh)
+
+
+def read_vtu(path: Path) -> dict[str, np.ndarray]:
+    """The fields at the vertices that :func:`write_vtu` wrote, by name.
+
+    Raises
+    ------
+    FileNotFoundError
+    FormatError
+        If the file is cut short, altered or of another kind.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(path)
+    try:
+        return dict(meshlane.vtu.read(path).point_data)
+    except Exception as problem:  # meshlane raises whatever its parsing trips over
+        raise FormatError(
+            f"{path}: these fields are cut short or damaged; remove the file and compute them again"
+        ) from problem

@@ -1,0 +1,67 @@
+"""What the choice of the contact law costs as friction grows: a few samples of a run, solved anew."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from mic.contact.comparison import compare_laws
+from mic.results.schema import FRICTION
+
+if TYPE_CHECKING:
+    from mic.results.outcome import Outcome
+
+__all__ = ["SCALES", "SAMPLES", "read_friction", "study_friction"]
+
+SAMPLES = 12  # evenly spread over the valid ones
+SCALES = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
+THREADS = 2
+
+
+def study_friction(outcome: Outcome) -> pd.DataFrame | None:
+    """Solve samples in the first stage that resolves contact, under every law, with all friction coefficients scaled.
+
+    The displacements without contact forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
+
+    Returns
+    -------
+    DataFrame or None
+        As :data:`mic.results.schema.FRICTION` declares it; None unless both Coulomb's and the associated law were asked
+        for, the scene has friction and there are valid samples.
+    """
+    contacts = outcome.model.contacts
+    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.friction.any():
+        return None
+    n = len(outcome.sample_numbers("coulomb"))
+    if not n or not outcome.stages:
+        return None
+    stage = outcome.stages[0]
+    chosen = np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))
+    S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
+    force, displacement = (
+        np.stack(
+            [outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")], axis=2
+        ).reshape(len(chosen), -1)
+        for quantity in ("f", "u")
+    )
+    b = displacement - force @ S  # u = S f + b
+    return compare_laws(S, b, [scale * contacts.friction for scale in SCALES], threads=THREADS)
+
+
+def read_friction(folder: Path) -> pd.DataFrame | None:
+    """The study as the run stored it; None where it stored none.
+
+    Raises
+    ------
+    FormatError
+        If the file is not what :data:`mic.results.schema.FRICTION` declares.
+    """
+    path = folder / FRICTION.place
+    if not path.is_file():
+        return None
+    table = pd.read_csv(path, float_precision="round_trip")
+    FRICTION.check(table, path, "call `mic report` on the run folder")
+    return table

@@ -1,0 +1,70 @@
+"""One table of one block as a Parquet file; units, format and identity stand in its metadata."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mic.results.schema import DATASETS, Table
+from mic.store import Format, replacing
+
+__all__ = ["read_table", "write_table"]
+
+_AGAIN = "run the scene again into this folder"
+_FORMATS = {table.name: Format(f"block of {table.name}", 1, _AGAIN) for table in DATASETS}
+_ARROW = {"bool": pa.bool_(), "int32": pa.int32(), "int64": pa.int64(), "float64": pa.float64()}
+_NAMES = pa.dictionary(pa.int32(), pa.string())
+
+
+def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str) -> None:
+    """Write a table as Parquet, with its units, its format and the identity of its run in the metadata.
+
+    Raises
+    ------
+    FormatError
+        If the frame is not what the table declares.
+    """
+    table.check(frame, path, "this is a fault of the program")
+    fields = [
+        pa.field(
+            column.name,
+            _ARROW.get(column.dtype, _NAMES),
+            metadata={"unit": column.unit, "meaning": column.meaning},
+        )
+        for column in table.columns
+        if column.name in frame
+    ]
+    content = pa.Table.from_pandas(frame, pa.schema(fields), preserve_index=False)
+    kind = _FORMATS[table.name]
+    header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
+    content = content.replace_schema_metadata(header)
+    with replacing(path) as temporary:
+        pq.write_table(content, temporary, write_page_checksum=True)
+
+
+def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
+    """Read what :func:`write_table` wrote, and the identity of the run that it belongs to.
+
+    Raises
+    ------
+    FileNotFoundError
+    FormatError
+        If the file is not what the table declares, or is cut short or altered.
+    """
+    kind = _FORMATS[table.name]
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            content = file.read()
+        header = {key.decode(): value.decode() for key, value in (content.schema.metadata or {}).items()}
+        frame = content.to_pandas()
+    except FileNotFoundError:
+        raise
+    except (pa.ArrowException, OSError, ValueError):
+        raise kind.damaged(path) from None
+    number = header.get("format", "")
+    kind.check(path, {"kind": header.get("kind"), "format": int(number) if number.isdigit() else None})
+    table.check(frame, path, _AGAIN)
+    return frame, header.get("identity", "")

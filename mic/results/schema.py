@@ -1,0 +1,400 @@
+"""What a run leaves behind, declared once: tables, columns, types, units.
+
+The files are written and read by this declaration, and the reference of the results is printed from it (``python -m
+mic.results.schema``). Keys are columns of their own (``stage``, ``zone``, ``measurement``), never parts of a column's
+name, so that a table is selected and grouped without taking names apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+from pandas.api import types
+
+from mic.errors import FormatError
+
+__all__ = [
+    "CONTACTS",
+    "CONTACT_STATISTICS",
+    "DATASETS",
+    "DEVIATIONS",
+    "FIELDS",
+    "FORCES",
+    "FRICTION",
+    "MEASUREMENTS",
+    "MEASUREMENT_STATISTICS",
+    "RESOLUTIONS",
+    "SAMPLES",
+    "SLIPS",
+    "STATISTICS",
+    "ZONE_STATISTICS",
+    "Column",
+    "Table",
+    "reference",
+]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity.
+
+    Attributes
+    ----------
+    name : str
+    dtype : {"bool", "int32", "int64", "float64", "category", "str"}
+        ``category``: a name out of few, stored once.
+    unit : str
+        Empty where there is none.
+    meaning : str
+    optional : bool
+        Whether a table may lack it: tangential quantities where only normals are modelled.
+    shape : str
+        Of one row's value; empty for a single number or name.
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    meaning: str
+    optional: bool = False
+    shape: str = ""
+
+    def fits(self, values: pd.Series) -> bool:
+        """Whether values are of the declared type."""
+        if self.dtype == "category":
+            return isinstance(values.dtype, pd.CategoricalDtype)
+        if self.dtype == "str":
+            return types.is_object_dtype(values) or types.is_string_dtype(values)
+        return str(values.dtype) == self.dtype
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table, and the file or the dataset that holds it.
+
+    Attributes
+    ----------
+    name : str
+        Of the dataset's folder, or of the file under ``tables/``.
+    rows : str
+        What one row stands for.
+    columns : tuple of Column
+    description : str
+    place : str
+        The file, from the run folder.
+    """
+
+    name: str
+    rows: str
+    columns: tuple[Column, ...]
+    description: str
+    place: str
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns, in order."""
+        return [column.name for column in self.columns]
+
+    def check(self, frame: pd.DataFrame, where: object, remedy: str) -> None:
+        """Compare a frame with the declaration.
+
+        Parameters
+        ----------
+        frame : DataFrame
+        where : path-like
+            Named in the message.
+        remedy : str
+            What to do about it.
+
+        Raises
+        ------
+        FormatError
+            Naming the first column that is missing, unknown, out of order, or of another type.
+        """
+        found = list(frame.columns)
+        for column in self.columns:
+            if column.name not in found:
+                if column.optional:
+                    continue
+                raise FormatError(f"{where}: table {self.name!r} lacks the column {column.name!r}; {remedy}")
+            if not column.fits(frame[column.name]):
+                raise FormatError(
+                    f"{where}: table {self.name!r}: column {column.name!r} holds {frame[column.name].dtype}, "
+                    f"expected {column.dtype}; {remedy}"
+                )
+        known = [name for name in self.names if name in found]
+        if found != known:
+            odd = next(name for name, place in zip(found, [*known, None]) if name != place)
+            what = "is out of order" if odd in known else "is none of this table's"
+            raise FormatError(f"{where}: table {self.name!r}: column {odd!r} {what}; {remedy}")
+
+    def empty(self) -> pd.DataFrame:
+        """A frame of no rows, without the optional columns."""
+        dtypes = {column.name: "object" if column.dtype == "str" else column.dtype for column in self.columns}
+        return pd.DataFrame(
+            {column.name: pd.Series([], dtype=dtypes[column.name]) for column in self.columns if not column.optional}
+        )
+
+
+def _dataset(name, rows, columns, description):
+    return Table(name, rows, columns, description, f"{name}/law=LAW/FIRST-LAST.parquet")
+
+
+def _statistic(name, rows, columns, description):
+    return Table(name, rows, columns, description, f"tables/{name}.csv")
+
+
+_SAMPLE = Column("sample", "int32", "", "number of the sample, from 0")
+_STAGE = Column("stage", "category", "", "stage that resolves contact")
+_ZONE = Column("zone", "category", "", "contact zone")
+
+SAMPLES = _dataset(
+    "samples",
+    "one sample",
+    (_SAMPLE, Column("failed", "bool", "", "whether contact missed its tolerance in some stage")),
+    "Samples that are finished. Written last of a block: once it stands, the block is whole.",
+)
+DEVIATIONS = _dataset(
+    "deviations",
+    "one sample and deviation",
+    (
+        _SAMPLE,
+        Column("deviation", "category", "", "name of the deviation in the scene"),
+        Column("value", "float64", "N or mm", "drawn value: N of a force or of a clamp that pushes, else mm"),
+    ),
+    "What was drawn.",
+)
+RESOLUTIONS = _dataset(
+    "resolutions",
+    "one sample and stage",
+    (
+        _SAMPLE,
+        _STAGE,
+        Column("residual", "float64", "1", "scale-free residual of the contact law, the largest of the increments"),
+        Column("status", "category", "", "outcome of the last increment, or why the sample could not be computed"),
+        Column("iterations", "int64", "", "iterations of the solver, over all increments"),
+        Column("converged", "bool", "", "whether every increment met its tolerance"),
+    ),
+    "How contact was resolved.",
+)
+SLIPS = _dataset(
+    "slips",
+    "one sample, stage and zone",
+    (
+        _SAMPLE,
+        _STAGE,
+        _ZONE,
+        Column("rms_slip", "float64", "mm", "root mean square of ‖u_t‖ over the zone's pairs, since the stage before"),
+    ),
+    "Slip of the zones; no rows where only normals are modelled.",
+)
+MEASUREMENTS = _dataset(
+    "measurements",
+    "one sample and measurement",
+    (
+        _SAMPLE,
+        Column("measurement", "category", "", "name of the key characteristic"),
+        Column("value", "float64", "mm", "deviation from nominal"),
+    ),
+    "Key characteristics.",
+)
+CONTACTS = _dataset(
+    "contacts",
+    "one sample, stage and contact pair",
+    (
+        _SAMPLE,
+        _STAGE,
+        _ZONE,
+        Column("contact", "int32", "", "number of the pair, from 0"),
+        Column("f_n", "float64", "N", "normal force, compression positive"),
+        Column("f_t1", "float64", "N", "first tangential force", optional=True),
+        Column("f_t2", "float64", "N", "second tangential force", optional=True),
+        Column("u_n", "float64", "mm", "gap, positive when apart"),
+        Column("u_t1", "float64", "mm", "first tangential slip since the stage before", optional=True),
+        Column("u_t2", "float64", "mm", "second tangential slip since the stage before", optional=True),
+        Column("state", "category", "", "open, stick or slip"),
+    ),
+    "Forces and displacements of the contact pairs.",
+)
+#: The Parquet datasets; :data:`SAMPLES` stands last, as it is written last.
+DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, CONTACTS, SAMPLES)
+
+FORCES = Table(
+    "forces",
+    "one sample",
+    (
+        Column("force", "float64", "N, N mm", "forces on the retained functionals in the last stage", shape="F"),
+        Column("motion", "float64", "mm, rad", "rigid-body motions of the parts in the last stage", shape="6P"),
+    ),
+    "What the fields are computed from; kept only where the scene asks for fields.",
+    "forces/law=LAW/FIRST-LAST.npz",
+)
+FIELDS = Table(
+    "fields",
+    "one vertex of the part's mesh",
+    (
+        Column("mean", "float64", "mm", "mean displacement from nominal", shape="3"),
+        Column("six_sigma", "float64", "mm", "6σ of the displacement along x, y, z", shape="3"),
+        Column("six_sigma_magnitude", "float64", "mm", "root of the summed squares of `six_sigma`"),
+        Column("six_sigma_normal", "float64", "mm", "6σ of the displacement along the vertex normal"),
+    ),
+    "Displacement fields of one part under one law, for ParaView. The same arrays stand in `fields/fields.npz`, and "
+    "the nominal surface of each part, with its `normal`, in `fields/PART.vtu`.",
+    "fields/LAW-PART.vtu",
+)
+
+
+def _estimate(name, unit, meaning, optional=False) -> tuple[Column, ...]:
+    """An estimate and the ends of its confidence interval."""
+    return (
+        Column(name, "float64", unit, meaning, optional),
+        Column(f"{name}_low", "float64", unit, f"lower end of the 95 % interval of `{name}`", optional),
+        Column(f"{name}_high", "float64", unit, f"upper end of the 95 % interval of `{name}`", optional),
+    )
+
+
+_LAW = Column("law", "str", "", "contact law")
+_USED = Column("samples", "int64", "", "samples that the row rests on")
+
+ZONE_STATISTICS = _statistic(
+    "zones",
+    "one law, stage and zone",
+    (
+        _LAW,
+        Column("stage", "str", "", "stage that resolves contact"),
+        Column("zone", "str", "", "contact zone"),
+        Column("contacts", "int64", "", "contact pairs of the zone"),
+        Column("friction", "float64", "1", "coefficient of friction under this law"),
+        _USED,
+        *_estimate("mean_rms_slip", "mm", "mean of the zone's RMS slip"),
+        *_estimate("six_sigma_rms_slip", "mm", "6σ of the zone's RMS slip"),
+    ),
+    "RMS slip over each zone, counted from where the contact was left in the stage before. Empty where no tangential "
+    "motion was modelled.",
+)
+CONTACT_STATISTICS = _statistic(
+    "contacts",
+    "one law, stage and contact pair",
+    (
+        _LAW,
+        Column("stage", "str", "", "stage that resolves contact"),
+        Column("zone", "str", "", "contact zone"),
+        Column("contact", "int64", "", "number of the pair, from 0"),
+        _USED,
+        *_estimate("mean_f_n", "N", "mean normal force"),
+        *_estimate("six_sigma_f_n", "N", "6σ of the normal force"),
+        Column("mean_gap", "float64", "mm", "mean gap"),
+        *_estimate("mean_slip_force", "N", "mean of ‖f_t‖", optional=True),
+        *_estimate("six_sigma_slip_force", "N", "6σ of ‖f_t‖", optional=True),
+        *_estimate("mean_slip", "mm", "mean of ‖u_t‖", optional=True),
+        *_estimate("open", "1", "share of the samples in which the pair is open"),
+        *_estimate("stick", "1", "share of the samples in which it sticks"),
+        *_estimate("slip", "1", "share of the samples in which it slips"),
+    ),
+    "Forces and states of each contact pair.",
+)
+MEASUREMENT_STATISTICS = _statistic(
+    "measurements",
+    "one law and measurement",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("lower", "float64", "mm", "lower limit"),
+        Column("upper", "float64", "mm", "upper limit"),
+        _USED,
+        *_estimate("mean", "mm", "mean deviation from nominal"),
+        *_estimate("sigma", "mm", "standard deviation, n - 1 in the denominator"),
+        *_estimate("six_sigma", "mm", "six standard deviations"),
+        *_estimate("min", "mm", "smallest sample; nothing bounds the population from below"),
+        *_estimate("max", "mm", "largest sample; nothing bounds the population from above"),
+        *_estimate("cp", "1", "Cp = (upper - lower) / 6σ"),
+        *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ"),
+        *_estimate("share_outside", "1", "share of the samples outside the limits"),
+    ),
+    "Key characteristics against their limits.",
+)
+FRICTION = _statistic(
+    "friction",
+    "one friction coefficient, law and studied sample",
+    (
+        Column("mu", "float64", "1", "friction coefficient, mean over the pairs"),
+        _LAW,
+        Column("sample", "int64", "", "number within the study, from 0"),
+        Column("converged", "bool", "", "whether this law and Coulomb's both converged; else leave the row out"),
+        Column("normal_force", "float64", "N", "sum of the normal forces"),
+        Column("friction_force", "float64", "N", "sum of ‖f_t‖"),
+        Column("slip", "float64", "mm", "root mean square of ‖u_t‖ over all pairs"),
+        Column("gap_at_load", "float64", "mm", "largest gap at a pair that carries load"),
+        Column("open", "int64", "", "open pairs"),
+        Column("stuck", "int64", "", "pairs that stick"),
+        Column("sliding", "int64", "", "pairs that slip"),
+        Column("force_change", "float64", "1", "‖f - f_c‖ / ‖f_c‖ against Coulomb's solution"),
+        Column("slip_change", "float64", "1", "‖u_t - u_ct‖ / ‖u_ct‖ against Coulomb's solution"),
+        Column("changed_states", "int64", "", "pairs whose state differs from Coulomb's"),
+    ),
+    "A few samples solved anew under every law with the scene's friction scaled: what the choice of the law costs. "
+    "Only where both Coulomb's and the associated law were asked for.",
+)
+#: The CSV tables.
+STATISTICS = (ZONE_STATISTICS, CONTACT_STATISTICS, MEASUREMENT_STATISTICS, FRICTION)
+
+
+def reference() -> str:
+    """The reference of the results folder, in Markdown."""
+    lines = [
+        "# Results",
+        "",
+        "A run writes one folder; an interrupted run can be read, and completed by calling it again.",
+        "",
+        "| file | holds |",
+        "| --- | --- |",
+        "| `run.json` | scene, samples and seed asked for, laws, identity, versions, wall time by phase |",
+        "| `model.npz` | the reduced model; `mic.ReducedModel.load` reads it, no finite elements needed |",
+        "| `parts.npz` | meshes and functionals of the parts |",
+        "| `paper.toml` | published figures to compare with, where the scene has any |",
+        "| `summary.json` | the statistics by law, zone and measurement, each with its interval |",
+        "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
+    ]
+    lines += [f"| `{table.place}` | {table.description} |" for table in (*_samples_first(DATASETS), FORCES, FIELDS)]
+    lines += [f"| `{table.place}` | {table.description} |" for table in STATISTICS]
+    lines += [
+        "",
+        "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
+        "Parquet, partitioned by law: `pandas.read_parquet(folder / 'slips')` reads all laws at once and adds the "
+        "column `law`. Units stand in the metadata of each Parquet column too. A file whose name ends in `.damaged` "
+        "belongs to a block that could not be read; it was set aside and the block computed anew.",
+    ]
+    for title, tables in (
+        ("Datasets", _samples_first(DATASETS)),
+        ("Statistics", STATISTICS),
+        ("Fields", (FORCES, FIELDS)),
+    ):
+        lines += ["", f"## {title}"]
+        for table in tables:
+            lines += [
+                "",
+                f"### {table.name}",
+                "",
+                f"`{table.place}`: one row for {table.rows}. {table.description}",
+                "",
+            ]
+            lines += ["| column | type | unit | meaning |", "| --- | --- | --- | --- |"]
+            lines += [_described(column) for column in table.columns]
+    return "\n".join(lines) + "\n"
+
+
+def _samples_first(tables: Sequence[Table]) -> list[Table]:
+    """The samples stand first on the page, though they are written last."""
+    return sorted(tables, key=lambda table: table is not SAMPLES)
+
+
+def _described(column):
+    kind = f"{column.dtype} ({column.shape})" if column.shape else column.dtype
+    meaning = column.meaning + ("; absent where only normals are modelled" if column.optional else "")
+    return f"| `{column.name}` | {kind} | {column.unit} | {meaning} |"
+
+
+if __name__ == "__main__":
+    print(reference(), end="")

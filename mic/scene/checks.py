@@ -1,0 +1,99 @@
+"""What no single table of a scene can know: names that exist, stages that make a process, parts that are held."""
+
+from __future__ import annotations
+
+import difflib
+
+import numpy as np
+
+__all__ = ["check_held", "check_references"]
+
+
+def check_references(scene) -> None:
+    """Every name that the scene uses exists, and its stages make a process.
+
+    Raises
+    ------
+    ValueError
+        Naming the key and the remedy.
+    """
+    part_names = _unique("parts", scene.parts + scene.fixtures)
+    bodies = {part.name for part in scene.parts}
+    locators = _unique("locators", scene.locators)
+    _unique("clamps", scene.clamps)
+    for key in ("welds", "zones", "deviations", "measurements"):
+        _unique(key, getattr(scene, key))
+    _unique("stages", scene.stages)
+    for key in ("locators", "clamps", "measurements", "deviations"):
+        for i, item in enumerate(getattr(scene, key)):
+            if "part" in type(item).model_fields:
+                _known(f"{key}[{i}].part", item.part, bodies, "part")
+    for key, allowed in (("welds", bodies), ("zones", part_names)):
+        for i, item in enumerate(getattr(scene, key)):
+            for name in item.parts:
+                _known(f"{key}[{i}].parts", name, allowed, "part")
+            if item.parts[0] == item.parts[1]:
+                raise ValueError(f"{key}[{i}].parts: a part cannot be joined to itself, name two different parts")
+            if not bodies & set(item.parts):
+                raise ValueError(f"{key}[{i}].parts: at least one of the two must be a part, not a fixture")
+    for i, item in enumerate(scene.deviations):
+        if item.moves is not None:
+            known = {target.name for target in getattr(scene, item.moves)}
+            _known(f"deviations[{i}].target", item.target, known, item.moves.removesuffix("s"))
+    for key, kinds in (("locators", ("locate", "clamp")), ("clamps", ("clamp",)), ("welds", ("weld",))):
+        fitting = [stage.name for stage in scene.stages if stage.kind in kinds]
+        for i, item in enumerate(getattr(scene, key)):
+            if item.stage not in fitting:
+                raise ValueError(
+                    f"{key}[{i}].stage: no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
+                    f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
+                )
+    for i, stage in enumerate(scene.stages):
+        for name in stage.keep or ():
+            _known(f"stages[{i}].keep", name, locators, "locator")
+    kinds = [stage.kind for stage in scene.stages]
+    if kinds[0] != "locate" or kinds.count("locate") != 1:
+        raise ValueError("stages: the first stage, and only the first, must be of kind 'locate'")
+    if "measure" in kinds[:-1]:
+        raise ValueError("stages: 'measure' may only come last, once")
+    if scene.measurements and "measure" not in kinds:
+        raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
+
+
+def check_held(scene) -> None:
+    """Every part needs six independent locators when it is set down, before anything can be computed.
+
+    Raises
+    ------
+    ValueError
+        Naming the part and how many of its motions are held.
+    """
+    for i, part in enumerate(scene.parts):
+        own = [
+            locator for locator in scene.locators if locator.part == part.name and locator.stage == scene.stages[0].name
+        ]
+        points = np.array([locator.point for locator in own]).reshape(-1, 3)
+        scale = max(1.0, float(np.ptp(points, axis=0).max(initial=0.0)))
+        arms = (points - points.mean(0)) / scale if len(own) else points
+        rows = np.array([[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)])
+        rank = np.linalg.matrix_rank(rows, tol=1e-6) if len(own) else 0
+        if rank < 6:
+            raise ValueError(
+                f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {rank} of its 6 "
+                "rigid-body motions; add locators (at least a 3-2-1 scheme) until all six are held"
+            )
+
+
+def _unique(key, items):
+    names = [item.name for item in items]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{key}: the name {name!r} stands more than once; give each its own")
+    return set(names)
+
+
+def _known(key, name, names, what):
+    if name not in names:
+        near = difflib.get_close_matches(name, names, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(names)) or 'none'}"
+        raise ValueError(f"{key}: there is no {what} called {name!r}; {hint}")

@@ -1,0 +1,42 @@
+"""Named settings: how far accuracy goes where a scene leaves it open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["SETTINGS", "fill_in"]
+
+#: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per
+#: zone, load increments per stage, samples. What each of them costs, and how far off it is, `verification/trade`
+#: measures. The tolerance of the contact solver is not among them: the tightest costs no more than the loosest.
+SETTINGS: dict[str, dict[str, Any]] = {
+    "draft": {"size": "coarse", "pairs": 17, "increments": 1, "samples": 100},
+    "standard": {"size": "medium", "pairs": 34, "increments": 16, "samples": 500},
+    "reference": {"size": "fine", "pairs": 68, "increments": 32, "samples": 2000},
+}
+
+
+def fill_in(table: dict[str, Any]) -> dict[str, Any]:
+    """A scene's table with what its setting gives, where it leaves it open; malformed tables are left to the schema."""
+    name = table.get("setting")
+    setting = SETTINGS.get(name) if isinstance(name, str) else None
+    if setting is None:
+        return table
+
+    def filled(item, key, rivals=(), applies=True):
+        given = not isinstance(item, dict) or any(item.get(name) is not None for name in (key, *rivals))
+        return item if given or not applies else item | {key: setting[key]}
+
+    def each(key, fill):
+        return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
+
+    def generated(part):
+        return isinstance(part, dict) and part.get("geometry") is not None
+
+    return (
+        table
+        | each("parts", lambda part: filled(part, "size", applies=generated(part)))
+        | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
+        | each("stages", lambda stage: filled(stage, "increments"))
+        | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples")}
+    )

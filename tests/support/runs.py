@@ -1,0 +1,46 @@
+"""Results folders for tests: made by a run, then spoilt on purpose."""
+
+from mic.results.parquet import read_table, write_table
+from mic.results.schema import CONTACTS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
+
+
+def edit(folder, table, law, change):
+    """Rewrite every block of a table with what `change` makes of its frame."""
+    for path in sorted((folder / table.name / f"law={law}").glob("*.parquet")):
+        frame, identity = read_table(path, table)
+        write_table(path, table, change(frame), identity)
+
+
+def fail(folder, law, reasons):
+    """Mark samples as failed in one stage, with NaN for all that they hold.
+
+    Parameters
+    ----------
+    reasons : dict of int to (str, str)
+        By number of the sample: the stage that failed, and its status.
+    """
+
+    def failed(frame):
+        return frame.assign(failed=frame["failed"] | frame["sample"].isin(list(reasons)))
+
+    def unresolved(frame):
+        frame = frame.astype({"status": object})
+        for number, (stage, status) in reasons.items():
+            hit = (frame["sample"] == number) & (frame["stage"] == stage)
+            frame.loc[hit, ["residual", "status", "converged"]] = [float("nan"), status, False]
+        return frame.astype({"status": "category", "converged": bool})
+
+    def emptied(frame):
+        names = [name for name in frame if frame[name].dtype.kind == "f"]
+        frame.loc[frame["sample"].isin(list(reasons)), names] = float("nan")
+        return frame
+
+    edit(folder, SAMPLES, law, failed)
+    edit(folder, RESOLUTIONS, law, unresolved)
+    for table in (SLIPS, MEASUREMENTS, CONTACTS):
+        edit(folder, table, law, emptied)
+
+
+def all_fail(folder, law, samples, stage="clamp", status="not converged"):
+    """Mark all samples of a run as failed."""
+    fail(folder, law, dict.fromkeys(range(samples), (stage, status)))

@@ -1,0 +1,128 @@
+"""Compliance by parts, and who provides it."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+from mic.compliance import provider
+from mic.compliance.blocks import Blocks
+from mic.compliance.cache import influence_coefficients, is_cached
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.compliance.functional import Functionals
+from mic.compliance.part import Part
+from mic.errors import MissingProvider
+from mic.geometry.surface import Surface
+
+SIZES = (4, 7, 3)
+
+
+@pytest.fixture
+def blocks():
+    rng = np.random.default_rng(3)
+    H = [rng.normal(size=(n, n)) for n in SIZES]
+    return Blocks(tuple(h + h.T for h in H), tuple(rng.normal(size=(n, 6)) for n in SIZES))
+
+
+def test_every_product_equals_that_with_the_whole_matrices(blocks):
+    rng = np.random.default_rng(4)
+    H, G = blocks.dense()
+    assert H.shape == (14, 14) and G.shape == (14, 18) and not H[:4, 4:].any()
+    sparse = lambda rows: csr_matrix(rng.normal(size=(rows, 14)) * (rng.random((rows, 14)) < 0.3))
+    left, right, forces, motions = sparse(5), sparse(8), rng.normal(size=(2, 14)), rng.normal(size=(2, 18))
+    close = lambda found, wanted: np.testing.assert_allclose(found, wanted, atol=1e-12)
+    close(blocks.gather(left, right), left @ H @ right.T.toarray())
+    close(blocks.diagonal(left), np.diag(left @ H @ left.T.toarray()))
+    close(blocks.rigid(left), left @ G)
+    close(blocks.displace(forces), forces @ H)
+    close(blocks.carry(motions), motions @ G.T)
+    close(blocks.resultants(forces), forces @ G)
+    close(blocks.part(1).dense()[0], H[4:11, 4:11])
+
+
+def test_motions_are_fitted_part_by_part(blocks):
+    rigid = np.random.default_rng(5).normal(size=(3, 18))
+    rigid[:, :6] = rigid[:, 12:] = 0.0  # parts of four and three functionals cannot tell six motions apart
+    np.testing.assert_allclose(blocks.fit(blocks.carry(rigid)), rigid, atol=1e-10)
+
+
+def part(element="springs"):
+    surface = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+    patch = surface.patch([0.2, 0.2, 0.0], 0.0)
+    one = Functionals((patch,), np.zeros(1, int), np.array([[0.0, 0, 1]]), np.zeros(1, bool), np.zeros(1), ("M",))
+    return Part("p", surface, 1.0, 210e3, 0.3, element, one)
+
+
+class Springs:
+    """A provider that is not a finite-element code."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def accepts(self, part):
+        return part.element == "springs"
+
+    def coefficients(self, parts, comm=None):
+        self.calls += 1
+        return {p.name: InfluenceCoefficients(p.name, np.eye(1), np.ones((1, 6))) for p in parts}
+
+    def field(self, part, forces):
+        return np.zeros((3, 6, forces.shape[1])), np.zeros((3, 6, 6))
+
+
+class Assembly:
+    parts = (part(),)
+
+
+@pytest.fixture
+def springs(monkeypatch):
+    """The springs registered as a package would register them: by an entry point."""
+    made = Springs()
+
+    class Point:
+        name = "springs"
+
+        def load(self):
+            return lambda: made
+
+    monkeypatch.setattr(provider, "entry_points", lambda group: [Point()] if group == provider.GROUP else [])
+    provider.installed.cache_clear()
+    yield made
+    provider.installed.cache_clear()
+
+
+def test_another_code_can_be_the_provider(springs, tmp_path):
+    assert isinstance(springs, provider.Provider)
+    found, cached = influence_coefficients(Assembly, tmp_path)
+    assert found["p"].H == [[1.0]] and cached == {"p": False} and is_cached(part(), tmp_path)
+    found, cached = influence_coefficients(Assembly, tmp_path)
+    assert cached == {"p": True} and springs.calls == 1
+
+
+def test_a_damaged_cache_file_counts_as_absent(springs, tmp_path):
+    influence_coefficients(Assembly, tmp_path)
+    file = next((tmp_path / "influence").iterdir())
+    file.write_bytes(file.read_bytes()[:200])
+    found, cached = influence_coefficients(Assembly, tmp_path)
+    assert found["p"].H == [[1.0]] and cached == {"p": False} and springs.calls == 2
+    assert influence_coefficients(Assembly, tmp_path)[1] == {"p": True}
+
+
+def test_a_part_that_nobody_knows_is_refused_with_the_remedy(springs):
+    with pytest.raises(MissingProvider, match=r"part 'p': .*springs does not know it.*apt-get install python3-dolfinx"):
+        provider.find(part(element="beams"))
+
+
+def test_a_provider_that_cannot_be_loaded_says_why(monkeypatch):
+    class Point:
+        name = "broken"
+
+        def load(self):
+            raise ImportError("No module named 'dolfinx'")
+
+    monkeypatch.setattr(provider, "entry_points", lambda group: [Point()])
+    provider.installed.cache_clear()
+    try:
+        with pytest.raises(MissingProvider, match="broken: No module named 'dolfinx'"):
+            provider.find(part())
+    finally:
+        provider.installed.cache_clear()

@@ -1,0 +1,92 @@
+"""The example scenes: found by name, copied out whole, and carried by the wheel."""
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import mic
+from mic import examples
+from mic.cli import app
+from mic.errors import RunError, SceneError
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_every_example_is_a_scene():
+    assert examples.names() == ["hat_on_plate", "lap_joint", "wheelhouse"]
+    for name in examples.names():
+        assert mic.load_scene(examples.folder(name)).name.replace("-", "_") == name
+
+
+def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
+    from mic.model.assembly import assemble
+
+    out = examples.copy("lap_joint", tmp_path / "deep" / "mine")
+    assert {path.name for path in out.iterdir()} == {"scene.toml", "geometry.py"}
+    wheelhouse = examples.copy("wheelhouse", tmp_path / "wheelhouse")
+    assert {path.name for path in wheelhouse.iterdir()} == {"scene.toml", "geometry.py", "README.md", "paper.toml"}
+    copied, shipped = (assemble(mic.load_scene(path), cache) for path in (out, examples.folder("lap_joint")))
+    for one, other in zip(copied.parts, shipped.parts):
+        assert (one.surface.points == other.surface.points).all()
+
+
+def test_nothing_is_overwritten_and_names_are_checked(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert examples.copy("lap_joint") == Path("lap_joint")
+    (tmp_path / "lap_joint" / "scene.toml").write_text("mine")
+    with pytest.raises(RunError, match="lap_joint: this exists already"):
+        examples.copy("lap_joint")
+    assert (tmp_path / "lap_joint" / "scene.toml").read_text() == "mine"
+    with pytest.raises(SceneError, match="no example scene called 'lap'; .* hat_on_plate, lap_joint, wheelhouse"):
+        examples.copy("lap", tmp_path / "lap")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match="cannot be written"):
+        examples.copy("lap_joint", tmp_path / "file" / "below")
+
+
+def test_init_says_what_it_copied_and_what_comes_next(tmp_path):
+    out = tmp_path / "mine"
+    result = CliRunner().invoke(app, ["init", "--example", "hat_on_plate", "--out", str(out)])
+    assert result.exit_code == 0 and f"mic check {out}" in result.stdout
+    assert (out / "scene.toml").is_file()
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_the_examples_and_no_generic_name(tmp_path):
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("mic", "fem_reference", "verification", "meshes"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in ROOT.glob("*"):
+        if path.is_file():
+            shutil.copy(path, source)
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        ".",
+        "--no-deps",
+        "--no-build-isolation",
+        "-q",
+        "-w",
+        str(tmp_path),
+    ]
+    subprocess.run(command, cwd=source, check=True, timeout=300)
+    (wheel,) = tmp_path.glob("*.whl")
+    files = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0].split("-")[0] for name in files} == {
+        "mic",
+        "fem_reference",
+        "verification",
+        "mic_contact",
+    }
+    for example in examples.names():
+        for path in examples.folder(example).glob("*.*"):
+            assert f"mic/example_scenes/{example}/{path.name}" in files
+    assert not any("__pycache__" in name for name in files)

@@ -1,0 +1,131 @@
+"""Surfaces of parts from files and scripts: what is kept, and how a script's failure reads."""
+
+import numpy as np
+import pytest
+
+from mic.errors import SceneError
+from mic.geometry.load import fixture_surface, load_script, part_surface
+from mic.scene.schema import Fixture, Part
+
+STRIP = """
+import numpy as np
+SIZES = {"coarse": 2.0}
+def build(part, size):
+    open(__file__ + ".calls", "a").write(f"{part} {size}\\n")
+    return np.array([[0, 0, 0], [size, 0, 0], [size, 1, 0], [0, 1, 0.0]]), [[0, 1, 2], [0, 2, 3]]
+"""
+
+
+def part(**keys):
+    return Part(name="sheet", thickness=1.0, young=210e3, poisson=0.3, **keys)
+
+
+def script(tmp_path, text, size=2.0):
+    (tmp_path / "geometry.py").write_text(text)
+    return part_surface(part(geometry="geometry.py", size=size), tmp_path, tmp_path / "cache")
+
+
+def calls(tmp_path):
+    return (tmp_path / "geometry.py.calls").read_text().splitlines()
+
+
+def test_a_script_is_run_once_and_its_mesh_kept(tmp_path):
+    first, second = script(tmp_path, STRIP), script(tmp_path, STRIP)
+    assert calls(tmp_path) == ["sheet 2.0"]
+    assert np.array_equal(first.points, second.points) and np.array_equal(first.triangles, second.triangles)
+    assert script(tmp_path, STRIP, size="coarse").areas.sum() == pytest.approx(2)
+    script(tmp_path, STRIP + "\n")
+    assert len(calls(tmp_path)) == 3  # another size key, another script: other meshes
+
+
+def test_a_kept_mesh_that_is_damaged_is_generated_again(tmp_path):
+    first = script(tmp_path, STRIP)
+    (kept,) = (tmp_path / "cache" / "meshes").iterdir()
+    kept.write_bytes(kept.read_bytes()[:100])
+    assert np.array_equal(script(tmp_path, STRIP).points, first.points)
+    script(tmp_path, STRIP)
+    assert len(calls(tmp_path)) == 2  # replaced, so the third time it is read
+
+
+def test_a_script_may_use_dataclasses(tmp_path):
+    text = "from __future__ import annotations\nfrom dataclasses import dataclass\n@dataclass\nclass A:\n    x: int\n"
+    assert script(tmp_path, text + STRIP).areas.sum() == pytest.approx(2)
+
+
+BUILD = "def build(part, size):\n    return "
+POINTS = "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]"
+BAD = {
+    "gmsh is missing": ("import gmsh_", "needs the package gmsh_; install it: pip install gmsh_"),
+    "a file beside it": ("import helper", "imports helper, a file beside it"),
+    "a name is missing": ("from math import sine", "cannot import name 'sine'"),
+    "it raises": ("x = {}[17]", r"KeyError: 17 \(line 1 of the script\)"),
+    "it raises without words": ("def build(part, size):\n    assert size > 3", "AssertionError .*line 2"),
+    "it does not want the part": ("def build(part, size):\n    raise ValueError('no such part')", "no such part"),
+    "it exits": ("import sys\nsys.exit(1)", "exits instead of returning a mesh"),
+    "its build exits": ("import sys\ndef build(part, size):\n    sys.exit()", "exits instead of returning a mesh"),
+    "it is no Python": ("def build(:", "SyntaxError"),
+    "it has no build": ("x = 1", "must define build"),
+    "its build is no function": ("build = 3", "must define build"),
+    "nothing returned": (
+        "def build(part, size):\n    pass",
+        "must return two arrays, points and triangles, not NoneType",
+    ),
+    "three returned": (BUILD + "1, 2, 3", "must return two arrays"),
+    "strings": (BUILD + "'points', 'triangles'", "points that are no numbers"),
+    "ragged": (BUILD + "[[0, 0, 0], [1, 0]], [[0, 1, 2]]", "differ in length"),
+    "plane points": (BUILD + "[[0, 0], [1, 0], [1, 1]], [[0, 1, 2]]", r"shape \(n, 3\), not \(3, 2\)"),
+    "quadrilaterals": (BUILD + POINTS + ", [[0, 1, 2, 0]]", r"shape \(k, 3\)"),
+    "NaN": (
+        BUILD + POINTS.replace("1]", "1]").replace("[1, 1, 0]", "[1, float('nan'), 0]") + ", [[0, 1, 2]]",
+        "not finite",
+    ),
+    "half a number": (BUILD + POINTS + ", [[0, 1, 1.5]]", "no whole numbers"),
+    "out of range": (BUILD + POINTS + ", [[0, 1, 3]]", "outside 0..2"),
+    "no area": (BUILD + POINTS + ", [[0, 1, 1]]", "no area"),
+    "SIZES is a list": ("SIZES = [1]\n" + BUILD + "1", "SIZES must be a dict"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_script_that_fails_ends_in_one_sentence(tmp_path, case):
+    text, words = BAD[case]
+    (tmp_path / "helper.py").write_text("")
+    with pytest.raises(SceneError, match=words) as caught:
+        script(tmp_path, text, size="coarse" if "SIZES" in text else 2.0)
+    message = str(caught.value)
+    assert message.startswith(f"part 'sheet': geometry: {tmp_path / 'geometry.py'}: ") and "\n" not in message
+    assert not (tmp_path / "cache").exists()
+
+
+def test_without_gmsh_the_message_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "gmsh", None)
+    with pytest.raises(SceneError, match=r"needs the package gmsh; install it: pip install 'mic-contact\[mesh\]'"):
+        script(tmp_path, "def build(part, size):\n    import gmsh")
+
+
+def test_an_unknown_size_names_the_known_ones(tmp_path):
+    with pytest.raises(SceneError, match="no size called 'huge'; known: coarse"):
+        script(tmp_path, STRIP, size="huge")
+
+
+def test_a_script_must_be_a_python_file(tmp_path):
+    (tmp_path / "geometry.txt").write_text(STRIP)
+    with pytest.raises(ValueError, match="must be a Python file"):
+        load_script(tmp_path / "geometry.txt")
+
+
+def test_files_that_are_missing_or_bad_name_part_and_file(tmp_path):
+    for keys in ({"mesh": "none.bdf"}, {"geometry": "none.py", "size": 2.0}):
+        with pytest.raises(SceneError, match="part 'sheet': .*there is no file .*none"):
+            part_surface(part(**keys), tmp_path, tmp_path)
+    (tmp_path / "bad.vtk").write_text("this is no mesh")
+    with pytest.raises(SceneError, match="part 'sheet': mesh: .*bad.vtk: .*cannot be read"):
+        part_surface(part(mesh="bad.vtk"), tmp_path, tmp_path)
+    with pytest.raises(SceneError, match="fixture 'pad': mesh: .*bad.vtk: .*cannot be read"):
+        fixture_surface(Fixture(name="pad", mesh="bad.vtk"), tmp_path)
+
+
+def test_a_pad_is_a_disc_with_its_normal_outwards(tmp_path):
+    pad = fixture_surface(Fixture(name="pad", point=(1, 2, 3), normal=(0, 0, -1), radius=4.0), tmp_path)
+    assert pad.normals[:, 2] == pytest.approx(-1) and pad.points.mean(0) == pytest.approx([1, 2, 3])
+    assert pad.areas.sum() == pytest.approx(np.pi * 16, rel=0.01)

@@ -1,0 +1,320 @@
+"""Mesh files: what every format gives, written by hand or by gmsh, and what each bad file ends in: one sentence."""
+
+import re
+
+import numpy as np
+import pytest
+
+from mic.errors import FormatError
+from mic.geometry.readers import READERS, read_mesh
+from mic.geometry.readers.vtu import read_vtu, write_vtu
+from mic.geometry.surface import Surface
+
+# One square of two sheets' elements: a quadrilateral from x = 0 to 1 and a triangle beside it; areas 1 and 0.5.
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.0]])
+NASTRAN_SMALL = """SOL 101
+CEND
+TITLE = A DECK
+BEGIN BULK
+$ a comment
+PSHELL         1       1     1.0       1               1
+GRID           1              0.      0.      0.
+GRID           2              1.      0.      0.       1
+GRID           3       0      1.      1.
+GRID           4             0.0    .1+1       0
+GRID          10             2.0   0.0-3      0.
+CQUAD4         1       1       1       2       3       4      0.      0.
++             1.      1.      1.      1.
+CTRIA3         2       1       2      10       3      45.
+CBUSH          7       1       1       2
+ENDDATA
+GRID          99             bad
+"""
+NASTRAN_LARGE = """GRID*                  1                              0.              0.
+*                     0.
+GRID*                  2                 1.0000000000D+0              0.
+*
+GRID*                  3                              1.              1.
+*                     0.
+GRID*                  4                              0.              1.
+*                     0.
+GRID*                 10                              2.              0.
+*                     0.
+CQUAD4*                1               1               1               2
+*                      3               4
+CTRIAR         2       1       2      10       3
+"""
+NASTRAN_FREE = """BEGIN BULK
+GRID,1,,0.,0.,0.
+GRID,2,,1.,0.,0.
+GRID,3,,1.,1.,0.
+GRID,4,,0.,1.,0.
+GRID,10,,2.,0.,0.
+CQUAD8,1,1,1,2,3,4,,,
+,,
+CTRIA3,2,1,2,10,3
+"""
+ABAQUS = """*Heading
+** a comment
+*Part, name=P
+*Node
+ 1, 0., 0., 0.
+ 2, 1., 0., 0.
+ 3, 1., 1., 0.
+ 4, 0., 1., 0.
+ 10, 2., 0., 0.
+*Element, type=S4R, elset=E
+1, 1, 2, 3, 4
+*Element, type=S3
+2, 2, 10, 3
+*Elset, elset=all, generate
+1, 2, 1
+*End Part
+"""
+OBJ = """mtllib a.mtl
+o sheet
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 2 0 0
+vt 0 0
+vn 0 0 1
+f 1/1/1 2/1/1 3/1/1 4/1/1
+f 2//1 5//1 3//1
+"""
+PLY = """ply
+format ascii 1.0
+element vertex 5
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+2 0 0
+4 0 1 2 3
+3 1 4 2
+"""
+VTK = """# vtk DataFile Version 3.0
+a sheet
+ASCII
+DATASET UNSTRUCTURED_GRID
+POINTS 5 double
+0 0 0 1 0 0 1 1 0 0 1 0 2 0 0
+CELLS 2 9
+4 0 1 2 3
+3 1 4 2
+CELL_TYPES 2
+9
+5
+"""
+MEDIT = """MeshVersionFormatted 2
+Dimension 3
+Vertices
+5
+0 0 0 0
+1 0 0 0
+1 1 0 0
+0 1 0 0
+2 0 0 0
+Triangles
+1
+2 5 3 0
+Quadrilaterals
+1
+1 2 3 4 0
+End
+"""
+FACET = " facet normal 0 0 1\n  outer loop\n   vertex {}\n   vertex {}\n   vertex {}\n  endloop\n endfacet\n"
+STL = (
+    "solid a\n"
+    + FACET.format("0 0 0", "1 0 0", "1 1 0")
+    + FACET.format("0 0 0", "1 1 0", "0 1 0")
+    + FACET.format("1 0 0", "2 0 0", "1 1 0")
+    + "endsolid a\n"
+)
+FILES = {
+    "small.bdf": NASTRAN_SMALL,
+    "large.nas": NASTRAN_LARGE,
+    "free.fem": NASTRAN_FREE,
+    "part.inp": ABAQUS,
+    "sheet.obj": OBJ,
+    "sheet.ply": PLY,
+    "sheet.vtk": VTK,
+    "sheet.mesh": MEDIT,
+    "SHEET.STL": STL,
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_of_each_format_is_read(tmp_path, name):
+    (tmp_path / name).write_text(FILES[name])
+    points, triangles, report = read_mesh(tmp_path / name)
+    surface = Surface(points, triangles)
+    assert len(triangles) == 3 and report.pieces == 1 and not report.triangles_turned
+    assert surface.areas.sum() == pytest.approx(1.5) and surface.normals[:, 2] == pytest.approx(1)
+    assert points[np.lexsort(points.T)] == pytest.approx(POINTS[np.lexsort(POINTS.T)])
+
+
+@pytest.mark.parametrize(
+    "kinds", [("S4", "S3R"), ("R3D4", "R3D3"), ("s4t", "dS3"), ("M3D4R", "STRI3"), ("CPS4I", "CPE3")]
+)
+def test_no_sheet_element_of_a_deck_is_passed_over(tmp_path, kinds):
+    (tmp_path / "a.inp").write_text(ABAQUS.replace("S4R", kinds[0]).replace("S3", kinds[1]))
+    assert len(read_mesh(tmp_path / "a.inp")[1]) == 3
+
+
+def test_instances_of_a_deck_are_placed(tmp_path):
+    instance = "*Assembly, name=A\n*Instance, name=P-1, part=P\n 0., 0., 7.\n*End Instance\n*End Assembly\n"
+    (tmp_path / "a.inp").write_text(ABAQUS + instance)
+    assert read_mesh(tmp_path / "a.inp")[0] == pytest.approx(POINTS + [0, 0, 7])
+
+
+def test_points_keep_the_order_of_the_file(tmp_path):
+    (tmp_path / "a.bdf").write_text(NASTRAN_SMALL)
+    assert read_mesh(tmp_path / "a.bdf")[0] == pytest.approx(POINTS)
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_gmsh_files_are_read_though_only_some_elements_are_in_a_group(tmp_path, version, binary):
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("sheet")
+        sheets = [gmsh.model.occ.addRectangle(x, 0, 0, 3, 2) for x in (0, 3)]
+        gmsh.model.occ.fragment([(2, sheets[0])], [(2, sheets[1])])
+        gmsh.model.occ.synchronize()
+        gmsh.model.mesh.setRecombine(2, sheets[1])
+        gmsh.model.mesh.generate(2)
+        gmsh.model.addPhysicalGroup(2, [sheets[0]], name="left part")
+        for option, value in (("SaveAll", 1), ("MshFileVersion", version), ("Binary", binary)):
+            gmsh.option.setNumber(f"Mesh.{option}", value)
+        gmsh.write(str(tmp_path / "sheet.msh"))
+    finally:
+        gmsh.finalize()
+    points, triangles, report = read_mesh(tmp_path / "sheet.msh")
+    assert Surface(points, triangles).areas.sum() == pytest.approx(12)
+    assert report.pieces == 1 and report.quadrilaterals_split
+
+
+BAD = {
+    "a bulk without sheets.bdf": ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCBAR,1,1,1,1\nENDDATA\n", "only CBAR"),
+    "a coordinate system.bdf": (NASTRAN_FREE.replace("GRID,2,,", "GRID,2,7,"), "line 3: .* coordinate system 7"),
+    "another default system.bdf": ("BEGIN BULK\nGRDSET,,7\n" + NASTRAN_FREE[11:], "coordinate system 7"),
+    "an include.bdf": ("INCLUDE 'mesh.bdf'\n" + NASTRAN_FREE[11:], "includes another file"),
+    "a point that is not there.bdf": (NASTRAN_FREE.replace("2,10,3", "2,11,3"), "the point 11, which has no GRID"),
+    "a cut card.bdf": (NASTRAN_FREE[:-5], "line 9: .* CTRIA3 is no number, or is missing"),
+    "bricks.bdf": ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCTETRA,1,1,1,1,1,1\n", r"solid elements \(CTETRA\)"),
+    "a node that is not there.inp": (
+        re.sub(r"\*(End )?Part.*\n", "", ABAQUS).replace("2, 2, 10, 3", "2, 2, 17, 3"),
+        "undefined id",
+    ),
+    "bricks.inp": (ABAQUS.replace("S3", "C3D4").replace("2, 10, 3", "2, 10, 3, 1"), r"solid elements \(C3D4"),
+    "continuum shells.inp": (ABAQUS.replace("S3", "SC6R"), r"solid elements \(SC6R"),
+    "a table of another kind.vtk": (VTK.replace("UNSTRUCTURED_GRID", "POLYDATA"), "POLYDATA"),
+    "no mesh.vtk": ("this is no mesh", "cannot be read"),
+    "a header without end.ply": (PLY[:40], "header has no end"),
+    "a pentagon.obj": (OBJ.replace("f 2//1 5//1 3//1", "f 1 2 5 3 4"), "polygons of more than four corners"),
+    "a tetrahedron.vtk": (
+        "# vtk DataFile Version 3.0\na\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 double\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+        "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n",
+        r"solid elements \(tetra\)",
+    ),
+    "not finite.obj": (OBJ.replace("v 2 0 0", "v nan 0 0"), "not finite"),
+    "of no format.docx": ("", "there is no reader of .docx; .* .bdf, "),
+    "of no suffix": ("", "files without a suffix"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_file_ends_in_one_sentence_that_names_it(tmp_path, name):
+    text, words = BAD[name]
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(FormatError, match=words) as caught:
+        read_mesh(path)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "problem", [KeyError(17), SystemExit(1), ValueError("two\nlines"), AssertionError(), IndexError("1")]
+)
+def test_whatever_a_reader_raises_ends_in_a_sentence(tmp_path, monkeypatch, problem):
+    def fail(path):
+        raise problem
+
+    monkeypatch.setitem(READERS, ".new", fail)
+    (tmp_path / "a.new").write_text("")
+    kind = "exit" if isinstance(problem, SystemExit) else type(problem).__name__
+    with pytest.raises(FormatError, match=rf"a\.new: this mesh file cannot be read: .* \({kind}") as caught:
+        read_mesh(tmp_path / "a.new")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_package_that_a_format_needs_is_named(tmp_path, monkeypatch):
+    def fail(path):
+        raise ModuleNotFoundError("No module named 'h5py'", name="h5py")
+
+    monkeypatch.setitem(READERS, ".new", fail)
+    (tmp_path / "a.new").write_text("")
+    with pytest.raises(FormatError, match="needs the package h5py; install it"):
+        read_mesh(tmp_path / "a.new")
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FormatError, match="none.bdf.* does not exist"):
+        read_mesh(tmp_path / "none.bdf")
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_rubbish_of_any_suffix_ends_in_one_sentence(tmp_path, suffix):
+    path = tmp_path / f"rubbish{suffix}"
+    rng = np.random.default_rng(5)
+    for content in (b"", b"garbage\n" * 5, b"1\n", rng.integers(0, 256, 300, dtype=np.uint8).tobytes()):
+        path.write_bytes(content)
+        with pytest.raises(FormatError) as caught:
+            read_mesh(path)
+        words = re.sub(r"^.*?: ", "", str(caught.value), count=1)
+        assert len(words.split()) > 5 and "\n" not in words
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_cut_anywhere_is_read_or_refused(tmp_path, name):
+    path = tmp_path / name
+    for share in np.linspace(0.05, 0.95, 10):
+        path.write_text(FILES[name][: int(share * len(FILES[name]))])
+        try:
+            read_mesh(path)
+        except FormatError as problem:
+            assert "\n" not in str(problem)
+
+
+def test_fields_come_back_from_a_vtu_as_they_went_in(tmp_path):
+    rng = np.random.default_rng(2)
+    points, triangles = rng.normal(size=(4, 3)), np.array([[0, 1, 2], [0, 2, 3]])
+    data = {"mean": rng.normal(size=(4, 3)), "six_sigma_normal": rng.normal(size=4)}
+    path = tmp_path / "fields" / "coulomb-lower.vtu"
+    write_vtu(path, points, triangles, data)
+    found = read_vtu(path)
+    assert set(found) == set(data)
+    assert all(np.array_equal(found[name], data[name]) for name in data)
+    assert [file.name for file in path.parent.iterdir()] == [path.name]  # nothing half written stays behind
+    again = read_mesh(path)
+    assert np.array_equal(again[0], points) and np.array_equal(again[1], triangles)
+
+
+def test_a_damaged_field_file_is_refused(tmp_path):
+    path = tmp_path / "a.vtu"
+    write_vtu(path, POINTS, np.array([[0, 1, 2], [1, 4, 2]]), {"mean": np.ones(5)})
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(FormatError, match="cut short or damaged"):
+        read_vtu(path)
+    with pytest.raises(FileNotFoundError):
+        read_vtu(tmp_path / "b.vtu")

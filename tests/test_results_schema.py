@@ -1,0 +1,131 @@
+"""Results are what their declaration says: names, types, units, formats."""
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from mic.errors import FormatError
+from mic.results import schema
+from mic.results.parquet import read_table, write_table
+from mic.results.tables import tables
+from mic.sampling.draw import draw
+
+
+@pytest.fixture(scope="module")
+def found(lap_model):
+    return tables(lap_model, lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3)), first=5)
+
+
+def test_an_evaluation_fills_the_tables_as_they_are_declared(found):
+    assert set(found) == {table.name for table in schema.DATASETS}
+    for table in schema.DATASETS:
+        table.check(found[table.name], "memory", "mend it")
+        assert found[table.name]["sample"].unique().tolist() == [5, 6, 7]
+
+
+def test_zone_slip_is_the_rms_over_the_zones_pairs(found):
+    one = found["contacts"].query("sample == 7 and stage == 'clamp'")
+    rms = np.sqrt((one["u_t1"] ** 2 + one["u_t2"] ** 2).mean())
+    slip = found["slips"].query("sample == 7 and stage == 'clamp' and zone == 'lap'")["rms_slip"].item()
+    assert slip == pytest.approx(rms, rel=1e-12) and rms > 1e-5
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda frame: frame.drop(columns="rms_slip"), "'rms_slip'"),
+        (lambda frame: frame.astype({"rms_slip": "float32"}), "holds float32, expected float64"),
+        (lambda frame: frame.astype({"sample": "int64"}), "'sample' holds int64"),
+        (lambda frame: frame.astype({"zone": object}), "'zone' holds object"),
+        (lambda frame: frame.assign(more=1.0), "'more' is none of"),
+        (lambda frame: frame[["stage", "sample", "zone", "rms_slip"]], "'stage' is out of order"),
+    ],
+)
+def test_a_frame_that_is_not_its_table_is_refused(found, change, words, tmp_path):
+    path = tmp_path / "block.parquet"
+    with pytest.raises(FormatError, match="slips") as caught:
+        write_table(path, schema.SLIPS, change(found["slips"].copy()), "me")
+    assert words in str(caught.value) and not path.exists()
+
+
+def test_tangential_columns_may_be_absent_and_no_others(found):
+    contacts = found["contacts"]
+    schema.CONTACTS.check(contacts.drop(columns=["f_t1", "f_t2", "u_t1", "u_t2"]), "memory", "mend it")
+    with pytest.raises(FormatError, match="'f_n'"):
+        schema.CONTACTS.check(contacts.drop(columns="f_n"), "memory", "mend it")
+
+
+@pytest.mark.parametrize("table", schema.DATASETS, ids=lambda table: table.name)
+def test_blocks_keep_every_bit_and_carry_units_and_identity(found, table, tmp_path):
+    path = tmp_path / "law=coulomb" / "block.parquet"
+    write_table(path, table, found[table.name], "me")
+    frame, identity = read_table(path, table)
+    pd.testing.assert_frame_equal(frame, found[table.name], check_exact=True)
+    assert identity == "me"
+    stored = pq.read_schema(path)
+    for column in table.columns:
+        assert stored.field(column.name).metadata[b"unit"].decode() == column.unit
+
+
+@pytest.mark.parametrize("table", schema.DATASETS, ids=lambda table: table.name)
+def test_a_table_without_rows_is_written_and_read(table, tmp_path):
+    write_table(tmp_path / "empty.parquet", table, table.empty(), "me")
+    frame, _ = read_table(tmp_path / "empty.parquet", table)
+    assert len(frame) == 0 and list(frame) == list(table.empty())
+
+
+def _header(path, **changes):
+    content = pq.read_table(path)
+    header = {**content.schema.metadata, **{key.encode(): value.encode() for key, value in changes.items()}}
+    pq.write_table(content.replace_schema_metadata(header), path)
+
+
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[:200]), "cut short or damaged"),
+        (lambda path: path.write_bytes(b""), "cut short or damaged"),
+        (lambda path: path.write_text("sample,value"), "cut short or damaged"),
+        (lambda path: _header(path, format="0"), "an older version"),
+        (lambda path: _header(path, format="99"), "a newer version"),
+        (lambda path: _header(path, format="new"), "is no block of slips"),
+        (lambda path: _header(path, kind="block of measurements"), "is no block of slips"),
+        (lambda path: pd.DataFrame({"x": [1.0]}).to_parquet(path), "is no block of slips"),
+    ],
+)
+def test_a_block_that_cannot_be_read_is_one_sentence(found, spoil, words, tmp_path):
+    path = tmp_path / "block.parquet"
+    write_table(path, schema.SLIPS, found["slips"], "me")
+    spoil(path)
+    with pytest.raises(FormatError) as caught:
+        read_table(path, schema.SLIPS)
+    assert words in str(caught.value) and str(path) in str(caught.value) and "run the scene again" in str(caught.value)
+
+
+def test_a_flipped_number_inside_a_block_is_noticed(found, tmp_path):
+    path = tmp_path / "block.parquet"
+    write_table(path, schema.CONTACTS, found["contacts"], "me")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 1
+    path.write_bytes(bytes(content))
+    with pytest.raises(FormatError):
+        read_table(path, schema.CONTACTS)
+
+
+def test_names_are_declared_once():
+    for tables_ in (schema.DATASETS, schema.STATISTICS):
+        assert len({table.name for table in tables_}) == len(tables_)
+    for table in (*schema.DATASETS, *schema.STATISTICS, schema.FORCES, schema.FIELDS):
+        assert len(set(table.names)) == len(table.names)
+        assert all(column.meaning for column in table.columns)
+
+
+def test_the_reference_names_every_table_and_column():
+    text = schema.reference()
+    for table in (*schema.DATASETS, *schema.STATISTICS, schema.FORCES, schema.FIELDS):
+        section = text.split(f"### {table.name}\n")
+        assert any(
+            all(f"| `{column.name}` |" in part for column in table.columns) and table.place in part
+            for part in section[1:]
+        )

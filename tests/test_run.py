@@ -1,0 +1,182 @@
+"""Runs that lose nothing, use nothing of another run, and delete nothing that is not theirs."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mic.model.assembly import assemble
+from mic.results.folder import identity
+from mic.results.schema import DATASETS
+from mic.runs import Listener, conclude, read_run, run, sample_into
+
+LAWS = ["coulomb", "frictionless"]
+
+
+class Heard(Listener):
+    """Keeps what a run says, and may stop it after a number of blocks."""
+
+    def __init__(self, stop_after=None):
+        self.sentences, self.left = [], stop_after
+
+    def say(self, sentence):
+        self.sentences.append(sentence)
+
+    def sampling(self, laws, samples):
+        return self
+
+    def __enter__(self):
+        return self.advance
+
+    def __exit__(self, *_):
+        return False
+
+    def advance(self, law, count):
+        if self.left is not None:
+            self.left -= 1
+            if self.left == 0:
+                raise KeyboardInterrupt
+
+
+def read(folder, table, law="coulomb"):
+    return pd.read_parquet(folder / table / f"law={law}")
+
+
+def test_run_is_complete_and_reproducible(lap_model, tmp_path):
+    for name in "ab":
+        sample_into(tmp_path / name, lap_model, LAWS, 60, 4)
+    for table in DATASETS:
+        pd.testing.assert_frame_equal(read(tmp_path / "a", table.name), read(tmp_path / "b", table.name))
+    samples, contacts = read(tmp_path / "a", "samples"), read(tmp_path / "a", "contacts")
+    assert samples["sample"].tolist() == list(range(60)) and not samples["failed"].any()
+    assert len(contacts) == 60 * 2 * len(lap_model.contacts)
+    assert json.loads((tmp_path / "a" / "run.json").read_text())["seed"] == 4
+
+
+def test_interrupted_run_keeps_what_was_finished(lap_model, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        sample_into(tmp_path, lap_model, LAWS, 120, 4, listener=Heard(stop_after=1))
+    assert read(tmp_path, "samples")["sample"].tolist() == list(range(50))
+    (block,) = (tmp_path / "samples" / "law=coulomb").glob("*.parquet")
+    written = block.stat().st_mtime_ns
+    assert sample_into(tmp_path, lap_model, LAWS, 120, 4) == {"coulomb": 50, "frictionless": 0}
+    assert block.stat().st_mtime_ns == written
+    sample_into(tmp_path / "whole", lap_model, LAWS, 120, 4)
+    pd.testing.assert_frame_equal(read(tmp_path, "measurements"), read(tmp_path / "whole", "measurements"))
+
+
+def test_another_seed_replaces_old_blocks(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, LAWS, 60, 4)
+    assert sample_into(tmp_path, lap_model, LAWS, 60, 5) == dict.fromkeys(LAWS, 0)
+    fewer = sample_into(tmp_path, lap_model, ["coulomb"], 20, 5)
+    assert fewer == {"coulomb": 0} and len(pd.read_parquet(tmp_path / "samples")) == 20
+
+
+def test_blocks_without_their_record_are_believed_by_their_own_identity_only(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, ["coulomb"], 20, 4)
+    (tmp_path / "run.json").unlink()
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
+    (tmp_path / "run.json").write_text("")
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 5) == {"coulomb": 0}
+
+
+def test_a_block_of_another_run_that_appears_later_is_left_out(lap_model, tmp_path):
+    sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4)
+    sample_into(tmp_path / "other", lap_model, ["coulomb"], 10, 5)
+    (block,) = (tmp_path / "other" / "samples" / "law=coulomb").glob("*")
+    (tmp_path / "mine" / "samples" / "law=coulomb" / block.name).write_bytes(block.read_bytes())
+    outcome = read_run(tmp_path / "mine")
+    assert outcome.missing == {"coulomb": 10} and "another run" in outcome.damaged[0]
+
+
+@pytest.mark.parametrize("table", ["samples", "slips", "contacts", "forces"])
+@pytest.mark.parametrize("wound", ["cut", "altered", "gone"])
+def test_a_damaged_block_is_set_aside_computed_anew_and_said(lap_model, tmp_path, table, wound):
+    sample_into(tmp_path, lap_model, ["coulomb"], 60, 4)
+    path = sorted((tmp_path / table / "law=coulomb").iterdir())[0]
+    content = path.read_bytes()
+    if wound == "cut":
+        path.write_bytes(content[:300])
+    elif wound == "altered":
+        middle = len(content) // 3
+        path.write_bytes(
+            content[:middle] + bytes(b ^ 0xFF for b in content[middle : middle + 40]) + content[middle + 40 :]
+        )
+    else:
+        path.unlink()
+    heard = Heard()
+    found = sample_into(tmp_path, lap_model, ["coulomb"], 60, 4, listener=heard)
+    assert found == {"coulomb": 10} and read_run(tmp_path).missing == {"coulomb": 0}
+    if (table, wound) != ("samples", "gone"):  # without its samples a block was never finished
+        (sentence,) = heard.sentences
+        assert path.name in sentence and "computed anew" in sentence
+        assert list(tmp_path.glob("*/law=coulomb/*.damaged"))
+
+
+def test_files_that_no_run_wrote_stay(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+    foreign = [tmp_path / "samples" / "precious" / "data.csv", tmp_path / "samples" / "law=coulomb" / "notes.parquet"]
+    for path in foreign:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("mine")
+    sample_into(tmp_path, lap_model, ["frictionless"], 5, 6)
+    assert all(path.read_text() == "mine" for path in foreign)
+    assert read_run(tmp_path).missing == {"frictionless": 0}
+
+
+def test_identity_depends_on_inputs_and_not_on_the_last_digits_of_what_was_computed(lap_model, lap_scene, cache):
+    from dataclasses import replace
+
+    parts = assemble(lap_scene, cache).parts
+    own = identity(lap_model, 4, parts)
+    assert identity(replace(lap_model, H=lap_model.H * (1 + 1e-15)), 4, parts) == own
+    assert identity(lap_model, 5, parts) != own
+    thicker = [part.model_copy(update={"thickness": 1.1}) for part in lap_scene.parts]
+    changed = replace(lap_model, scene=lap_scene.model_copy(update={"parts": thicker}))
+    assert identity(changed, 4, parts) != own
+    assert identity(lap_model, 4, [replace(parts[0], young=1.0), *parts[1:]]) != own
+    assert identity(lap_model, 4) != identity(replace(lap_model, H=lap_model.H * 2), 4)
+
+
+def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
+    scene = lap_scene.model_copy(
+        update={
+            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 8}),
+            "report": lap_scene.report.model_copy(update={"laws": LAWS, "fields": False}),
+        }
+    )
+    heard = Heard()
+    outcome = run(scene, tmp_path, cache, heard)
+    assert outcome.laws == LAWS and outcome.missing == dict.fromkeys(LAWS, 0)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["laws"]["coulomb"]["measurements"]["M1"]["mean"] == outcome.measured("coulomb", "M1").mean()
+    assert {"Monte Carlo", "statistics", "influence coefficients"} <= set(summary["wall_time"])
+    before = json.loads((tmp_path / "run.json").read_text())["wall_time"]["Monte Carlo"]
+    again = conclude(tmp_path)  # other phases keep their time
+    assert again.record["wall_time"]["Monte Carlo"] == before
+    run(scene, tmp_path, cache, heard)
+    assert "coulomb: 8 of 8 samples found finished" in " ".join(heard.sentences)
+
+
+def test_ranks_share_the_samples(lap_model, tmp_path):
+    sample_into(tmp_path / "one", lap_model, LAWS, 120, 4)
+    lap_model.save(tmp_path / "model.npz")
+    script = (
+        "import sys; from pathlib import Path\n"
+        "from mic.process.model import ReducedModel; from mic.runs import sample_into\n"
+        "folder = Path(sys.argv[1]); model = ReducedModel.load(folder / 'model.npz')\n"
+        "sample_into(folder / 'two', model, sys.argv[2:], 120, 4)"
+    )
+    subprocess.run(
+        ["mpirun", "-n", "2", "--oversubscribe", sys.executable, "-m", "mpi4py", "-c", script, str(tmp_path), *LAWS],
+        check=True,
+        env=os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"},
+        timeout=120,
+    )
+    for table in ("samples", "measurements"):
+        pd.testing.assert_frame_equal(read(tmp_path / "one", table), read(tmp_path / "two", table))
+    assert np.isfinite(read(tmp_path / "two", "measurements")["value"]).all()

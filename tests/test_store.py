@@ -1,0 +1,111 @@
+"""Files are written whole or not at all, and read back only as what they are."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from mic import store
+from mic.errors import FormatError
+
+THING = store.Format("thing", 3, "make it again")
+ARRAYS = {"H": np.arange(12.0).reshape(3, 4), "names": np.array(["a", "bb"]), "none": np.zeros((0, 2))}
+
+
+@pytest.fixture
+def path(tmp_path):
+    store.save_arrays(tmp_path / "thing.npz", THING, {"part": "lower"}, ARRAYS)
+    return tmp_path / "thing.npz"
+
+
+def test_arrays_come_back_as_they_were(path):
+    header, arrays = store.load_arrays(path, THING)
+    assert header == {"part": "lower"} and set(arrays) == set(ARRAYS)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(arrays[name], array)
+    assert [entry.name for entry in path.parent.iterdir()] == ["thing.npz"]  # nothing partial is left
+
+
+def test_a_file_cut_anywhere_is_refused_in_one_sentence(path):
+    whole = path.read_bytes()
+    for length in [0, 1, 30, *range(100, len(whole), 211), len(whole) - 1]:
+        path.write_bytes(whole[:length])
+        with pytest.raises(FormatError, match=r"this thing is cut short or damaged; make it again$"):
+            store.load_arrays(path, THING)
+
+
+def test_a_file_with_any_byte_altered_never_yields_other_numbers(path):
+    whole = path.read_bytes()
+    for position in range(0, len(whole), 37):
+        altered = bytearray(whole)
+        altered[position] ^= 0x55
+        path.write_bytes(bytes(altered))
+        try:
+            header, arrays = store.load_arrays(path, THING)
+        except FormatError:
+            continue
+        assert header == {"part": "lower"}  # the byte had no meaning
+        for name, array in ARRAYS.items():
+            np.testing.assert_array_equal(arrays[name], array)
+
+
+def test_content_that_was_exchanged_fails_its_checksum(path):
+    _, arrays = store.load_arrays(path, THING)
+    with np.load(path) as data:
+        header = data["header"]
+    np.savez(path, header=header, **(arrays | {"H": 3 * arrays["H"]}))
+    with pytest.raises(FormatError, match="cut short or damaged"):
+        store.load_arrays(path, THING)
+
+
+@pytest.mark.parametrize("version, word", [(2, "an older version"), (4, "a newer version")])
+def test_another_version_is_named(path, version, word):
+    store.save_arrays(path, store.Format("thing", version, ""), {}, ARRAYS)
+    with pytest.raises(
+        FormatError, match=rf"written by {word} of the program \(format {version}, this version reads 3\)"
+    ):
+        store.load_arrays(path, THING)
+    store.save_json(path.with_suffix(".json"), store.Format("thing", version, ""), {})
+    with pytest.raises(FormatError, match=word):
+        store.load_json(path.with_suffix(".json"), THING)
+
+
+def test_a_foreign_file_is_named(path):
+    store.save_arrays(path, store.Format("other", 3, ""), {}, ARRAYS)
+    with pytest.raises(FormatError, match="this is no thing; make it again"):
+        store.load_arrays(path, THING)
+    path.with_suffix(".json").write_text('{"some": "thing"}')
+    with pytest.raises(FormatError, match="this is no thing"):
+        store.load_json(path.with_suffix(".json"), THING)
+    with pytest.raises(FileNotFoundError):
+        store.load_arrays(path.with_name("nowhere.npz"), THING)
+
+
+def test_no_content_is_ever_executed(path, tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "sprung"),)
+
+    np.savez(path, header=np.array(json.dumps({"kind": "thing", "format": 3})), H=np.array([Trap()], dtype=object))
+    with pytest.raises(FormatError):
+        store.load_arrays(path, THING)
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_an_error_while_writing_leaves_the_old_file_and_nothing_else(path):
+    before = path.read_bytes()
+    with pytest.raises(RuntimeError, match="power cut"):
+        with store.replacing(path) as temporary:
+            temporary.write_bytes(b"half")
+            raise RuntimeError("power cut")
+    assert path.read_bytes() == before
+    assert [entry.name for entry in path.parent.iterdir()] == ["thing.npz"]
+
+
+def test_json_comes_back_and_refuses_what_json_does_not_know(tmp_path):
+    store.save_json(tmp_path / "run.json", THING, {"samples": 3, "laws": ["coulomb"]})
+    assert store.load_json(tmp_path / "run.json", THING) == {"samples": 3, "laws": ["coulomb"]}
+    with pytest.raises(ValueError):
+        store.save_json(tmp_path / "run.json", THING, {"x": float("nan")})
+    assert store.load_json(tmp_path / "run.json", THING)["samples"] == 3
