@@ -162,7 +162,7 @@ def test_two_elements_agree_on_the_compliance_of_a_folded_part():
         ({"poisson": 0.5}, "Poisson's ratio must lie between"),
         ({"poisson": -1.0}, "Poisson's ratio must lie between"),
         ({"poisson": np.nan}, "Poisson's ratio must lie between"),
-        ({"element": "s4r"}, "choose one of dkt-opt, p2-cr"),
+        ({"element": "s4r"}, f"choose one of {', '.join(ELEMENTS)}"),
     ],
 )
 def test_bad_input_is_refused(changes, message):

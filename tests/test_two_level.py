@@ -120,6 +120,7 @@ def lap():
     )
 
 
+@pytest.mark.slow
 def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
     """On nominal meshes the reduced Coulomb is exact; (13) is not. A second call solves nothing again."""
     summary = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None)
@@ -143,6 +144,7 @@ def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
     assert again["statistics"] == written["statistics"]
 
 
+@pytest.mark.slow
 def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, monkeypatch):
     from fem_reference.full.model import ContactFailure
 

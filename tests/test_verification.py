@@ -2,13 +2,12 @@
 errors."""
 
 import json
-import os
-import subprocess
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.processes import on_processes
 
 from verification import run as runs
 from verification.report import write_report
@@ -16,7 +15,6 @@ from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Tea
 
 pytestmark = pytest.mark.fem
 
-ROOT = FOLDER.parent
 
 # Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI
 # tests.
@@ -80,19 +78,7 @@ def cheap_studies(tmp_path):
 def launch(tmp_path, ranks, folder):
     program = tmp_path / "cheap.py"
     program.write_text(CHEAP)
-    command = (
-        [sys.executable, "-m", "mpi4py", str(program), str(folder)]
-        if ranks > 1
-        else [sys.executable, str(program), str(folder)]
-    )
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), "--oversubscribe", *command]
-    environment = os.environ | {
-        "OMPI_ALLOW_RUN_AS_ROOT": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "PYTHONPATH": str(ROOT),
-    }
-    return subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    return on_processes(ranks, program, folder)
 
 
 def entries(folder):
@@ -175,6 +161,7 @@ def test_report_shows_every_number_offline(tmp_path):
     assert [entry["passed"] for entry in summary] == [True, False] and summary[1]["measured"] is None
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_ranks(tmp_path):
     found = []
     for ranks in (1, 2, 4):
@@ -184,6 +171,7 @@ def test_results_do_not_depend_on_the_number_of_ranks(tmp_path):
     assert found[0] == found[1] == found[2]
 
 
+@pytest.mark.slow
 def test_one_rank_that_fails_ends_all_with_its_traceback(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
@@ -288,6 +276,7 @@ def thickness_doubled(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_without_a_planted_error_all_limits_are_kept(tmp_path):
     assert kept(tmp_path)
 
@@ -297,6 +286,7 @@ def test_without_a_planted_error_all_limits_are_kept(tmp_path):
     [frame_sign, surface_side, friction_ignored, welds_forgotten, thickness_doubled],
     ids=lambda plant: plant.__name__,
 )
+@pytest.mark.slow
 def test_a_planted_error_is_found(plant, monkeypatch, tmp_path):
     plant(monkeypatch)
     assert not kept(tmp_path)

@@ -63,6 +63,7 @@ def largest(rows):
     return max(max(row[key] for key in ("force", "displacement", "measurement")) for row in rows if row["ε/k"] is None)
 
 
+@pytest.mark.slow
 def test_algebra_agrees_and_its_penalty_error_is_of_first_order(lap):
     rows = compare(*lap, "coulomb", 0, (1e3, 1e5))
     errors = [row["force"] for row in rows[:2]]
@@ -92,6 +93,7 @@ def test_zone_slip_by_hand():
     assert zone_slip([[9, 3, 4], [9, 0, 0], [9, 0, 2]], contacts, 2) == pytest.approx([np.sqrt(12.5), 2])
 
 
+@pytest.mark.slow
 def test_law_tells_the_programme_from_coulomb(lap):
     model, _ = law.with_friction(lap, 0.4)
     deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, 3)

@@ -37,10 +37,15 @@ formulation, Comput. Mech. 31, 505–518.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import ufl
 from ufl import as_matrix, as_vector, cross, dot, grad, inner, outer, sqrt, sym, tr
+
+from fem_reference.shell import compat
+from fem_reference.shell.interpolation import CROUZEIX_RAVIART, P1, P2, Interpolation
 
 QUADRATURE_DEGREE = 2
 
@@ -238,3 +243,32 @@ def p2_cr(V, material: Material):
         + SHEAR_FACTOR * G * t * dot(γ, γ_)
         + DRILLING_PENALTY * E * t**3 / h**2 * drill * drill_
     ) * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
+
+
+# ---------------------------------------------------------------------------------------------- by name
+
+
+@dataclass(frozen=True)
+class ShellElement:
+    """What a part needs to know of an element.
+
+    Attributes
+    ----------
+    form : callable
+        ``form(V, material)``, the bilinear form of (1).
+    space : callable
+        ``space(mesh)``, V: one field of six components at the same nodes, or a displacement and a rotation field.
+    displacement, rotation : Interpolation
+        Of u and of θ, in the order of the space's nodes.
+    """
+
+    form: Callable
+    space: Callable
+    displacement: Interpolation
+    rotation: Interpolation
+
+
+ELEMENTS = {
+    "dkt-opt": ShellElement(dkt_opt, compat.lagrange_6, P1, P1),
+    "p2-cr": ShellElement(p2_cr, compat.p2_crouzeix_raviart, P2, CROUZEIX_RAVIART),
+}

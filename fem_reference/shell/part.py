@@ -17,30 +17,14 @@ from petsc4py import PETSc
 from scipy.sparse import coo_matrix, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
-from fem_reference.shell import compat, element
+from fem_reference.shell import compat
+from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
 from fem_reference.shell.factorisation import Factorisation, FactorisationError
 from fem_reference.shell.influence import influence_matrix
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
-ELEMENTS = ("dkt-opt", "p2-cr")
 RIGID_MOTION_TOLERANCE = 1e-2  # reached where t/L ~ 1e-5 on curved shells
-
-
-def _p1(barycentric: np.ndarray) -> np.ndarray:
-    """Linear shape functions (q, 3), one per vertex."""
-    return barycentric
-
-
-def _p2(barycentric: np.ndarray) -> np.ndarray:
-    """Quadratic shape functions (q, 6): three vertices, then the midpoints opposite to each vertex."""
-    opposite = barycentric[:, [1, 2, 0]] * barycentric[:, [2, 0, 1]]
-    return np.hstack([barycentric * (2 * barycentric - 1), 4 * opposite])
-
-
-def _crouzeix_raviart(barycentric: np.ndarray) -> np.ndarray:
-    """Linear shape functions (q, 3), one per edge midpoint opposite to each vertex."""
-    return 1 - 2 * barycentric
 
 
 def _pieces(triangles: np.ndarray) -> int:
@@ -65,8 +49,9 @@ class ShellPart:
         E, MPa, > 0.
     poisson : float
         ν, −1 < ν < ½.
-    element : {"dkt-opt", "p2-cr"}
-        The six-freedom production element, or its independent check (see `fem_reference.shell.element`).
+    element : str
+        A name of `ELEMENTS`: ``"dkt-opt"``, the six-freedom production element, or ``"p2-cr"``, its independent check
+        (see `fem_reference.shell.element`).
     comm : MPI.Comm
         Processes that share the assembled stiffness. The tables (`functional_matrix`, `rigid_modes`, …) are whole on
         each of them, in the same global order of freedoms; that order depends on the number of processes.
@@ -106,6 +91,7 @@ class ShellPart:
                 f"the surface is in {pieces} pieces that share no edge: make each a part of its own, or join them"
             )
         self.surface, self.element, self.comm = surface, element, comm
+        self._kind = ELEMENTS[element]
         self.thickness, self.young, self.poisson = float(thickness), float(young), float(poisson)
         self._build_tables()
 
@@ -120,14 +106,13 @@ class ShellPart:
         self._mesh = compat.shell_mesh(self.comm, surface.points, surface.triangles)
         topology, geometry = self._mesh.topology, self._mesh.geometry
         cells = np.arange(topology.index_map(2).size_local)
-        if self.element == "dkt-opt":
-            self._space = compat.lagrange_6(self._mesh)
+        self._space = self._kind.space(self._mesh)
+        if self._space.dofmap.index_map_bs == 6:  # all six components at the same nodes
             nodes = compat.cell_dofs(self._space)[cells]
             nodes = self._space.dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
             both = 6 * nodes[:, :, None] + np.arange(6)
             displacement, rotation = both[:, :, :3], both[:, :, 3:]
         else:
-            self._space = compat.p2_crouzeix_raviart(self._mesh)
             displacement, rotation = (
                 np.stack([self._component_dofs(field, component)[cells] for component in range(3)], axis=2)
                 for field in (0, 1)
@@ -150,10 +135,6 @@ class ShellPart:
 
         self._displacement_dofs = in_surface_order(displacement)
         self._rotation_dofs = in_surface_order(rotation)
-        if self.element == "dkt-opt":
-            self._displacement_shape, self._rotation_shape = _p1, _p1
-        else:
-            self._displacement_shape, self._rotation_shape = _p2, _crouzeix_raviart
         index_map = self._space.dofmap.index_map
         self.ndof = index_map.size_global * self._space.dofmap.index_map_bs
 
@@ -180,8 +161,8 @@ class ShellPart:
         share = 1 / np.bincount(triangles.ravel(), minlength=n)[triangles]  # (k, 3)
         rows, columns, values = [], [], []
         for first, dofs, shape in (
-            (0, self._displacement_dofs, self._displacement_shape(corners)),
-            (3, self._rotation_dofs, self._rotation_shape(corners)),
+            (0, self._displacement_dofs, self._kind.displacement.shape(corners)),
+            (3, self._rotation_dofs, self._kind.rotation.shape(corners)),
         ):
             row = 6 * triangles[:, :, None, None] + first + np.arange(3)  # (k, corner, node, component)
             column = dofs[:, None, :, :]
@@ -213,14 +194,13 @@ class ShellPart:
 
     def _assemble(self) -> PETSc.Mat:
         constant = lambda value: fem.Constant(self._mesh, PETSc.ScalarType(value))
-        material = element.Material(
+        material = Material(
             young=constant(self.young),
             poisson=constant(self.poisson),
             thickness=constant(self.thickness),
-            beta0=constant(element.opt_beta0(self.poisson)),
+            beta0=constant(opt_beta0(self.poisson)),
         )
-        form = {"dkt-opt": element.dkt_opt, "p2-cr": element.p2_cr}[self.element]
-        matrix = compat.assemble_matrix(form(self._space, material))
+        matrix = compat.assemble_matrix(self._kind.form(self._space, material))
         matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return matrix
 
@@ -252,11 +232,9 @@ class ShellPart:
     def dof_position(self) -> np.ndarray:
         """(ndof, 3) where each freedom sits, mm: at a vertex or at the midpoint of an edge."""
         corners = self.surface.corners
-        midpoints = (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]]) / 2
-        quadratic = np.concatenate([corners, midpoints], axis=1)
         position = np.empty((self.ndof, 3))
-        position[self._displacement_dofs] = quadratic[:, : self._displacement_dofs.shape[1], None]
-        position[self._rotation_dofs] = (corners if self.element == "dkt-opt" else midpoints)[:, :, None]
+        position[self._displacement_dofs] = (self._kind.displacement.nodes @ corners)[:, :, None]
+        position[self._rotation_dofs] = (self._kind.rotation.nodes @ corners)[:, :, None]
         return position
 
     @cached_property
@@ -294,7 +272,7 @@ class ShellPart:
             if functionals.rotation[row]:
                 lever = np.broadcast_to(direction, (len(patch.weight), 3))
             else:
-                N = patch.weight[:, None] * self._displacement_shape(patch.barycentric)
+                N = patch.weight[:, None] * self._kind.displacement.shape(patch.barycentric)
                 dofs = self._displacement_dofs[patch.triangle]  # (q, nodes, 3)
                 rows.append(np.full(dofs.size, row)), columns.append(dofs)
                 values.append(N[:, :, None] * direction)
@@ -302,7 +280,7 @@ class ShellPart:
                     continue
                 offset = functionals.side[row] * self.thickness / 2
                 lever = np.cross(offset * self.surface.normals[patch.triangle], direction)
-            N = patch.weight[:, None] * self._rotation_shape(patch.barycentric)
+            N = patch.weight[:, None] * self._kind.rotation.shape(patch.barycentric)
             dofs = self._rotation_dofs[patch.triangle]
             rows.append(np.full(dofs.size, row)), columns.append(dofs)
             values.append(N[:, :, None] * lever[:, None, :])
@@ -318,8 +296,7 @@ class ShellPart:
         if not density > 0:
             raise ValueError(f"density must be positive, not {density} t/mm³")
         per_triangle = density * self.thickness * self.surface.areas
-        nodes = self._displacement_dofs.shape[1]
-        share = np.full(3, 1 / 3) if nodes == 3 else np.array([0, 0, 0, 1, 1, 1]) / 3  # ∫N dA / A
+        share = self._kind.displacement.mean
         load = np.zeros(self.ndof)
         np.add.at(
             load,
