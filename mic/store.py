@@ -1,7 +1,8 @@
 """Files that survive: written whole or not at all, and read back only as what they are.
 
-Every file that the program reads again goes through here. A reader sees the old content or the new, never a half; what it
-meets instead (an older or newer format, a foreign file, one cut short or altered) ends in one sentence that says so.
+Every file that the program reads again goes through here. A reader sees the old content or the new, never a half;
+what it meets instead (an older or newer format, a foreign file, one cut short or altered) ends in one sentence that
+says so.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ class Format:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, of the same suffix, that takes its place once the block has ended well.
 
-    The content is on disk before the name changes; after an error the old file stands untouched and nothing is left behind.
+    The content is on disk before the name changes; after an error the old file stands untouched and nothing is left
+    behind.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

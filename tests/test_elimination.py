@@ -5,7 +5,8 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from mic.compliance.blocks import Blocks
-from mic.compliance.elimination import eliminate, motion_size, statically_determinate
+from mic.compliance.elimination import eliminate
+from mic.compliance.support import motion_size, statically_determinate
 from mic.errors import FreeMotion
 
 FREEDOMS, MODES = 30, 6

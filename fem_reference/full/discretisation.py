@@ -11,7 +11,7 @@ from scipy.sparse import block_diag, csr_matrix, vstack
 from fem_reference.full.equilibrium import Equilibrium, Parts
 from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
-from mic.compliance.elimination import motion_size, statically_determinate
+from mic.compliance.support import motion_size, statically_determinate
 
 __all__ = ["Discretisation", "System"]
 

@@ -20,7 +20,7 @@ from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
-from mic.compliance.elimination import motion_size
+from mic.compliance.support import motion_size
 from mic.model.shape import datum_locators
 from mic.model.sources import sources
 from mic.process.drive import drive

@@ -1,1 +1,1 @@
-"""How parts yield: retained functionals, influence coefficients, who provides them, and their elimination in a stage."""
+"""How parts yield: what is retained of them, influence coefficients, who provides them, how a fixture takes hold."""

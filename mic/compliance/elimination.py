@@ -19,13 +19,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, lapack, qr
+from scipy.linalg import cho_solve, lapack
 from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.blocks import Blocks
-from mic.errors import FreeMotion
+from mic.compliance.support import motion_size, statically_determinate
 
-__all__ = ["Response", "eliminate", "statically_determinate"]
+__all__ = ["Response", "eliminate"]
 
 REDUNDANT = 1e-9  # a row whose compliance falls below this share of its own when the others hold is redundant
 
@@ -62,44 +62,6 @@ class Response:
     reaction_T: np.ndarray
     reaction_L: np.ndarray
     redundant: tuple[int, ...]
-
-
-def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Choose as many rows as there are rigid motions, so that they hold them best.
-
-    Parameters
-    ----------
-    reading : (b, r) array
-        What each row reads of each of the r rigid motions, ``rows @ G``.
-    size : (r,) array
-        How large the readings of each motion are in general, so that lengths and angles count alike.
-
-    Returns
-    -------
-    (r,) int array
-        Chosen rows, ascending.
-
-    Raises
-    ------
-    FreeMotion
-        If the rows leave a rigid motion free.
-    """
-    b, r = reading.shape
-    reading = reading / np.where(size > 0, size, 1)
-    length = np.linalg.norm(reading, axis=1)
-    reading = reading / np.where(length > 0, length, 1)[:, None]
-    rank = np.linalg.matrix_rank(reading, tol=1e-6) if b else 0
-    if rank < r:
-        raise FreeMotion(np.linalg.svd(reading, full_matrices=True)[2][rank:].T if b else np.eye(r))
-    pivots = qr(reading.T, mode="economic", pivoting=True)[2]
-    return np.sort(pivots[:r])
-
-
-def motion_size(G: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(6P,) root mean square of the readings of each rigid motion over all functionals, for
-    :func:`statically_determinate`."""
-    total = max(1, sum(len(block) for block in G))
-    return np.concatenate([np.linalg.norm(block, axis=0) for block in G]) / np.sqrt(total)
 
 
 def eliminate(

@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from mic.compliance.part import Part
 from mic.errors import SceneError
 from mic.geometry.load import fixture_surface, part_surface
-from mic.geometry.pairing import Side, find_pairs, node_pairs, pair_at
+from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.scene import Scene
@@ -172,7 +172,8 @@ def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
     )
     dimension = 3 if friction or scene.report.slip else 1
     resolved = any(stage.kind != "locate" for stage in scene.stages)
-    pairs, zone_of = [], []
+    pairs: list[ContactPair] = []
+    zones: list[int] = []
     for i, zone in enumerate(scene.zones if resolved else ()):
         try:
             found = find(zone, *(bodies[name] for name in zone.parts))
@@ -180,7 +181,7 @@ def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
             raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
         for pair in found:
             number = len(pairs)
-            terms = [[] for _ in range(dimension)]
+            terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
             for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
                 if bodies[name].rigid:
                     continue  # a rigid fixture does not move
@@ -194,8 +195,8 @@ def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
             for j in range(dimension):
                 rows.add("contact", f"{zone.name} {number} {AXES[j]}", *terms[j])
             pairs.append(pair)
-            zone_of.append(i)
-    zone_of = np.array(zone_of, dtype=np.int64)
+            zones.append(i)
+    zone_of = np.array(zones, dtype=np.int64)
     return Contacts(
         zone_of,
         np.array([scene.zones[i].friction for i in zone_of]),

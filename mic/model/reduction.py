@@ -166,13 +166,13 @@ class Reduction:
             )
             for kind, labels in header["labels"].items()
         }
-        contacts = {name: data[f"contacts_{name}"] for name in Contacts.__dataclass_fields__}
+        own: dict[str, Any] = {name: data[f"contacts_{name}"] for name in Contacts.__dataclass_fields__}
         return cls(
             Scene(**header["scene"]),
             compliance,
             rows,
             header["labels"],
-            Contacts(**contacts | {"dimension": int(contacts["dimension"])}),
+            Contacts(**own | {"dimension": int(own["dimension"])}),
             tuple(header["weld_size"]),
             data["weld_gap"],
             data["shape"],

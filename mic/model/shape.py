@@ -13,7 +13,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity
 
 from mic.compliance.blocks import Blocks
-from mic.compliance.elimination import eliminate, motion_size, statically_determinate
+from mic.compliance.elimination import eliminate
+from mic.compliance.support import motion_size, statically_determinate
 from mic.model.sources import sources
 
 __all__ = ["datum_locators", "shape_readings"]

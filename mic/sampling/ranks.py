@@ -15,6 +15,6 @@ def communicator() -> Any:
     if int(os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", "1"))) > 1:
         from mpi4py import MPI  # only here: importing it starts MPI
 
-        provider.installed()  # finite-element libraries start up collectively: later, a process alone would wait for ever
+        provider.installed()  # their libraries start up collectively: later, a process alone would wait for ever
         return MPI.COMM_WORLD
     return None

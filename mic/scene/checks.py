@@ -51,12 +51,12 @@ def check_references(scene) -> None:
     for i, stage in enumerate(scene.stages):
         for name in stage.keep or ():
             _known(f"stages[{i}].keep", name, locators, "locator")
-    kinds = [stage.kind for stage in scene.stages]
-    if kinds[0] != "locate" or kinds.count("locate") != 1:
+    sequence = [stage.kind for stage in scene.stages]
+    if sequence[0] != "locate" or sequence.count("locate") != 1:
         raise ValueError("stages: the first stage, and only the first, must be of kind 'locate'")
-    if "measure" in kinds[:-1]:
+    if "measure" in sequence[:-1]:
         raise ValueError("stages: 'measure' may only come last, once")
-    if scene.measurements and "measure" not in kinds:
+    if scene.measurements and "measure" not in sequence:
         raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
 
 

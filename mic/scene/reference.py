@@ -15,11 +15,13 @@ __all__ = ["reference"]
 
 OPENING = """# Scene reference
 
-A scene is one TOML file, or a folder that holds `scene.toml`. mm, N, MPa. Unknown keys are errors. File names are relative
-to the scene. `mic check SCENE` validates it and shows what will be modelled. Directions may have any length but zero.
+A scene is one TOML file, or a folder that holds `scene.toml`. mm, N, MPa. Unknown keys are errors. File names are
+relative to the scene. `mic check SCENE` validates it and shows what will be modelled. Directions may have any length
+but zero.
 """
-SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry` (its named size),
-`pairs` of zones that give neither `pairs`, `spacing` nor `points`, `increments` of the stages, `samples`.
+SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry`
+(its named size), `pairs` of zones that give neither `pairs`, `spacing` nor `points`, `increments` of the stages,
+`samples`.
 
 | `setting` | `size` | `pairs` per zone | `increments` | `samples` |
 | --- | --- | --- | --- | --- |
