@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from mic.errors import FormatError
+from mic.errors import FormatError, MicError
 from mic.store import Format, load_arrays, save_arrays
 
 __all__ = ["ABSENT", "Cache"]
@@ -74,7 +74,7 @@ class Cache:
                 raise FormatError(f"{path}: this {self.format.kind} was computed from something else; {ABSENT}")
         except FileNotFoundError:
             return None
-        except FormatError as problem:
+        except MicError as problem:
             _log.warning("%s", problem)
             return None
         except OSError as problem:
@@ -98,16 +98,16 @@ class Cache:
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             self._close()
             if reason := _not_own(path.parent):
-                raise PermissionError(0, f"the folder {reason}")
+                raise PermissionError(f"its folder {reason}")
             save_arrays(path, self.format, {**header, "identity": identity}, arrays)
             path.chmod(0o600)  # whatever the user's mask lets others do
-        except OSError as problem:
+        except (MicError, OSError) as problem:
             _log.warning(
                 "%s: this %s cannot be kept (%s), it is computed again next time; let MIC_CACHE name a folder of your "
                 "own that can be written",
                 path,
                 self.format.kind,
-                problem.strerror,
+                problem,
             )
 
     def _close(self) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 import mic
 from mic.sampling.draw import draw
@@ -47,11 +47,7 @@ def drawn(name: str) -> np.ndarray:
 
 def outcome(name: str, increments: int, deviations: np.ndarray, cache: Path) -> dict[str, np.ndarray]:
     """All that is recorded of one scene and number of increments, by key: ``law/increments/stage/quantity``."""
-    with threadpool_limits(1):  # how many share a factorisation moves the wheelhouse's compliance by 6e-10
-        return _outcome(mic.reduce(changed(name, increments), cache), increments, deviations)
-
-
-def _outcome(model, increments, deviations):
+    model = mic.reduce(changed(name, increments), cache)
     arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
     for law in LAWS:
         evaluation = model.evaluate(deviations, law)
