@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 import mic
 from mic.process.model import ReducedModel
@@ -34,8 +34,7 @@ def reduced(name: str, cache: Path) -> ReducedModel:
     """A shipped scene under all three laws, with slip."""
     scene = mic.load_scene(ROOT / "meshes" / name)
     scene = scene.model_copy(update={"report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True})})
-    with threadpool_limits(1):  # how many share a factorisation moves the wheelhouse's compliance by 6e-10
-        return mic.reduce(scene, cache)
+    return mic.reduce(scene, cache)
 
 
 def drawn(name: str) -> np.ndarray:
@@ -48,11 +47,6 @@ def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dic
     """What is recorded of a scene with so many increments in every stage, by key: ``law/increments/stage/quantity``."""
     stages = [stage.model_copy(update={"increments": increments}) for stage in model.scene.stages]
     model = replace(model, scene=model.scene.model_copy(update={"stages": stages}))
-    with threadpool_limits(1):
-        return _outcome(model, increments, deviations)
-
-
-def _outcome(model, increments, deviations):
     arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
     for law in LAWS:
         evaluation = model.evaluate(deviations, law)
