@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mic.sampling.distributions import DISTRIBUTIONS
 from mic.sampling.draw import draw
 from mic.sampling.montecarlo import BLOCK, monte_carlo
 
@@ -26,14 +27,19 @@ def test_samples_depend_on_seed_and_number_only(lap_scene):
     assert len(np.unique(whole)) == whole.size
 
 
-@pytest.mark.parametrize("distribution", ["normal", "uniform"])
+#: Each of mean 0 and standard deviation 1.
+REFERENCES = {"normal": stats.norm(), "uniform": stats.uniform(-np.sqrt(3), 2 * np.sqrt(3))}
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 def test_deviations_follow_the_stated_distribution(lap_scene, distribution):
     deviations = [d.model_copy(update={"distribution": distribution}) for d in lap_scene.deviations]
     scene = lap_scene.model_copy(update={"deviations": deviations})
     values = draw(scene, 8, 0, 4000)
     for j, deviation in enumerate(deviations):
         standard = (values[:, j] - deviation.mean) / deviation.sigma
-        reference = stats.norm() if distribution == "normal" else stats.uniform(-np.sqrt(3), 2 * np.sqrt(3))
+        reference = REFERENCES[distribution]
+        assert (reference.mean(), reference.std()) == pytest.approx((0.0, 1.0))
         assert stats.kstest(standard, reference.cdf).pvalue > 1e-3
     correlation = np.corrcoef(values.T) - np.eye(len(deviations))
     assert np.abs(correlation).max() < 4 / np.sqrt(4000)

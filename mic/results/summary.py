@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from mic.contact.laws import LAWS
 from mic.contact.states import STATES
 from mic.results import capability, statistics
 from mic.results.law_comparison import study_friction
@@ -46,7 +47,7 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                         "stage": stage,
                         "zone": zone.name,
                         "contacts": int(count),
-                        "friction": 0.0 if law == "frictionless" else zone.friction,
+                        "friction": zone.friction if LAWS[law].frictional else 0.0,
                         "samples": len(slip),
                     }
                     | _spread("mean_rms_slip", statistics.mean(slip))
