@@ -44,8 +44,8 @@ def api() -> dict[str, str]:
         "# API",
         "",
         "Most programs need [mic](api/mic.md), which loads, reduces and evaluates, [mic.runs](api/mic.runs.md), which",
-        "makes and reads results folders, or [mic.contact](api/mic.contact.md), the contact solver by itself. What each",
-        "room is for stands in [how the program is built](../structure.md). Units are mm, N, MPa.",
+        "makes and reads results folders, or [mic.contact](api/mic.contact.md), the contact solver by itself. What",
+        "each room is for stands in [how the program is built](../structure.md). Units are mm, N, MPa.",
         "",
     ]
     for package, job in PACKAGES.items():
