@@ -349,16 +349,17 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
 
 def _condensed(outcome, law) -> list[Centred] | None:
     """Forces and motions of the valid samples, by part; None where the run kept none."""
-    folder, compliance = RunFolder(outcome.folder), outcome.model.compliance
+    folder, compliance, numbers = RunFolder(outcome.folder), outcome.model.compliance, outcome.sample_numbers(law)
     parts = [Condenser() for _ in compliance.functionals]
     for block in outcome.blocks[law]:
         arrays = folder.read_forces(block, outcome.record["identity"])
         if arrays is None:
             return None
-        keep = np.isin(block.first + np.arange(block.count), outcome.sample_numbers(law))
+        first, last = np.searchsorted(numbers, [block.first, block.first + block.count])
+        keep = numbers[first:last] - block.first
         for part, rows, motions in zip(parts, compliance.functionals, compliance.motions):
             part.add(arrays["force"][keep, rows], arrays["motion"][keep, motions])
-    if not len(outcome.sample_numbers(law)):
+    if not len(numbers):
         return None
     return [part.centred() for part in parts]
 
