@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 import traceback
 from contextlib import contextmanager
 from enum import Enum
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -21,7 +21,7 @@ from mic.contact.laws import LAWS
 from mic.errors import MicError
 from mic.runs import Listener, conclude
 from mic.runs import run as run_scene
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import communicator, leave, on_first, others_silent
 from mic.scene import load_scene
 from mic.scene.schema import MonteCarlo
 
@@ -63,6 +63,18 @@ LawOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _on_first(command):
+    """A command that takes one process; under ``mpirun`` the others leave it to the first."""
+
+    @wraps(command)
+    def alone(*args, **options):
+        world = communicator()
+        if world is None or world.rank == 0:
+            command(*args, **options)
+
+    return alone
 
 
 def _requested(scene, laws, samples=None, seed=None, backend=None):
@@ -108,7 +120,7 @@ def run(
     """
     world = communicator()
     console = Console(quiet=world is not None and world.rank > 0)
-    asked = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
+    asked = on_first(world, lambda: _requested(load_scene(scene), law, samples, seed, backend and backend.value))
     folder = out or Path("results") / asked.name
     try:
         outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
@@ -120,6 +132,7 @@ def run(
 
 
 @app.command()
+@_on_first
 def report(
     folder: Annotated[
         Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
@@ -174,6 +187,7 @@ def _print_zones(console, outcome):
 
 
 @app.command()
+@_on_first
 def check(scene: SceneArgument, law: LawOption = None):
     """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
     from mic.model.assembly import assemble
@@ -267,6 +281,7 @@ def _print_cost(console, assembly, plans):
 
 
 @app.command()
+@_on_first
 def init(
     example: Annotated[str, typer.Option(help="Name of the example scene.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
@@ -278,18 +293,26 @@ def init(
 
 def main():
     """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
-    world = communicator()
+    world, status, words = None, 0, ""
     try:
-        app()
+        world = communicator()
+        with others_silent(world):
+            app()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except MicError as error:
-        if world is None or world.rank == 0:
-            Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
-        sys.exit(2)
+        status, words = 2, _sentence(error)
     except Exception:
-        if world is None:
-            raise
-        traceback.print_exc()
-        world.Abort(1)  # one process must not leave the others waiting
+        status, words = 1, traceback.format_exc()
+    leave(world, status, words)
+
+
+def _sentence(error):
+    """An error as the console shows it."""
+    console = Console(stderr=True)
+    with console.capture() as capture:
+        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+    return capture.get()
 
 
 if __name__ == "__main__":
