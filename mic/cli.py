@@ -148,7 +148,7 @@ def _report(console, outcome):
     """The page, and on the console the least that a user wants to know."""
     from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
 
-    page = write_report(outcome.folder)
+    page = write_report(outcome.folder, outcome)
     _print_zones(console, outcome)
     console.print(f"report: [bold]{page}[/]   tables: {outcome.folder / 'summary.json'}")
 

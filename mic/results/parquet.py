@@ -41,8 +41,9 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str) ->
     kind = _FORMATS[table.name]
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
     content = content.replace_schema_metadata(header)
+    repeating = [column.name for column in table.columns if column.dtype != "float64"]  # numbers hardly ever are
     with replacing(path) as temporary:
-        pq.write_table(content, temporary, write_page_checksum=True)
+        pq.write_table(content, temporary, write_page_checksum=True, use_dictionary=repeating)
 
 
 def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
