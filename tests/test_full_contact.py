@@ -38,8 +38,13 @@ def lap_model(scene, cache):
 
 
 @pytest.fixture(scope="module")
-def hat(hat_model, cache):
-    return assemble(hat_model.scene, cache)
+def hat(cache):
+    return assemble(sized(mic.load_scene(ROOT / "meshes" / "hat_on_plate"), "coarse"), cache)
+
+
+@pytest.fixture(scope="module")
+def hat_model(hat, cache):
+    return mic.reduce(hat.scene, cache)
 
 
 def difference(full, reduced):

@@ -33,7 +33,7 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
         values = {law: outcome.measured(law, name, outcome.sample_numbers(law)[:SHOWN]) for law in context.laws}
         everything = np.concatenate(list(values.values())) if values else np.zeros(1)
         low, high = everything.min(), everything.max()
-        edges = np.linspace(low, high, 31) if high - low > 1e-12 else np.linspace(low - 1e-3, high + 1e-3, 31)
+        edges = np.linspace(*((low, high) if high - low > 1e-12 else (low - 1e-3, high + 1e-3)), 31).tolist()
         for law, x in values.items():
             ax.hist(x, bins=edges, histtype="stepfilled", color=LAWS[law].colour, alpha=0.14, lw=0)
             ax.hist(x, bins=edges, histtype="step", color=LAWS[law].colour, lw=1.2)
