@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -61,12 +62,13 @@ def test_run_check_report(command, tmp_path):
     assert (folder / "report.html").is_file()
 
 
-def test_check_shows_what_is_not_modelled(command, tmp_path):
+def test_check_shows_what_is_not_modelled(cache, tmp_path):
     text = (LAP / "scene.toml").read_text().replace("fields = true", "")
     text = re.sub(r'\[\[stages\]\]\nkind = "release".*?\n\n', "", text, flags=re.S)
     (tmp_path / "scene.toml").write_text(text)
     (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
-    lean = command("check", tmp_path, "--law", "frictionless").stdout
+    environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
+    lean = CliRunner().invoke(app, ["check", str(tmp_path), "--law", "frictionless"], env=environment).output
     assert "only normals are modelled, 24 rows instead of 72" in lean
     assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 24 unknowns" in lean
     assert "no field solves" in lean
@@ -77,9 +79,13 @@ def test_check_shows_what_is_not_modelled(command, tmp_path):
     [
         (("check", "nowhere"), ["nowhere", "no such scene"]),
         (("report", "."), ["holds no run"]),
+        (("check", "springs"), ["element: there is none called 'springs'; known: ", "dkt-opt"]),
     ],
 )
-def test_errors_are_one_line_and_exit_with_two(command, arguments, words):
+def test_errors_are_one_line_and_exit_with_two(command, arguments, words, tmp_path):
+    shutil.copytree(LAP, tmp_path / "springs")
+    text = (LAP / "scene.toml").read_text()
+    (tmp_path / "springs" / "scene.toml").write_text(f'element = "springs"\n{text}')
     done = command(*arguments, check=False)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

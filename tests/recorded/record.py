@@ -1,11 +1,13 @@
 """The outcome of the shipped scenes, as ``test_recorded`` compares it and as it is recorded.
 
-``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder. README.md says when that is allowed.
+``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder; with ``--add`` only what is not recorded
+yet, a new law or scene. README.md says when that is allowed.
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,12 +17,14 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 import mic
+from mic.contact import laws
+from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
-LAWS = ("coulomb", "associated", "frictionless")
+LAWS = tuple(laws.LAWS)
 INCREMENTS = (1, 3)
 SAMPLES = 5
 PAIRS = ("gap", "area", "point", "frame")
@@ -28,15 +32,11 @@ WHOLE = ("measurements", "failed", "motion", "functional_force")  # of an evalua
 STAGE = ("force", "displacement", "state", "reaction")  # of each stage that resolves contact
 
 
-def changed(name: str, increments: int) -> mic.Scene:
-    """A shipped scene under all three laws, with slip and with this many increments in every stage."""
+def reduced(name: str, cache: Path) -> ReducedModel:
+    """A shipped scene under all three laws, with slip."""
     scene = mic.load_scene(ROOT / "meshes" / name)
-    return scene.model_copy(
-        update={
-            "stages": [stage.model_copy(update={"increments": increments}) for stage in scene.stages],
-            "report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True}),
-        }
-    )
+    scene = scene.model_copy(update={"report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True})})
+    return mic.reduce(scene, cache)
 
 
 def drawn(name: str) -> np.ndarray:
@@ -45,9 +45,10 @@ def drawn(name: str) -> np.ndarray:
     return draw(scene, scene.monte_carlo.seed, 0, SAMPLES)
 
 
-def outcome(name: str, increments: int, deviations: np.ndarray, cache: Path) -> dict[str, np.ndarray]:
-    """All that is recorded of one scene and number of increments, by key: ``law/increments/stage/quantity``."""
-    model = mic.reduce(changed(name, increments), cache)
+def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dict[str, np.ndarray]:
+    """What is recorded of a scene with so many increments in every stage, by key: ``law/increments/stage/quantity``."""
+    stages = [stage.model_copy(update={"increments": increments}) for stage in model.scene.stages]
+    model = replace(model, scene=model.scene.model_copy(update={"stages": stages}))
     arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
     for law in LAWS:
         evaluation = model.evaluate(deviations, law)
@@ -66,15 +67,20 @@ def platform() -> str:
     return f"dolfinx {elements}; numpy {np.__version__}; " + ", ".join(libraries)
 
 
-def main() -> None:
+def main(add: bool) -> None:
     for name in SCENES:
+        file = FOLDER / f"{name}.npz"
         arrays = {"platform": np.array(platform()), "deviations": drawn(name)}
         with TemporaryDirectory() as cache:
-            for increments in INCREMENTS:
-                arrays |= outcome(name, increments, arrays["deviations"], Path(cache))
-        np.savez_compressed(FOLDER / f"{name}.npz", **arrays)
+            model = reduced(name, Path(cache))
+        for increments in INCREMENTS:
+            arrays |= outcome(model, increments, arrays["deviations"])
+        if add and file.is_file():
+            with np.load(file) as recorded:
+                arrays |= dict(recorded)
+        np.savez_compressed(file, **arrays)
         print(f"recorded {len(arrays)} arrays of {name}", file=sys.stderr)
 
 
 if __name__ == "__main__":
-    main()
+    main("--add" in sys.argv[1:])
