@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import traceback
 from contextlib import contextmanager
 from enum import Enum
@@ -302,6 +303,7 @@ def init(
 
 def main():
     """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
+    logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
     world, status, words = None, 0, ""
     try:
         world = communicator()

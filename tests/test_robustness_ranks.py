@@ -151,6 +151,18 @@ def test_check_and_report_are_done_by_one_process_and_the_others_leave(alone, ke
     assert code == 2 and said.count("holds no run") == 1 and "MPI_ABORT" not in said, said
 
 
+def test_kept_files_that_were_cut_are_computed_anew_and_said_once_each(alone, kept, tmp_path):
+    cache = shutil.copytree(kept, tmp_path / "cache")
+    cut = [path for path in cache.glob("*/*.npz")]
+    assert len(cut) == 4  # two meshes, two parts
+    for path in cut:
+        path.write_bytes(path.read_bytes()[:300])
+    code, said = mic(2, [*RUN, "--out", tmp_path / "out"], cache)
+    assert code == 0 and blocks(tmp_path / "out") == blocks(alone), said
+    told = [line for line in said.splitlines() if "it counts as absent and is replaced" in line]
+    assert sorted(line.split(": this ")[0] for line in told) == sorted(map(str, cut)), said
+
+
 def test_processes_that_would_find_different_caches_agree(alone, kept, tmp_path):
     code, said = mic(2, [*RUN, "--out", tmp_path / "out"], kept, plant=(0, "cache"))
     assert code == 0 and blocks(tmp_path / "out") == blocks(alone), said
