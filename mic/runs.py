@@ -131,7 +131,8 @@ def sample_into(
             "identity": whose,
             "versions": versions(),
         }
-        for sentence in store.prepare(record, [Block(*block) for block in blocks(laws, samples)], fields):
+        wanted = [Block(*block) for block in blocks(laws, samples, len(model.contacts))]
+        for sentence in store.prepare(record, wanted, fields):
             listener.say(sentence)
         model.save(store.path / "model.npz")
         return whose
@@ -172,7 +173,7 @@ def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: 
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
-            write_fields(folder)
+            write_fields(folder, outcome)
     outcome.record.update(RunFolder(folder).add_wall_time((wall_time or {}) | clock.seconds))
     write_summary(outcome)
     return outcome
