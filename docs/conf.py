@@ -91,7 +91,7 @@ def equations(app, what, name, obj, options, lines):
             elif indent < base + 4:
                 item = re.match(r"\s*([-*]|\d+\.) +", line)
                 base, literal = len(item[0]) if item else indent, False
-        done.append(line)
+        done.append(re.sub(r" {6,}(\(\d+\))$", r"      \1", line) if literal else line)  # its number within sight
     lines[:] = done + lines[end:]
 
 

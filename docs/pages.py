@@ -153,7 +153,7 @@ def _said(thing) -> str:
 
 
 def _toctree(names: list[str], folder: str = "") -> list[str]:
-    entries = [f"{folder}{name}" for name in names]
+    entries = [f"{name.split('.')[-1]} <{folder}{name}>" if "." in name else f"{folder}{name}" for name in names]
     return ["```{toctree}", ":hidden:", ":maxdepth: 1", "", *entries, "```", ""] if names else []
 
 
