@@ -9,6 +9,7 @@ import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.runs import all_fail, fail
 
@@ -200,6 +201,26 @@ def test_a_picture_is_the_same_whatever_the_users_style(page, folder):
     with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "black", "lines.linewidth": 9}):
         other = draw("measurements", outcome, context)
     assert plain == other
+
+
+def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(folder, monkeypatch):
+    outcome = read_outcome(folder)
+    context = read_context(outcome)
+    law, zone = context.laws[0], outcome.zones[0]
+    first = outcome.sample_numbers(law)[:7]
+    np.testing.assert_array_equal(
+        outcome.slip(law, context.stage, zone, first), outcome.slip(law, context.stage, zone)[:7]
+    )
+    whole = {name: draw(name, outcome, context) for name in ("slip-density", "law-cost", "measurements")}
+    for module in ("contact", "law", "measurement"):
+        monkeypatch.setattr(f"mic.report.{module}_pictures.SHOWN", 7)
+    few = {name: draw(name, outcome, context) for name in whole}
+    assert "over the first 7 samples" in few["slip-density"].caption
+    assert "Over the first 7 samples valid" in few["law-cost"].caption
+    assert "The first 7 samples are drawn." in few["measurements"].caption
+    for name, picture in whole.items():
+        assert "first" not in picture.caption and picture.data != few[name].data
+    assert len(law_cost(outcome, context.stage).coulomb) == 7
 
 
 def test_the_laws_under_scaled_friction_are_drawn_from_the_study_that_the_run_left(page, folder, tmp_path):

@@ -44,7 +44,7 @@ STORE = "fields.npz"
 _FORMAT = Format("set of displacement fields", 1, "call `mic report` on the run folder")
 _NUMBERS = ("law", "part", "rank", "samples", "discarded", "error")
 _ARRAYS = ("mean", "six_sigma", "six_sigma_normal")
-ROOM = 32_000_000  # bytes of samples that are kept as they are, by part and law
+ROOM = 8_000_000  # bytes of samples that are kept as they are, by part and law
 DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
 
 

@@ -30,7 +30,7 @@ from mic.results.schema import DATASETS
 
 __all__ = ["Outcome", "read_outcome"]
 
-ROOM = 96_000_000  # bytes of tables that are kept at hand
+ROOM = 48_000_000  # bytes of tables that are kept at hand
 
 
 @dataclass(frozen=True)
