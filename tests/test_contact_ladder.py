@@ -129,7 +129,7 @@ def test_a_law_with_friction_needs_an_equation():
 
 
 def test_unknown_laws_are_answered_with_those_there_are():
-    with pytest.raises(ValueError, match="law must be one of coulomb, associated, frictionless; got 'Tresca'"):
+    with pytest.raises(ValueError, match=f"law must be one of {', '.join(LAWS)}; got 'Tresca'"):
         find("Tresca")
     assert find("coulomb") is find(COULOMB) is COULOMB
 

@@ -259,6 +259,7 @@ BAD = {
     "continuum shells.inp": (ABAQUS.replace("S3", "SC6R"), r"solid elements \(SC6R"),
     "a table of another kind.vtk": (VTK.replace("UNSTRUCTURED_GRID", "POLYDATA"), "POLYDATA"),
     "no mesh.vtk": ("this is no mesh", "cannot be read"),
+    "a header alone.off": ("OFF\n# of nothing\n\n", "it ends with its header"),
     "a header without end.ply": (PLY[:40], "header has no end"),
     "a pentagon.obj": (OBJ.replace("f 2//1 5//1 3//1", "f 1 2 5 3 4"), "polygons of more than four corners"),
     "a tetrahedron.vtk": (

@@ -7,6 +7,8 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from mic.contact import ladder
+from mic.contact.laws import COULOMB
 from mic.errors import FormatError
 from mic.results import schema
 from mic.results.parquet import read_table, write_table
@@ -31,6 +33,14 @@ def test_zone_slip_is_the_rms_over_the_zones_pairs(found):
     rms = np.sqrt((one["u_t1"] ** 2 + one["u_t2"] ** 2).mean())
     slip = found["slips"].query("sample == 7 and stage == 'clamp' and zone == 'lap'")["rms_slip"].item()
     assert slip == pytest.approx(rms, rel=1e-12) and rms > 1e-5
+
+
+def test_every_resolution_names_the_rung_that_found_it(found, lap_model):
+    evaluation = lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3))
+    for stage, resolution in evaluation.resolutions.items():
+        assert set(resolution.rung) <= set(ladder.rungs(COULOMB))
+        rows = found["resolutions"][found["resolutions"]["stage"] == stage]
+        assert rows["rung"].tolist() == resolution.rung.tolist()
 
 
 def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, lap_model):

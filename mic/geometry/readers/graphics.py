@@ -34,4 +34,7 @@ def read_obj(path: Path) -> RawMesh:
 
 def read_off(path: Path) -> RawMesh:
     """Object file format, triangles only."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    if sum(bool(line.split("#")[0].strip()) for line in lines) < 2:  # meshlane would look for the rest without end
+        raise FormatError("it ends with its header")
     return from_meshlane(meshlane.off.read(path))
