@@ -107,6 +107,24 @@ def test_a_part_that_can_move_is_refused(two_parts):
     assert np.linalg.norm(motions[6:]) == pytest.approx(np.linalg.norm(motions), rel=1e-6)
 
 
+def test_the_locators_that_hold_a_part_do_not_depend_on_how_it_is_turned_nor_on_units():
+    """Eleven locators on a rectangle, of which several choices of six hold it as well."""
+    x, y, long, wide = [1, 0, 0], [0, 1, 0], 40.0, 20.0
+    rest = [(a * long, b * wide, 0.0) for a in (0, 0.5, 1) for b in (0, 0.5, 1) if (a, b) != (0.5, 0.5)]
+    point = np.array([*rest, (0, 0, 0), (long, 0, 0), (0, wide / 2, 0)]) - [long / 2, wide / 2, 0]
+    direction = np.array([[0, 0, 1]] * len(rest) + [y, y, x], dtype=float)
+    chosen = set()
+    for seed in range(20):
+        turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+        for unit in (1.0, 25.4, 1000.0):
+            p, d = point @ turn / unit, direction @ turn
+            displacements = np.hstack([d, np.cross(p, d)])
+            rotations = np.hstack([np.zeros((3, 3)), turn])
+            size = motion_size((np.vstack([displacements, rotations]),))
+            chosen.add(tuple(statically_determinate(displacements, size)))
+    assert len(chosen) == 1
+
+
 def test_support_does_not_matter(two_parts):
     """The same stage on coefficients from other pins."""
     rng, K, R, L, H, G = two_parts

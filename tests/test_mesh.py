@@ -33,6 +33,14 @@ def test_a_sound_mesh_is_left_alone():
     assert np.array_equal(report.point_map, np.arange(12))
 
 
+def test_rectangles_split_alike_however_they_are_turned():
+    points, quadrilaterals = grid()
+    _, triangles, _ = repair(points, np.zeros((0, 3), int), quadrilaterals)
+    for seed in range(20):
+        turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+        np.testing.assert_array_equal(repair(points @ turn, np.zeros((0, 3), int), quadrilaterals)[1], triangles)
+
+
 def test_quadrilaterals_split_along_the_shorter_diagonal():
     points = np.array([[0, 0, 0], [3, 0, 0], [4, 1, 0], [1, 1, 0.0]])  # diagonals √17 and √5
     _, triangles, report = repair(points, np.zeros((0, 3), int), [[0, 1, 2, 3]])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mic.geometry.pairing import Side, find_pairs
+from mic.geometry.pairing import Side, find_pairs, node_pairs
+from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.scene import Zone
 
@@ -35,6 +36,100 @@ def test_gap_normal_and_sides_do_not_depend_on_orientation(flip_a, flip_b):
     assert sum(pair.area for pair in pairs) == pytest.approx(400)
     areas = [pair.area for pair in pairs]
     assert max(areas) < 1.6 * min(areas)
+
+
+def corner(n=8, size=20.0, start=5.0, z=1.0):
+    """A plate whose far quarter is bent up on both sides: three walls that meet in one vertex."""
+    flat = plane(z, size=size, n=n, x0=start).points
+    i = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
+    floor = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    wall_x = np.column_stack([np.full(len(flat), start), flat[:, 1], z + flat[:, 0] - start])
+    wall_y = np.column_stack([flat[:, 0], np.zeros(len(flat)), z + flat[:, 1]])
+    return Surface(np.vstack([flat, wall_x, wall_y]), np.vstack([floor, floor + len(flat), floor + 2 * len(flat)]))
+
+
+BENT = {
+    "L": Surface(*extrude([(5, 1), (25, 1), (25, 21)], 0.0, 20.0, 2.3)),
+    "hem": Surface(*extrude([(5, 1), (25, 1), (25, 2.2), (5, 2.2)], 0.0, 20.0, 2.3)),
+    "T": Surface(*extrude([(12, 21), (12, 1), (25, 1)], 0.0, 20.0, 2.3)),
+    "V": Surface(*extrude([(-5, 4), (10, 1), (25, 4)], 0.0, 20.0, 2.3)),
+    "corner": corner(),
+}
+
+
+@pytest.mark.parametrize("angle", [15.0, 30.0, 60.0])
+@pytest.mark.parametrize("bent_first", [False, True])
+@pytest.mark.parametrize("shape", BENT)
+@pytest.mark.parametrize("find", [find_pairs, node_pairs])
+def test_what_faces_lies_along_the_normal_and_not_beside_it(find, shape, bent_first, angle):
+    flat, bent = Side(plane(0, size=30.0, n=13), 1.0), Side(BENT[shape], 0.8)
+    bodies = (bent, flat) if bent_first else (flat, bent)
+    pairs = find(zone(pairs=12, max_gap=20.0, max_angle_deg=angle), *bodies)
+    for pair in pairs:
+        first, second = (body.surface.at(p.triangle, p.barycentric) for body, p in zip(bodies, pair.patches))
+        normal = bodies[0].surface.normals[pair.patches[0].triangle]
+        if find is node_pairs:
+            normal = np.einsum(
+                "qi,qij->qj",
+                pair.patches[0].barycentric,
+                bodies[0].surface.vertex_normals[bodies[0].surface.triangles[pair.patches[0].triangle]],
+            )
+        along = np.einsum("ij,ij->i", second - first, normal)
+        sideways = np.linalg.norm(second - first - along[:, None] * normal, axis=1)
+        assert (sideways <= np.tan(np.radians(angle)) * np.abs(along) + 0.05 * 0.8 + 1e-5).all()
+
+
+def test_a_round_pad_ends_at_its_circle_however_its_triangles_lie():
+    plate = plane(0, n=16)
+    found = []
+    for turn in np.radians([0, 3, 17]):
+        angle = np.linspace(0, 2 * np.pi, 13)[:-1] + turn
+        rim = 6.0 / np.cos(np.pi / 12) * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+        points = np.vstack([np.zeros(3), rim]) + [9.0, 10.5, -0.6]
+        i = np.arange(12)
+        pad = Surface(points, np.column_stack([0 * i, 1 + i, 1 + (i + 1) % 12]))
+        side = Side(pad, disc=((9.0, 10.5, -0.6), 6.0))
+        found.append(find_pairs(zone(pairs=5), side, Side(plate, 1.0)))
+        assert sum(pair.area for pair in found[-1]) == pytest.approx(np.pi * 36, rel=0.01)
+    for pairs in found[1:]:
+        np.testing.assert_allclose([p.point for p in pairs], [p.point for p in found[0]], atol=1e-9)
+
+
+def test_a_border_of_the_region_is_inside():
+    bodies = Side(plane(0, n=4), 1.0), Side(plane(1, n=4), 1.0)
+    low, high = 1 / 3, 20 - 1 / 3  # through sampling points: edges of 5 mm are divided by five
+    for nudge in (-1e-9, 0.0, 1e-9):
+        box = ((low + nudge, low - nudge, -1), (high - nudge, high + nudge, 2))
+        pairs = find_pairs(zone(pairs=4, box=box), *bodies)
+        np.testing.assert_allclose([pair.area for pair in pairs], 100, rtol=0.1)
+        if nudge == -1e-9:
+            wanted = np.array([pair.point for pair in pairs])
+        np.testing.assert_allclose([pair.point for pair in pairs], wanted, atol=1e-9)
+
+
+def test_equals_are_chosen_by_the_landmarks():
+    """The square and its mesh are the same after half a turn: so are the pairs, where the landmarks turn as well."""
+    bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
+    middle, half_turn = np.array([10, 10, 0]), np.diag([-1, -1, 1])
+    landmarks = np.array([[0, 0, 0], [20, 0, 0], [20, 20, 0]])
+    first = np.array([pair.point for pair in find_pairs(zone(pairs=3), *bodies, landmarks)])
+    turned = find_pairs(zone(pairs=3), *bodies, (landmarks - middle) @ half_turn + middle)
+    turned = np.array([pair.point for pair in turned])
+    np.testing.assert_allclose((turned - middle) @ half_turn + middle, first, atol=1e-9)
+    assert np.abs(turned - first).max() > 1
+
+
+def test_given_points_are_met_exactly():
+    bodies = Side(plane(0, n=7), 1.0), Side(plane(1, n=5), 1.0)
+    wanted = np.array([(5.123, 5.321, 0.0), (15.01, 4.97, 0.0), (10.77, 15.2, 0.0)])
+    for order in (1, -1):
+        given = [tuple(map(float, point)) for point in wanted]
+        pairs = find_pairs(zone(pairs=None, points=given, patch=0.0), *bodies[::order])
+        for pair, point in zip(pairs, wanted):
+            for body, patch in zip(bodies[::order], pair.patches):
+                at = body.surface.at(patch.triangle, patch.barycentric)
+                np.testing.assert_allclose(at[:, :2], [point[:2]], rtol=0, atol=1e-12)
 
 
 def test_first_body_above_turns_the_normal():

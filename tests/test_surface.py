@@ -42,6 +42,41 @@ def test_projection_filter_passes_over_triangles_that_face_elsewhere():
     assert wall.project(x, [[0, 1.0, 0]], max_angle=0.1).triangle[0] == -1
 
 
+def test_a_triangle_shared_by_closest_points_is_chosen_by_shape_not_by_number():
+    roof = [[0, 0, 0], [0, 10, 0], [10, 0, 3], [10, 10, 3], [20, 0, 2], [20, 10, 2]]  # ridge at x = 10
+    triangles = np.array([[0, 2, 1], [2, 3, 1], [2, 4, 3], [4, 5, 3]])
+    x, normal = [[10.0, 4.0, 5.0]], [[0.1, 0.0, 1.0]]
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
+        surface = Surface(roof, triangles[order])
+        found = surface.project(x, normal)
+        np.testing.assert_allclose(found.point, [[10, 4, 3]], atol=1e-12)
+        assert order[found.triangle[0]] == 2  # the side that leans as the given normal does
+        assert not found.at_border[0]
+        assert surface.project([[-1.0, 4.0, 0.0]]).at_border[0] and surface.project([[10.0, -1.0, 4.0]]).at_border[0]
+
+
+def test_a_patch_on_a_fold_covers_both_sides():
+    angle = Surface(
+        [[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [10, 0, 10], [10, 10, 10]],
+        [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]],
+    )
+    for turned in (angle, Surface(angle.points, angle.triangles[::-1])):
+        patch = turned.patch([10.0, 5.0, 0.0], 2.0)
+        on_floor = turned.at(patch.triangle, patch.barycentric)[:, 2] < 1e-9
+        assert patch.weight[on_floor].sum() == pytest.approx(0.5, abs=0.02)
+
+
+def test_points_on_the_rim_of_a_patch_belong_to_it():
+    surface = plane(10)
+    sizes = set()
+    for seed in range(10):
+        turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+        turned = Surface(surface.points @ turn, surface.triangles)
+        # Edges are divided by 15, so that midpoints lie on the circle: 25² + 25² = 35² + 5² = 1250.
+        sizes.add(len(turned.patch(np.array([5.0, 5.0, 0.0]) @ turn, np.sqrt(1250) / 45).weight))
+    assert len(sizes) == 1
+
+
 def test_patch_averages_over_a_disc():
     surface = plane(20)
     centre, radius = np.array([5.2, 4.7, 0.3]), 2.0

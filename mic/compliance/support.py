@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import qr
 
 from mic.errors import FreeMotion
 
 __all__ = ["motion_size", "statically_determinate"]
 
+EQUAL = 1e-7  # rows that read as much to within this share read alike
+
 
 def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Choose as many rows as there are rigid motions, so that they hold them best.
+
+    Row by row the one that reads most of what those chosen leave free, as QR with pivoting does; the first of several
+    that read as much. The choice does not depend on how the scene is turned, nor on its units.
 
     Parameters
     ----------
@@ -37,12 +41,21 @@ def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     rank = np.linalg.matrix_rank(reading, tol=1e-6) if b else 0
     if rank < r:
         raise FreeMotion(np.linalg.svd(reading, full_matrices=True)[2][rank:].T if b else np.eye(r))
-    pivots = qr(reading.T, mode="economic", pivoting=True)[2]
-    return np.sort(pivots[:r])
+    chosen = []
+    for _ in range(r):
+        length = np.linalg.norm(reading, axis=1)
+        chosen.append(int(np.argmax(length >= (1 - EQUAL) * length.max())))
+        direction = reading[chosen[-1]] / length[chosen[-1]]
+        reading = reading - np.outer(reading @ direction, direction)
+    return np.sort(chosen)
 
 
 def motion_size(G: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(6P,) root mean square of the readings of each rigid motion over all functionals, for
-    :func:`statically_determinate`."""
-    total = max(1, sum(len(block) for block in G))
-    return np.concatenate([np.linalg.norm(block, axis=0) for block in G]) / np.sqrt(total)
+    """(6P,) root mean square of what displacement functionals read of each part's rigid motions, for
+    :func:`statically_determinate`: one number for its translations, one for its rotations."""
+    sizes = []
+    for block in G:
+        displacement = block[block[:, :3].any(axis=1)]  # a functional of rotations reads no translation
+        motions = displacement.reshape(-1, 2, 3)
+        sizes.append(np.repeat(np.sqrt((motions**2).sum(axis=(0, 2)) / max(1, motions[:, 0].size)), 3))
+    return np.concatenate(sizes)

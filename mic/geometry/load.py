@@ -68,6 +68,8 @@ def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
     """Surface of a rigid fixture: its mesh, or a flat round pad with its normal outwards.
 
+    The pad's triangles reach around its circle; pairing cuts them at its radius.
+
     Parameters
     ----------
     fixture : mic.scene.schema.Fixture
@@ -88,7 +90,7 @@ def fixture_surface(fixture: Any, folder: Path) -> Surface:
     t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
     t /= np.linalg.norm(t)
     angle = np.linspace(0, 2 * np.pi, 37)[:-1]
-    rim = fixture.radius * (np.cos(angle)[:, None] * t + np.sin(angle)[:, None] * np.cross(n, t))
+    rim = fixture.radius / np.cos(np.pi / 36) * (np.cos(angle)[:, None] * t + np.sin(angle)[:, None] * np.cross(n, t))
     triangles = np.column_stack([np.zeros(36, int), 1 + np.arange(36), 1 + (np.arange(36) + 1) % 36])
     return Surface(np.vstack([np.zeros(3), rim]) + fixture.point, triangles)
 

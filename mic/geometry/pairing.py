@@ -6,6 +6,10 @@ normal, the gap between the *facing* surfaces (both half-thicknesses taken off) 
 gathered into cells of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the
 projections on the other, so that a pair's two forces act on one line and leave no couple behind.
 
+Which sampling points belong to a zone, and to which pair, must not hang on rounding: a point on the border of a region
+is inside, and where cells could start or end at several places alike, the distances from the scene's locators decide.
+So a scene that is turned, mirrored, renumbered or written in other units has the same pairs, in the same order.
+
 `node_pairs` takes the mesh's own sampling instead: every vertex of the first surface in the zone against its closest
 point on the other, as node-to-surface contact does.
 """
@@ -17,17 +21,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mic.geometry.surface import Patch, Surface
+from mic.geometry.surface import EQUAL, Patch, Surface
 
 __all__ = ["ContactPair", "Side", "find_pairs", "node_pairs", "pair_at"]
+
+SIDEWAYS = 0.05  # of the thinner sheet: how far beside the normal a closest point may lie where surfaces touch
 
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two bodies that may touch: its surface and its thickness, mm; None for a rigid fixture."""
+    """One of the two bodies that may touch: its surface and its thickness, mm; None for a rigid fixture.
+
+    Of a round pad, whose triangles cannot follow the circle, only what lies within `disc` counts: (centre, radius), mm.
+    """
 
     surface: Surface
     thickness: float | None = None
+    disc: tuple[tuple[float, float, float], float] | None = None
 
     @property
     def rigid(self) -> bool:
@@ -68,7 +78,7 @@ class ContactPair:
     sides: tuple[int, int]
 
 
-def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
+def find_pairs(zone, first: Side, second: Side, landmarks=()) -> list[ContactPair]:
     """Find the contact pairs of a zone.
 
     Parameters
@@ -76,6 +86,9 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     zone : mic.scene.schema.Zone
     first, second : Side
         The bodies in the order of ``zone.parts``.
+    landmarks : (l, 3) array, optional
+        Points of the scene, mm: what the shapes leave open, their distances decide, the first's first. Three that do
+        not stand in line suffice.
 
     Raises
     ------
@@ -84,24 +97,27 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     """
     swap = first.rigid  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
     sampled, other = (second, first) if swap else (first, second)
+    tie = max(first.surface.tie, second.surface.tie)
     cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
     area = cloud.area.sum()
-    count = len(zone.points) if zone.points else zone.pairs or max(1, round(area / zone.spacing**2))
+    count = len(zone.points) if zone.points else zone.pairs or max(1, int(area / zone.spacing**2 + 0.5 + EQUAL))
     cloud = _facing(zone, sampled, other, np.sqrt(area / count) / 6)
+    anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
+    cloud = cloud.take(_ranking(cloud.point, anchors, tie))  # from here on, the first of equals is chosen
     if count > len(cloud.area):
         raise ValueError(
             f"{count} pairs do not fit into the {area:.3g} mm² where the parts face each other; ask for fewer pairs"
         )
     if zone.points:
         centres = np.array(zone.points)
-        lost = np.flatnonzero(cKDTree(cloud.point).query(centres)[0] > np.sqrt(area / count))
+        lost = np.flatnonzero(cKDTree(cloud.point).query(centres)[0] > np.sqrt(area / count) + tie)
         if len(lost):
             raise ValueError(
                 f"points[{lost[0]}] lies where the parts face nothing; move it, or widen max_gap or the region"
             )
     else:
-        centres = _centres(cloud.point, cloud.area, count)
-    cell = cKDTree(centres).query(cloud.point)[1]
+        centres = _centres(cloud.point, cloud.area, count, tie)
+    cell = _nearest(centres, cloud.point, tie)
     pairs = []
     for k, centre in enumerate(centres):
         member = np.flatnonzero(cell == k)
@@ -111,7 +127,8 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
         if zone.patch == "tributary":
             reading = own
         else:
-            seed = own.point[np.argmin(np.linalg.norm(own.point - centre, axis=1))]
+            nearest = _first(-np.linalg.norm(own.point - centre, axis=1), tie)
+            seed = centre if zone.points else own.point[nearest]
             disc = sampled.surface.patch(seed, float(zone.patch), own.normal.mean(0))
             reading = _project(
                 sampled,
@@ -123,7 +140,7 @@ def find_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
                 disc.weight,
             )
             if not len(reading.area):
-                reading = own.take([np.argmin(np.linalg.norm(own.point - centre, axis=1))])
+                reading = own.take([nearest])
         pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
     _set_tangents(pairs)
     return pairs
@@ -144,9 +161,9 @@ def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     swap = first.rigid
     sampled, other = (second, first) if swap else (first, second)
     surface = sampled.surface
-    vertex, first_use = np.unique(surface.triangles, return_index=True)
-    inside = _in_region(zone, surface.points[vertex])
-    vertex, (triangle, corner) = vertex[inside], np.divmod(first_use[inside], 3)
+    vertex, use = _vertex_uses(surface)
+    inside = _in_region(zone, surface.points[vertex], surface.tie)
+    vertex, (triangle, corner) = vertex[inside], np.divmod(use[inside], 3)
     area = np.bincount(surface.triangles.ravel(), np.repeat(surface.areas / 3, 3))
     cloud = _project(
         sampled,
@@ -195,7 +212,7 @@ def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
 
 def _set_tangents(pairs):
     """t1 along the global axis that stays farthest from all normals, so that it varies smoothly over a zone."""
-    axis = np.eye(3)[np.argmin(np.abs([pair.frame[:, 0] for pair in pairs]).max(0))]
+    axis = np.eye(3)[_first(-np.abs([pair.frame[:, 0] for pair in pairs]).max(0), EQUAL)]
     for pair in pairs:
         n = pair.frame[:, 0]
         t1 = axis - (axis @ n) * n
@@ -226,9 +243,9 @@ def _first_spacing(surface):
 
 def _facing(zone, sampled, other, spacing):
     surface = sampled.surface
-    triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface.reach))
+    triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface.reach + 2 * surface.tie))
     triangle, barycentric, area = surface.sample(triangles, spacing)
-    inside = _in_region(zone, surface.at(triangle, barycentric))
+    inside = _in_region(zone, surface.at(triangle, barycentric), surface.tie)
     cloud = _project(
         sampled,
         other,
@@ -247,10 +264,11 @@ def _facing(zone, sampled, other, spacing):
     return cloud
 
 
-def _in_region(zone, x, margin=0.0):
+def _in_region(zone, x, margin):
+    """Whether points lie in the zone's region, widened by `margin`, one number or one a point."""
     if zone.box is not None:
         low, high = np.array(zone.box)
-        margin = np.reshape(margin, (-1, 1)) if np.ndim(margin) else margin
+        margin = np.reshape(margin, (-1, 1))
         return ((x >= low - margin) & (x <= high + margin)).all(1)
     if zone.path is not None:
         path = np.array(zone.path)
@@ -268,16 +286,28 @@ def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, no
     surface, opposite = sampled.surface, other.surface
     point = surface.at(triangle, barycentric)
     normal = surface.normals[triangle] if normal is None else normal
-    foot = opposite.project(point, normal, max_angle)
+    reach = max_gap + sampled.half_thickness + other.half_thickness
+    thinner = min(body.thickness for body in (sampled, other) if not body.rigid)
+    tie = max(surface.tie, opposite.tie)
+    farthest = np.hypot(reach, np.tan(max_angle) * reach + SIDEWAYS * thinner) + 3 * tie
+    foot = opposite.project(point, normal, max_angle, farthest)
     step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
     along = np.einsum("ij,ij->i", step, normal)
-    # A closest point on the border of the other surface, off the foot of the perpendicular, faces nothing.
+    # A closest point beside the normal faces nothing: past a bend or a corner of what the angle lets pass.
+    sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
+    # Nor does a closest point on the border of the other surface, off the foot of the perpendicular.
     across = np.linalg.norm(np.cross(step, opposite.normals[foot.triangle]), axis=1)
-    at_border = ((foot.barycentric < 1e-9) & opposite.border[foot.triangle]).any(1)
-    reach = max_gap + sampled.half_thickness + other.half_thickness
     with np.errstate(invalid="ignore"):
-        good = (foot.triangle >= 0) & (np.abs(along) <= reach) & ~(at_border & (across > 1e-3 * foot.distance + 1e-9))
-    sign = np.where(along < 0, -1.0, 1.0)
+        good = (
+            (foot.triangle >= 0)
+            & (np.abs(along) <= reach + tie)
+            & (sideways <= np.tan(max_angle) * np.abs(along) + SIDEWAYS * thinner + tie)
+            & ~(foot.at_border & (across > 1e-3 * foot.distance + tie))
+        )
+    if other.disc is not None:
+        centre, radius = other.disc
+        good &= np.linalg.norm(foot.point - np.array(centre), axis=1) <= radius + tie
+    sign = np.where(along < -tie, -1.0, 1.0)
     return _Cloud(
         triangle[good],
         barycentric[good],
@@ -290,23 +320,59 @@ def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, no
     )
 
 
-def _centres(point, weight, count):
+def _ranking(point, anchors, tie):
+    """(n,) order of points by their distances from the first anchor, equal ones by those from the second, and so on."""
+    keys = []
+    for anchor in anchors:
+        distance = np.linalg.norm(point - anchor, axis=1)
+        order = np.argsort(distance)
+        rank = np.empty(len(point), dtype=np.int64)
+        rank[order] = np.concatenate([[0], np.cumsum(np.diff(distance[order]) > tie)])
+        keys.append(rank)
+    return np.lexsort(keys[::-1])
+
+
+def _first(value, tie):
+    """Index of the greatest value; the first of those that equal it."""
+    return int(np.argmax(value >= np.max(value) - tie))
+
+
+def _nearest(centres, point, tie):
+    """(n,) the centre nearest to each point; the first of those that are as near."""
+    count = min(len(centres), 8)
+    distance, index = (table.reshape(len(point), count) for table in cKDTree(centres).query(point, count))
+    return np.where(distance <= distance[:, :1] + tie, index, len(centres)).min(1)
+
+
+def _centres(point, weight, count, tie):
     """Centres of `count` cells of about equal size: farthest-point start, then Lloyd's iteration."""
     middle = np.average(point, axis=0, weights=weight)
-    chosen = [int(np.argmax(np.linalg.norm(point - middle, axis=1)))]
+    chosen = [_first(np.linalg.norm(point - middle, axis=1), tie)]
     nearest = np.linalg.norm(point - point[chosen[0]], axis=1)
     while len(chosen) < count:
-        chosen.append(int(np.argmax(nearest)))
+        chosen.append(_first(nearest, tie))
         nearest = np.minimum(nearest, np.linalg.norm(point - point[chosen[-1]], axis=1))
     centres = point[chosen]
     for _ in range(50):
-        cell = cKDTree(centres).query(point)[1]
+        cell = _nearest(centres, point, tie)
         total = np.bincount(cell, weight, count)
         moved = np.column_stack([np.bincount(cell, weight * point[:, i], count) for i in range(3)]) / total[:, None]
-        if np.abs(moved - centres).max() < 1e-6:
+        if np.linalg.norm(moved - centres, axis=1).max() < tie:
             break
         centres = moved
     return centres
+
+
+def _vertex_uses(surface):
+    """Vertices (v,) that triangles use, and of each the corner 3 k + c whose triangle k lies most nearly across the
+    vertex normal."""
+    vertex = surface.triangles.ravel()
+    along = np.einsum("ij,ij->i", np.repeat(surface.normals, 3, axis=0), surface.vertex_normals[vertex])
+    most = np.full(len(surface.points), -np.inf)
+    np.maximum.at(most, vertex, along)
+    use = np.flatnonzero(along >= most[vertex] - EQUAL)
+    used, first = np.unique(vertex[use], return_index=True)
+    return used, use[first]
 
 
 def _pair(cloud, area, sampled, other, swap):

@@ -20,6 +20,7 @@ __all__ = ["MeshReport", "repair"]
 
 MERGE = 1e-7  # points closer than this share of the mesh's diagonal are one
 FLAT = 1e-6  # a triangle lower than this share of its longest side has no area
+SQUARE = 1e-7  # diagonals that differ by less than this share are equal: the one from the first corner is taken
 ON_EDGE = 1e-4  # a point nearer to an edge than this share of its length lies on it
 
 
@@ -157,7 +158,7 @@ def _check_numbers(elements, n_points):
 def _split_quadrilaterals(points, quadrilaterals):
     a, b, c, d = quadrilaterals.T
     length = lambda i, j: np.linalg.norm(points[i] - points[j], axis=1)
-    across_ac = (length(a, c) <= length(b, d))[:, None]
+    across_ac = (length(a, c) <= (1 + SQUARE) * length(b, d))[:, None]
     first = np.where(across_ac, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
     second = np.where(across_ac, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
     return np.concatenate([first, second])

@@ -2,6 +2,11 @@
 
 Everything that the program knows of a part's shape goes through :class:`Surface`. It holds no finite-element
 unknowns, so the production path can place functionals and find contact pairs where no FE package is installed.
+
+What is decided here (which triangle is closest, which point lies within a radius) must not hang on rounding: a scene
+that is turned, mirrored, renumbered or written in other units is the same scene. Lengths that differ by less than a
+small share of the surface's size count as equal, and a choice among equals is made by something that all these changes
+leave alone.
 """
 
 from __future__ import annotations
@@ -14,7 +19,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-__all__ = ["Patch", "Projection", "Surface"]
+__all__ = ["EQUAL", "Patch", "Projection", "Surface"]
+
+EQUAL = 1e-7  #: lengths that differ by less than this share of the size of things are equal; so are cosines and ratios
 
 
 @dataclass(frozen=True)
@@ -49,12 +56,15 @@ class Projection:
         The closest point, mm.
     distance : (n,) array
         Distance to it, mm; infinite where none passed the filter.
+    at_border : (n,) bool array
+        Whether it lies on the border of the surface.
     """
 
     triangle: np.ndarray
     barycentric: np.ndarray
     point: np.ndarray
     distance: np.ndarray
+    at_border: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -140,9 +150,28 @@ class Surface:
         return (count[index.ravel()] == 1).reshape(-1, 3)
 
     @cached_property
+    def border_vertices(self) -> np.ndarray:
+        """(n,) bool: whether each vertex ends an edge of the border."""
+        mask = np.zeros(len(self.points), dtype=bool)
+        for corner in range(3):
+            mask[np.delete(self.triangles, corner, axis=1)[self.border[:, corner]]] = True
+        return mask
+
+    @cached_property
     def diameter(self) -> float:
         """Diagonal of the bounding box, mm."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
+    def tie(self) -> float:
+        """Lengths that differ by less count as equal, mm."""
+        size = np.linalg.norm(self.points[np.unique(self.triangles)] - self.centroid, axis=1).max()
+        return EQUAL * float(size)
+
+    @cached_property
+    def centroid(self) -> np.ndarray:
+        """(3,) mean of the surface, mm."""
+        return np.average(self._centroids, axis=0, weights=self.areas)
 
     @cached_property
     def _centroids(self) -> np.ndarray:
@@ -157,8 +186,11 @@ class Surface:
     def _tree(self) -> cKDTree:
         return cKDTree(self._centroids)
 
-    def project(self, x, normal=None, max_angle: float = np.pi / 4) -> Projection:
+    def project(self, x, normal=None, max_angle: float = np.pi / 4, reach: float = np.inf) -> Projection:
         """Closest points on the surface, exact over all triangles that pass the filter.
+
+        Of triangles that share the closest point, the one whose normal line is nearest to `normal` holds it, then the
+        one whose centroid is nearest, then the first.
 
         Parameters
         ----------
@@ -169,18 +201,50 @@ class Surface:
             NaN switches the filter off for that point.
         max_angle : float
             Radians.
+        reach : float
+            Closest points farther than this need not be found, mm.
         """
         x = np.atleast_2d(np.asarray(x, dtype=float))
+        if normal is not None:
+            normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
+        owner, triangle, barycentric, foot = self._closest(x, normal, max_angle, reach)
+        best = Projection(
+            np.full(len(x), -1, dtype=np.int64),
+            np.full((len(x), 3), np.nan),
+            np.full((len(x), 3), np.nan),
+            np.full(len(x), np.inf),
+            np.zeros(len(x), dtype=bool),
+        )
+        chosen = np.arange(len(owner))
+        if normal is not None:
+            turned = 1 - np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal[owner]))
+            chosen = chosen[_least(turned, owner, EQUAL)]
+        away = np.linalg.norm(self._centroids[triangle[chosen]] - x[owner[chosen]], axis=1)
+        chosen = chosen[_least(away, owner[chosen], self.tie)]
+        chosen = chosen[np.lexsort((triangle[chosen], owner[chosen]))]
+        chosen = chosen[np.unique(owner[chosen], return_index=True)[1]]
+        into, triangle, barycentric = owner[chosen], triangle[chosen], barycentric[chosen]
+        best.triangle[into] = triangle
+        best.barycentric[into] = barycentric
+        best.point[into] = foot[chosen]
+        best.distance[into] = np.linalg.norm(foot[chosen] - x[into], axis=1)
+        on_edge = (barycentric < 1e-9) & self.border[triangle]
+        at_corner = (barycentric > 1 - 2e-9) & self.border_vertices[self.triangles[triangle]]
+        best.at_border[into] = (on_edge | at_corner).any(1)
+        return best
+
+    def _closest(self, x, normal, max_angle, reach=np.inf):
+        """All triangles that hold the closest point of each x: owner, triangle, barycentric, closest point.
+
+        Two closest points are one when they lie within `tie` of each other: the squares of their distances, d² and
+        d² + e² for an offset e along the surface, then differ by less than tie².
+        """
         # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
         cosine = np.cos(max_angle)
-        if normal is None:
-            bound = self._tree.query(x)[0]
-        else:
-            normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
-            bound = self._nearest_aligned(x, normal, cosine)
-        candidates = self._tree.query_ball_point(
-            x, np.where(np.isfinite(bound), bound + self.reach.max() * (1 + 1e-9), 0.0)
-        )
+        bound = self._tree.query(x)[0] if normal is None else self._nearest_aligned(x, normal, cosine)
+        bound = np.where(np.isfinite(bound), np.minimum(bound, reach), -np.inf)
+        search = np.where(bound >= 0, bound + self.reach.max() * (1 + 1e-9) + self.tie, 0.0)
+        candidates = self._tree.query_ball_point(x, search)
         owner = np.repeat(np.arange(len(x)), [len(c) for c in candidates])
         triangle = (
             np.concatenate([np.asarray(c, dtype=np.int64) for c in candidates]) if len(x) else np.zeros(0, np.int64)
@@ -190,24 +254,11 @@ class Surface:
             owner, triangle = owner[keep], triangle[keep]
         barycentric = _closest_barycentric(self.corners[triangle], x[owner])
         foot = np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
-        distance = np.linalg.norm(foot - x[owner], axis=1)
-        best = Projection(
-            np.full(len(x), -1, dtype=np.int64),
-            np.full((len(x), 3), np.nan),
-            np.full((len(x), 3), np.nan),
-            np.full(len(x), np.inf),
-        )
-        # Ties (a point above an edge) go to the lowest triangle number, so that results do not depend on the tree.
-        order = np.lexsort((triangle, np.round(distance, 12), owner))
-        first = order[np.unique(owner[order], return_index=True)[1]]
-        best.triangle[owner[first]] = triangle[first]
-        best.barycentric[owner[first]] = barycentric[first]
-        best.point[owner[first]] = foot[first]
-        best.distance[owner[first]] = distance[first]
-        return best
+        closest = _least(((foot - x[owner]) ** 2).sum(1), owner, self.tie**2)
+        return owner[closest], triangle[closest], barycentric[closest], foot[closest]
 
     def _aligned(self, triangle, normal, cosine):
-        return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine)  # NaN passes
+        return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine - EQUAL)  # NaN passes
 
     def _nearest_aligned(self, x, normal, cosine):
         """(n,) distance of each point to the nearest centroid whose triangle passes the normal filter; inf if none."""
@@ -239,7 +290,8 @@ class Surface:
         Returns
         -------
         Patch
-            Only triangles connected to the projected point, and turned from it by less than 60 degrees, take part.
+            Only triangles connected to the projected point, and turned from it by less than 60 degrees, take part. A
+            point on a fold belongs to both its sides.
 
         Raises
         ------
@@ -248,18 +300,22 @@ class Surface:
         """
         if radius < 0:
             raise ValueError(f"radius must not be negative, got {radius}")
-        foot = self.project(center, None if normal is None else np.atleast_2d(normal))
+        center = np.atleast_2d(np.asarray(center, dtype=float))
+        normal = None if normal is None else np.atleast_2d(np.asarray(normal, dtype=float))
+        foot = self.project(center, normal)
         seed = int(foot.triangle[0])
         if seed < 0:
-            raise ValueError(f"no triangle near {np.asarray(center).tolist()} is aligned with the given normal")
+            raise ValueError(f"no triangle near {center[0].tolist()} is aligned with the given normal")
         if radius == 0:
             return Patch(foot.triangle, foot.barycentric, np.ones(1))
-        near = np.asarray(self._tree.query_ball_point(foot.point[0], radius + self.reach.max()), dtype=np.int64)
-        near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= radius + self.reach[near]]
-        near = near[self.normals[near] @ self.normals[seed] > 0.5]
+        seeds = self._closest(center, normal, np.pi / 4)[1]
+        wide = radius + self.tie
+        near = np.asarray(self._tree.query_ball_point(foot.point[0], wide + self.reach.max()), dtype=np.int64)
+        near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= wide + self.reach[near]]
+        near = near[(self.normals[near] @ self.normals[seeds].T).max(1) > 0.5 + EQUAL]
         near = np.sort(near[self._connected(near, seed)])
         triangle, barycentric, area = self.sample(near, radius / 8)
-        inside = np.linalg.norm(self.at(triangle, barycentric) - foot.point[0], axis=1) <= radius
+        inside = np.linalg.norm(self.at(triangle, barycentric) - foot.point[0], axis=1) <= wide
         if not inside.any():
             return Patch(foot.triangle, foot.barycentric, np.ones(1))
         area = area[inside]
@@ -276,7 +332,7 @@ class Surface:
             Area that each point stands for, mm².
         """
         triangles = np.asarray(triangles, dtype=np.int64)
-        divisions = np.clip(np.ceil(self.edge_lengths[triangles].max(1) / spacing), 1, 32).astype(int)
+        divisions = np.clip(np.ceil(self.edge_lengths[triangles].max(1) / spacing - EQUAL), 1, 32).astype(int)
         triangle, barycentric, area = [], [], []
         for n in np.unique(divisions):
             chosen = triangles[divisions == n]
@@ -300,6 +356,13 @@ class Surface:
         incidence = coo_matrix((np.ones(len(owner)), (owner, local)), shape=(len(triangles), len(vertex))).tocsr()
         label = connected_components(incidence @ incidence.T, directed=False)[1]
         return label == label[np.flatnonzero(triangles == seed)[0]]
+
+
+def _least(value, owner, tie):
+    """Mask of the values (q,) that are at most `tie` above the least of their owner's."""
+    least = np.full(owner.max(initial=-1) + 1, np.inf)
+    np.minimum.at(least, owner, value)
+    return ~(value > least[owner] + tie)  # NaN, the direction that switches a filter off, passes
 
 
 def _subtriangle_centroids(n: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -107,14 +108,17 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     fixtures = {fixture.name: fixture_surface(fixture, scene.folder) for fixture in scene.fixtures}
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
-    bodies |= {name: Side(surface) for name, surface in fixtures.items()}
+    discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
+    bodies |= {name: Side(surface, disc=discs.get(name)) for name, surface in fixtures.items()}
     rows = Rows(surfaces)
     for i, locator in enumerate(scene.locators):
         rows.point("locator", f"locators[{i}]", locator)
     for i, clamp in enumerate(scene.clamps):
         rows.point("clamp", f"clamps[{i}]", clamp)
     weld_gap = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
-    contacts = _contact_rows(scene, bodies, rows, node_pairs if every_node else find_pairs)
+    landmarks = np.array([locator.point for locator in scene.locators])
+    find = node_pairs if every_node else partial(find_pairs, landmarks=landmarks)
+    contacts = _contact_rows(scene, bodies, rows, find)
     for source in sources(scene):
         source.retain(rows)
     for i, measurement in enumerate(scene.measurements):

@@ -1,0 +1,104 @@
+"""A scene that is turned, mirrored, renumbered or written in other units is the same scene."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
+
+from mic.model.assembly import assemble
+
+#: How each transformed scene is made from the case and a number, with the matrix and the unit that it is seen in.
+SAME = {
+    "turned": lambda case, seed: _turned(case, rotation(seed, right_angles=case.has_box)),
+    "mirrored": lambda case, seed: _turned(case, -rotation(seed, right_angles=case.has_box)),
+    "in metres": lambda case, seed: (in_units(case, 1000.0), np.eye(3), 1000.0),
+    "in inches": lambda case, seed: (in_units(case, 25.4), np.eye(3), 25.4),
+    "renumbered": lambda case, seed: (renumbered(case, seed), np.eye(3), 1.0),
+}
+SEEDS = st.integers(0, 10**6)
+
+
+def _turned(case, matrix):
+    return turned(case, matrix), matrix, 1.0
+
+
+def readings(case, folder):
+    """Contacts, and where each patch lies and how wide it is, (patches, 4)."""
+    assembly = assemble(case.scene(folder / "scene"), folder / "cache")
+    rows = []
+    for part in assembly.parts:
+        for patch in part.functionals.patches:
+            x = part.surface.at(patch.triangle, patch.barycentric)
+            centre = patch.weight @ x
+            rows.append([*centre, np.sqrt(patch.weight @ ((x - centre) ** 2).sum(axis=1))])
+    return assembly.contacts, np.array(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", SAME)
+@settings(max_examples=8, derandomize=True, deadline=None)
+@given(seed=SEEDS)
+def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, seed, tmp_path_factory):
+    case = random_case(seed)
+    other, matrix, unit = SAME[change](case, seed)
+    contacts, patches = readings(case, tmp_path_factory.mktemp("given"))
+    found, found_patches = readings(other, tmp_path_factory.mktemp("changed"))
+    assert len(found) == len(contacts)
+    close = dict(rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.point * unit, contacts.point @ matrix.T, **close)
+    np.testing.assert_allclose(found.frame[:, :, 0], contacts.frame[:, :, 0] @ matrix.T, **close)
+    np.testing.assert_allclose(found.gap * unit, contacts.gap, **close)
+    np.testing.assert_allclose(found.area * unit**2, contacts.area, rtol=1e-9)
+    np.testing.assert_allclose(found_patches[:, :3] * unit, patches[:, :3] @ matrix.T, **close)
+    np.testing.assert_allclose(found_patches[:, 3] * unit, patches[:, 3], **close)
+
+
+@pytest.mark.slow
+@pytest.mark.fem
+@pytest.mark.parametrize("change", SAME)
+@settings(max_examples=2, derandomize=True, deadline=None)
+@given(seed=SEEDS)
+def test_the_same_scene_has_the_same_measurements(change, seed, tmp_path_factory):
+    case = random_case(seed)
+    other, _, unit = SAME[change](case, seed)
+    for law in ("coulomb", "frictionless"):
+        given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
+        changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
+        np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())
+
+
+@pytest.mark.slow
+@settings(max_examples=8, derandomize=True, deadline=None)
+@given(seed=SEEDS)
+def test_pairs_on_borders_follow_a_small_change(seed, tmp_path_factory):
+    case = random_case(seed)
+    contacts, patches = readings(case, tmp_path_factory.mktemp("given"))
+    found, found_patches = readings(moved_by(case, 1e-9, seed), tmp_path_factory.mktemp("changed"))
+    np.testing.assert_allclose(found.point, contacts.point, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.gap, contacts.gap, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found_patches, patches, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.fem
+@settings(max_examples=2, derandomize=True, deadline=None)
+@given(seed=SEEDS)
+def test_measurements_follow_a_small_change(seed, tmp_path_factory):
+    case = random_case(seed)
+    given_one = case.measurements(tmp_path_factory.mktemp("given"), "coulomb")
+    changed = moved_by(case, 1e-9, seed).measurements(tmp_path_factory.mktemp("changed"), "coulomb")
+    np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-6)
+
+
+@settings(max_examples=8, derandomize=True, deadline=None)
+@given(seed=SEEDS)
+def test_given_points_are_the_pairs_whichever_part_is_named_first(seed, tmp_path_factory):
+    case = random_case(seed, patch=0.0, points=True)
+    contacts, _ = readings(case, tmp_path_factory.mktemp("given"))
+    found, _ = readings(swapped(case), tmp_path_factory.mktemp("changed"))
+    wanted = np.array(case.table["zones"][0]["points"])
+    for one in (contacts, found):
+        np.testing.assert_allclose(one.point[:, :2], wanted[:, :2], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.gap, contacts.gap, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.frame[:, :, 0], -contacts.frame[:, :, 0], rtol=0, atol=1e-12)
