@@ -6,6 +6,7 @@ from recorded.record import FOLDER, INCREMENTS, SCENES, drawn, outcome, platform
 
 TOLERANCE = 1e-10  # of the largest value of the array, where finite elements and BLAS are those of the recording
 ELSEWHERE = 1e-8  # the wheelhouse's compliance is conditioned such that others move its last digits by 1e-9
+DEAR = [pytest.mark.slow, pytest.mark.fem]
 EXACT = ("state", "failed")
 
 
@@ -36,7 +37,7 @@ def test_the_same_seed_draws_the_same_deviations(name):
 
 
 @pytest.mark.parametrize("increments", INCREMENTS)
-@pytest.mark.parametrize("name", [*SCENES[:2], pytest.param("wheelhouse", marks=[pytest.mark.slow, pytest.mark.fem])])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=DEAR if name == "wheelhouse" else []) for name in SCENES])
 def test_the_same_scene_gives_the_same_numbers(name, increments, cache):
     with np.load(FOLDER / f"{name}.npz") as file:
         held = [key for key in file.files if key.startswith("pairs/") or f"/{increments}/" in key]
