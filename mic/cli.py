@@ -293,10 +293,10 @@ def _print_cost(console, assembly, plans):
 @app.command()
 @_on_first
 def init(
-    example: Annotated[str, typer.Option(help="Name of the example scene.", show_default=False)],
+    example: Annotated[str, typer.Option(help=f"One of {', '.join(examples.names())}.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
 ):
-    """Copy an example scene into a new folder, to start from: lap_joint, hat_on_plate or wheelhouse."""
+    """Copy an example scene into a new folder, to start from."""
     folder = examples.copy(example, out)
     print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
 

@@ -9,6 +9,7 @@ from recorded.record import FOLDER, INCREMENTS, SCENES, drawn, outcome, platform
 TOLERANCE = 1e-10  # of the largest value of the array, where finite elements and BLAS are those of the recording
 ELSEWHERE = 1e-7  # the wheelhouse's compliance is conditioned such that others move its forces by 2e-8
 AT_HOME = ("motion",)  # counts from where the finite elements hold a free part; others may hold it elsewhere
+DEAR = [pytest.mark.slow, pytest.mark.fem]
 EXACT = ("state", "failed")
 
 
@@ -45,7 +46,7 @@ def model(cache):
 
 
 @pytest.mark.parametrize("increments", INCREMENTS)
-@pytest.mark.parametrize("name", [*SCENES[:2], pytest.param("wheelhouse", marks=[pytest.mark.slow, pytest.mark.fem])])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=DEAR if name == "wheelhouse" else []) for name in SCENES])
 def test_the_same_scene_gives_the_same_numbers(name, increments, model):
     with np.load(FOLDER / f"{name}.npz") as file:
         held = [key for key in file.files if key.startswith("pairs/") or f"/{increments}/" in key]
