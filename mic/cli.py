@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import sys
+import logging
 import traceback
 from contextlib import contextmanager
 from enum import Enum
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -17,11 +18,12 @@ from rich.table import Table
 
 from mic import cache_folder, examples
 from mic.compliance.cache import is_cached
+from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import MicError
 from mic.runs import Listener, conclude
 from mic.runs import run as run_scene
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import communicator, leave, on_first, others_silent
 from mic.scene import load_scene
 from mic.scene.schema import MonteCarlo
 
@@ -63,6 +65,18 @@ LawOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _on_first(command):
+    """A command that takes one process; under ``mpirun`` the others leave it to the first."""
+
+    @wraps(command)
+    def alone(*args, **options):
+        world = communicator()
+        if world is None or world.rank == 0:
+            command(*args, **options)
+
+    return alone
 
 
 def _requested(scene, laws, samples=None, seed=None, backend=None):
@@ -108,7 +122,7 @@ def run(
     """
     world = communicator()
     console = Console(quiet=world is not None and world.rank > 0)
-    asked = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
+    asked = on_first(world, lambda: _requested(load_scene(scene), law, samples, seed, backend and backend.value))
     folder = out or Path("results") / asked.name
     try:
         outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
@@ -120,6 +134,7 @@ def run(
 
 
 @app.command()
+@_on_first
 def report(
     folder: Annotated[
         Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
@@ -134,7 +149,7 @@ def _report(console, outcome):
     """The page, and on the console the least that a user wants to know."""
     from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
 
-    page = write_report(outcome.folder)
+    page = write_report(outcome.folder, outcome)
     _print_zones(console, outcome)
     console.print(f"report: [bold]{page}[/]   tables: {outcome.folder / 'summary.json'}")
 
@@ -174,6 +189,7 @@ def _print_zones(console, outcome):
 
 
 @app.command()
+@_on_first
 def check(scene: SceneArgument, law: LawOption = None):
     """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
     from mic.model.assembly import assemble
@@ -215,9 +231,17 @@ def _print_parts(console, assembly):
             f"{part.young:g}",
             f"{part.poisson:g}",
             str(len(part.functionals)),
-            "cached" if is_cached(part, cache_folder()) else "to be computed",
+            _coefficients(part),
         )
     console.print(table)
+
+
+def _coefficients(part):
+    """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
+    if is_cached(part, cache_folder()):
+        return "cached"
+    check_element(part.element)
+    return "to be computed"
 
 
 def _print_contacts(console, assembly):
@@ -248,9 +272,9 @@ def _print_cost(console, assembly, plans):
     scene, contacts = assembly.scene, assembly.contacts
     solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
     sizes = [len(part.functionals) for part in assembly.parts]
-    freedoms = ", ".join(f"{6 * len(part.surface.points)} freedoms" for part in assembly.parts)
+    nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
     samples, laws = scene.monte_carlo.samples, scene.report.laws
-    console.print("• one factorisation per part not cached" + (f": {freedoms}" if scene.element == "dkt-opt" else ""))
+    console.print(f"• one factorisation per part not cached: {nodes}")
     console.print(
         f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
         "coefficients"
@@ -267,6 +291,7 @@ def _print_cost(console, assembly, plans):
 
 
 @app.command()
+@_on_first
 def init(
     example: Annotated[str, typer.Option(help="Name of the example scene.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
@@ -278,18 +303,27 @@ def init(
 
 def main():
     """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
-    world = communicator()
+    logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
+    world, status, words = None, 0, ""
     try:
-        app()
+        world = communicator()
+        with others_silent(world):
+            app()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except MicError as error:
-        if world is None or world.rank == 0:
-            Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
-        sys.exit(2)
+        status, words = 2, _sentence(error)
     except Exception:
-        if world is None:
-            raise
-        traceback.print_exc()
-        world.Abort(1)  # one process must not leave the others waiting
+        status, words = 1, traceback.format_exc()
+    leave(world, status, words)
+
+
+def _sentence(error):
+    """An error as the console shows it."""
+    console = Console(stderr=True)
+    with console.capture() as capture:
+        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+    return capture.get()
 
 
 if __name__ == "__main__":

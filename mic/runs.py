@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from mic.compliance.cache import influence_coefficients
 from mic.compliance.part import Part
 from mic.model.assembly import assemble
@@ -21,7 +23,7 @@ from mic.results.outcome import Outcome, read_outcome
 from mic.results.summary import write_summary, write_tables
 from mic.results.tables import tables
 from mic.sampling.montecarlo import blocks, monte_carlo
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import communicator, on_first
 from mic.scene import Scene
 
 __all__ = ["Listener", "conclude", "read_run", "run", "sample_into"]
@@ -65,18 +67,19 @@ def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = Non
     listener = listener or Listener()
     with clock("meshes and pairs"):
         listener.say(f"{scene.name}: meshing and pairing …")
-        assembly = assemble(scene, cache)
+        assembly = on_first(world, lambda: assemble(scene, cache))
+        scene = assembly.scene  # the first process's, should the file have changed meanwhile
     with clock("influence coefficients"):
-        influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"))
+        influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"), world)
         reused = [name for name, hit in cached.items() if hit]
         if reused:
             listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
     with clock("reduced model"):
-        model = ReducedModel.build(assembly, influence)
+        with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process and for any number of them
+            model = ReducedModel.build(assembly, influence)
         for sentence in model.process().redundant:
             listener.say(f"note: {sentence}")
-    if world is None or world.rank == 0:
-        RunFolder(folder).keep_inputs(assembly)
+    on_first(world, lambda: RunFolder(folder).keep_inputs(assembly))
     laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
     with clock("Monte Carlo"):
         found = sample_into(folder, model, laws, samples, seed, assembly.parts, listener)
@@ -116,8 +119,10 @@ def sample_into(
         Samples per law that were found finished.
     """
     store, world, listener = RunFolder(Path(folder)), communicator(), listener or Listener()
-    whose, fields = identity(model, seed, parts), model.scene.report.fields
-    if world is None or world.rank == 0:
+    fields = model.scene.report.fields
+
+    def prepare() -> str:
+        whose = identity(model, seed, parts)
         record = {
             "scene": model.scene.name,
             "samples": samples,
@@ -126,11 +131,13 @@ def sample_into(
             "identity": whose,
             "versions": versions(),
         }
-        for sentence in store.prepare(record, [Block(*block) for block in blocks(laws, samples)], fields):
+        wanted = [Block(*block) for block in blocks(laws, samples, len(model.contacts))]
+        for sentence in store.prepare(record, wanted, fields):
             listener.say(sentence)
         model.save(store.path / "model.npz")
-    if world:
-        world.Barrier()
+        return whose
+
+    whose = on_first(world, prepare)
 
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if fields else None
@@ -166,7 +173,7 @@ def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: 
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
-            write_fields(folder)
+            write_fields(folder, outcome)
     outcome.record.update(RunFolder(folder).add_wall_time((wall_time or {}) | clock.seconds))
     write_summary(outcome)
     return outcome

@@ -6,6 +6,7 @@ import scipy.sparse as sp
 from support.panels import NU, PLACES, E, T, functionals, panel
 from support.processes import on_processes
 from support.shells import several_parts
+from threadpoolctl import threadpool_limits
 
 from fem_reference.shell import influence
 from fem_reference.shell.factorisation import (
@@ -17,6 +18,7 @@ from fem_reference.shell.factorisation import (
 )
 from fem_reference.shell.influence import compute_influence, influence_matrix
 from fem_reference.shell.part import ELEMENTS, ShellPart
+from mic.compliance.part import GENERATION
 
 pytestmark = pytest.mark.fem
 
@@ -94,6 +96,23 @@ def test_an_indefinite_matrix_is_refused():
         influence_matrix((K - 50 * sp.eye(K.shape[0])).tocsr(), L)
 
 
+#: Largest three eigenvalues of H on balanced forces, of the panel below, mm/N.
+COMPLIANCE = {
+    "dkt-opt": (9.191797549896e-06, 3.151605296038e-05, 9.961153120999e-05),
+    "p2-cr": (9.484394966696e-06, 3.416564864481e-05, 9.900068880311e-05),
+}
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_an_element_gives_the_coefficients_that_caches_hold(element):
+    """Where this fails for a good reason, raise `GENERATION`: old caches are else used with the new element."""
+    surface = panel(5)
+    H, G = ShellPart(surface, T, E, NU, element).influence(functionals(surface, PLACES, 6.0))
+    balanced = np.linalg.svd(G)[0][:, 6:]
+    found = np.linalg.eigvalsh(balanced.T @ H @ balanced)[-3:]
+    assert GENERATION == 3 and found == pytest.approx(COMPLIANCE[element], rel=1e-8)
+
+
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_a_part_s_coefficients_against_the_pseudo_inverse(element):
     """On balanced forces H is L K⁺ Lᵀ, whatever the pins; K⁺ by the dense spectrum. Rigid readings G included."""
@@ -131,6 +150,7 @@ import numpy as np
 from mpi4py import MPI
 from support.panels import NU, PLACES, E, T, functionals, panel
 from support.shells import several_parts
+from threadpoolctl import threadpool_limits
 
 from fem_reference.shell.influence import compute_influence
 from fem_reference.shell.part import ShellPart
@@ -162,3 +182,16 @@ def test_equal_on_any_number_of_processes(processes, tmp_path):
         for name, (H, G) in serial.items():
             assert abs(parallel[f"{name} H"] - H).max() < 1e-10 * abs(H).max()
             assert abs(parallel[f"{name} G"] - G).max() < 1e-10 * abs(G).max()
+
+
+def test_the_number_of_threads_moves_no_digit():
+    K, L = spd(m=1500, n=500)
+    right = np.random.default_rng(2).normal(size=(K.shape[0], BLOCK))
+
+    def computed(threads):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            factorisation = Factorisation(K, L)
+            return factorisation.influence, factorisation.solve(right), factorisation.solve_sparse(L[:BLOCK])
+
+    for one, two in zip(computed(1), computed(2)):
+        np.testing.assert_array_equal(one, two)

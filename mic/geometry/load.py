@@ -16,14 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from mic.errors import FormatError, SceneError
+from mic.cache import ABSENT, Cache
+from mic.errors import SceneError
 from mic.geometry import structured
 from mic.geometry.surface import Surface
-from mic.store import Format, load_arrays, save_arrays
+from mic.store import Format
 
 __all__ = ["fixture_surface", "load_script", "part_surface"]
 
-GENERATED = Format("generated mesh", 1, "remove the file, it is generated again")
+GENERATED = Format("generated mesh", 2, ABSENT)
 
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
@@ -32,7 +33,7 @@ def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
     """Surface of a part, from its mesh file or its geometry script.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
-    script's folder and of the folder above, which it may import. A kept file that cannot be read is generated again.
+    script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it.
 
     Parameters
     ----------
@@ -54,19 +55,13 @@ def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
         )
     if part.mesh is not None:
         return _read(f"part {part.name!r}", path)
-    kept = cache / "meshes" / f"{_identity(part, path)}.npz"
-    try:
-        _, arrays = load_arrays(kept, GENERATED)
+    meshes, identity = Cache(cache, "meshes", GENERATED), _identity(part, path)
+    kept = meshes.find(identity)
+    if kept is not None:
+        _, arrays = kept
         return Surface(arrays["points"], arrays["triangles"])
-    except (FileNotFoundError, FormatError):
-        surface = _generate(part, path)
-    try:
-        save_arrays(kept, GENERATED, {}, {"points": surface.points, "triangles": surface.triangles})
-    except OSError as problem:
-        raise SceneError(
-            f"part {part.name!r}: its mesh cannot be kept in {kept.parent} ({problem.strerror}); "
-            "let MIC_CACHE name a folder that can be written"
-        ) from problem
+    surface = _generate(part, path)
+    meshes.keep(identity, {}, {"points": surface.points, "triangles": surface.triangles})
     return surface
 
 

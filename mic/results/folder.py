@@ -189,16 +189,19 @@ class RunFolder:
         FormatError
             If a file is missing, cannot be read, or belongs to another run.
         """
-        found = {}
-        for table in DATASETS:
-            path = self._path(table, block)
-            try:
-                found[table.name], whose = read_table(path, table)
-            except FileNotFoundError:
-                raise FormatError(f"{path}: this file of a finished block is missing; {_AGAIN}") from None
-            if whose != identity:
-                raise FormatError(f"{path}: this block belongs to another run; {_AGAIN}")
-        return found
+        return {table.name: self.read_dataset(block, table.name, identity) for table in DATASETS}
+
+    def read_dataset(self, block: Block, name: str, identity: str) -> pd.DataFrame:
+        """Read one of the datasets of a finished block; errors as :meth:`read_block`."""
+        table = next(table for table in DATASETS if table.name == name)
+        path = self._path(table, block)
+        try:
+            frame, whose = read_table(path, table)
+        except FileNotFoundError:
+            raise FormatError(f"{path}: this file of a finished block is missing; {_AGAIN}") from None
+        if whose != identity:
+            raise FormatError(f"{path}: this block belongs to another run; {_AGAIN}")
+        return frame
 
     def read_forces(self, block: Block, identity: str) -> dict[str, np.ndarray] | None:
         """Forces and motions of a block, (n, F) and (n, 6P); None where the run kept none."""

@@ -1,6 +1,7 @@
 """The outcome of the shipped scenes, as ``test_recorded`` compares it and as it is recorded.
 
-``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder. README.md says when that is allowed.
+``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder; with ``--add`` only what is not recorded
+yet, a new law or scene. README.md says when that is allowed.
 """
 
 from __future__ import annotations
@@ -13,16 +14,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 import mic
+from mic.contact import laws
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
-LAWS = ("coulomb", "associated", "frictionless")
+LAWS = tuple(laws.LAWS)
 INCREMENTS = (1, 3)
 SAMPLES = 5
 PAIRS = ("gap", "area", "point", "frame")
@@ -34,8 +36,7 @@ def reduced(name: str, cache: Path) -> ReducedModel:
     """A shipped scene under all three laws, with slip."""
     scene = mic.load_scene(ROOT / "meshes" / name)
     scene = scene.model_copy(update={"report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True})})
-    with threadpool_limits(1):  # how many share a factorisation moves the wheelhouse's compliance by 6e-10
-        return mic.reduce(scene, cache)
+    return mic.reduce(scene, cache)
 
 
 def drawn(name: str) -> np.ndarray:
@@ -48,11 +49,6 @@ def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dic
     """What is recorded of a scene with so many increments in every stage, by key: ``law/increments/stage/quantity``."""
     stages = [stage.model_copy(update={"increments": increments}) for stage in model.scene.stages]
     model = replace(model, scene=model.scene.model_copy(update={"stages": stages}))
-    with threadpool_limits(1):
-        return _outcome(model, increments, deviations)
-
-
-def _outcome(model, increments, deviations):
     arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
     for law in LAWS:
         evaluation = model.evaluate(deviations, law)
@@ -71,16 +67,20 @@ def platform() -> str:
     return f"dolfinx {elements}; numpy {np.__version__}; " + ", ".join(libraries)
 
 
-def main() -> None:
+def main(add: bool) -> None:
     for name in SCENES:
+        file = FOLDER / f"{name}.npz"
         arrays = {"platform": np.array(platform()), "deviations": drawn(name)}
         with TemporaryDirectory() as cache:
             model = reduced(name, Path(cache))
         for increments in INCREMENTS:
             arrays |= outcome(model, increments, arrays["deviations"])
-        np.savez_compressed(FOLDER / f"{name}.npz", **arrays)
+        if add and file.is_file():
+            with np.load(file) as recorded:
+                arrays |= dict(recorded)
+        np.savez_compressed(file, **arrays)
         print(f"recorded {len(arrays)} arrays of {name}", file=sys.stderr)
 
 
 if __name__ == "__main__":
-    main()
+    main("--add" in sys.argv[1:])
