@@ -14,7 +14,7 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 from mic.compliance.cache import influence_coefficients
-from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError
+from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError, StorageError
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.scene import Scene, load_scene
@@ -27,6 +27,7 @@ __all__ = [
     "RunError",
     "Scene",
     "SceneError",
+    "StorageError",
     "cache_folder",
     "load_scene",
     "reduce",
@@ -36,8 +37,19 @@ __version__ = "0.2.0"
 
 
 def cache_folder() -> Path:
-    """Where meshes and influence coefficients are kept: ``$MIC_CACHE``, or the user's cache folder."""
-    return Path(os.environ["MIC_CACHE"]) if "MIC_CACHE" in os.environ else user_cache_path("mic")
+    """Where meshes and influence coefficients are kept: ``$MIC_CACHE``, or the user's cache folder.
+
+    Raises
+    ------
+    StorageError
+        If the user has no home.
+    """
+    if os.environ.get("MIC_CACHE"):
+        return Path(os.environ["MIC_CACHE"])
+    found = user_cache_path("mic")
+    if not found.is_absolute():  # "~" as it stands
+        raise StorageError("there is no home folder to keep meshes in; let MIC_CACHE name a folder that can be written")
+    return found
 
 
 def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:

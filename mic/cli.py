@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
+import shlex
+import signal
 import sys
 import traceback
 from contextlib import contextmanager
@@ -18,8 +22,9 @@ from rich.table import Table
 from mic import cache_folder, examples
 from mic.compliance.cache import is_cached
 from mic.contact.laws import LAWS
-from mic.errors import MicError
-from mic.runs import Listener, conclude
+from mic.errors import MicError, RunError
+from mic.results.forecast import forecast
+from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator
 from mic.scene import load_scene
@@ -85,7 +90,8 @@ def run(
         int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)
+        int | None,
+        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
     ] = None,
     law: LawOption = None,
     backend: Annotated[
@@ -99,24 +105,41 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
     ] = None,
+    replace: Annotated[
+        bool,
+        typer.Option(
+            "--replace",
+            help="Remove the results of another run from the folder, the files that a run writes and no others. "
+            "Without it, such a folder is refused.",
+        ),
+    ] = False,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
-    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of
-    samples are kept: call again to complete an interrupted run. Under `mpirun -n N` the samples are shared out over N
-    processes.
+    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished samples
+    are kept: call again to complete an interrupted run, or with more samples to extend one. Under `mpirun -n N` the
+    samples are shared out over N processes.
     """
     world = communicator()
     console = Console(quiet=world is not None and world.rank > 0)
     asked = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
+    if out is None and asked.name.strip(".") == "":
+        raise RunError(f"scene name {asked.name!r}: cannot name a results folder; name the folder with --out")
     folder = out or Path("results") / asked.name
     try:
-        outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
-        if outcome is not None:
-            _report(console, outcome)
-    except KeyboardInterrupt:
-        console.print(f"Interrupted. What is finished stands in {folder}; run the same command again to complete it.")
-        raise typer.Exit(130) from None
+        with hold(folder, _Listener(console)):
+            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace)
+            if outcome is not None:
+                _report(console, outcome)
+    except KeyboardInterrupt as stop:
+        laws, samples = asked.report.laws, asked.monte_carlo.samples
+        console.print(
+            f"Interrupted: {finished(folder, laws, samples)} of {len(laws) * samples} samples are finished and kept in "
+            f"{plain(folder)}; run the same command again to complete it: {plain(shlex.join(['mic', *sys.argv[1:]]))}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        raise typer.Exit(_exit_code(stop)) from None
 
 
 @app.command()
@@ -127,7 +150,11 @@ def report(
 ):
     """Write the statistics, fields and report of a results folder again."""
     console = Console()
-    _report(console, conclude(folder, listener=_Listener(console)))
+    try:
+        _report(console, conclude(folder, listener=_Listener(console)))
+    except KeyboardInterrupt as stop:
+        console.print(f"Interrupted: the samples in {plain(folder)} stand untouched; call mic report again.")
+        raise typer.Exit(_exit_code(stop)) from None
 
 
 def _report(console, outcome):
@@ -136,7 +163,7 @@ def _report(console, outcome):
 
     page = write_report(outcome.folder)
     _print_zones(console, outcome)
-    console.print(f"report: [bold]{page}[/]   tables: {outcome.folder / 'summary.json'}")
+    console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(outcome.folder / 'summary.json')}")
 
 
 class _Listener(Listener):
@@ -146,7 +173,7 @@ class _Listener(Listener):
         self.console = console
 
     def say(self, sentence):
-        self.console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(plain(sentence), highlight=False, soft_wrap=True)
 
     @contextmanager
     def sampling(self, laws, samples):
@@ -181,8 +208,14 @@ def check(scene: SceneArgument, law: LawOption = None):
 
     console = Console()
     asked = _requested(load_scene(scene), law)
+    for script in dict.fromkeys(part.geometry for part in asked.parts if part.geometry is not None):
+        console.print(
+            f"This scene is a program: {plain(asked.folder / script)} is executed to make its meshes.",
+            highlight=False,
+            soft_wrap=True,
+        )
     assembly = assemble(asked, cache_folder())
-    console.print(f"[bold]{asked.name}[/] {asked.description}")
+    console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_contacts(console, assembly)
     plans = plan_stages(asked, assembly.weld_size)
@@ -262,6 +295,7 @@ def _print_cost(console, assembly, plans):
         )
     else:
         console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
+    console.print(f"• {forecast(assembly, laws, samples, len(os.sched_getaffinity(0)))}")
     fields = "mean and 6σ fields: a few further solves per part and law"
     console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
 
@@ -276,14 +310,46 @@ def init(
     print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
 
 
+def plain(text):
+    """Text of a user's as it stands: no markup, and none of the characters by which a terminal is controlled."""
+    return escape(re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", str(text)))
+
+
+class _Stopped(KeyboardInterrupt):
+    """SIGINT or SIGTERM; `args` holds its number."""
+
+
+def _stop(number, frame):
+    raise _Stopped(number)
+
+
+def _exit_code(stop):
+    """That of a program which a signal ended: 130 or 143."""
+    return 128 + (stop.args[0] if stop.args else signal.SIGINT)
+
+
+def _fail(sentence):
+    Console(stderr=True).print(f"[bold red]error:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
+
+
 def main():
     """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop)
     world = communicator()
     try:
         app()
     except MicError as error:
         if world is None or world.rank == 0:
-            Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+            _fail(error)
+        sys.exit(2)
+    except KeyboardInterrupt as stop:
+        _fail("interrupted before anything was written; call again")
+        sys.exit(_exit_code(stop))
+    except OSError as problem:
+        _fail(f"{problem.filename or 'a file'}: {(problem.strerror or str(problem)).lower()}; what is finished stays")
+        if world is not None:
+            world.Abort(2)
         sys.exit(2)
     except Exception:
         if world is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["FormatError", "FreeMotion", "MicError", "MissingProvider", "RunError", "SceneError"]
+__all__ = ["FormatError", "FreeMotion", "MicError", "MissingProvider", "RunError", "SceneError", "StorageError"]
 
 
 class MicError(Exception):
@@ -21,6 +21,10 @@ class FormatError(MicError, ValueError):
 
 class RunError(MicError):
     """A results folder that cannot be used as asked; the message says why and what to do instead."""
+
+
+class StorageError(MicError):
+    """A file or folder that cannot be written or read: disk full, no permission; the message names it and says why."""
 
 
 class MissingProvider(MicError, ImportError):

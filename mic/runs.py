@@ -5,26 +5,36 @@ The report is drawn afterwards from the folder alone, see :mod:`mic.report.page`
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from mic.compliance.cache import influence_coefficients
-from mic.compliance.part import Part
-from mic.model.assembly import assemble
+from mic.errors import MicError
+from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.fields import write_fields
-from mic.results.folder import Block, RunFolder, identity, versions
+from mic.results.folder import Block, RunFolder, versions
+from mic.results.forecast import forecast
+from mic.results.identity import identity, inputs
+from mic.results.lock import locked
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.summary import write_summary, write_tables
 from mic.results.tables import tables
-from mic.sampling.montecarlo import blocks, monte_carlo
+from mic.sampling.montecarlo import monte_carlo
 from mic.sampling.ranks import communicator
 from mic.scene import Scene
+from mic.store import clean
 
-__all__ = ["Listener", "conclude", "read_run", "run", "sample_into"]
+__all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into"]
+
+LONG = 3600.0  # s; a run that takes longer says so before it begins
 
 
 class Listener:
@@ -38,11 +48,13 @@ class Listener:
         return nullcontext(lambda law, count: None)
 
 
-def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = None) -> Outcome | None:
+def run(
+    scene: Scene, folder: Path, cache: Path, listener: Listener | None = None, replace: bool = False
+) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
-    Influence coefficients and meshes are computed once and cached. Finished blocks of samples of the same run are kept.
-    Under MPI a collective call that shares the samples out.
+    Influence coefficients and meshes are computed once and cached. Finished samples of the same run are kept, see
+    :func:`sample_into`. Under MPI a collective call that shares the samples out.
 
     Parameters
     ----------
@@ -51,6 +63,8 @@ def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = Non
     cache : Path
         Folder of generated meshes and influence coefficients.
     listener : Listener, optional
+    replace : bool
+        Whether results of another run in the folder may be removed.
 
     Returns
     -------
@@ -59,33 +73,38 @@ def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = Non
 
     Raises
     ------
-    SceneError, MissingProvider, FormatError
+    SceneError, MissingProvider, RunError, FormatError, StorageError
     """
     world, clock, folder = communicator(), _Clock(), Path(folder)
     listener = listener or Listener()
-    with clock("meshes and pairs"):
-        listener.say(f"{scene.name}: meshing and pairing …")
-        assembly = assemble(scene, cache)
-    with clock("influence coefficients"):
-        influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"))
-        reused = [name for name, hit in cached.items() if hit]
-        if reused:
-            listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
-    with clock("reduced model"):
-        model = ReducedModel.build(assembly, influence)
-        for sentence in model.process().redundant:
-            listener.say(f"note: {sentence}")
-    if world is None or world.rank == 0:
-        RunFolder(folder).keep_inputs(assembly)
     laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
-    with clock("Monte Carlo"):
-        found = sample_into(folder, model, laws, samples, seed, assembly.parts, listener)
-    if world is not None and world.rank > 0:
-        return None
-    for law, count in found.items():
-        if count:
-            listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
-    return conclude(folder, clock.seconds, listener)
+    with hold(folder, listener):
+        clean([Path(cache) / "meshes", Path(cache) / "influence"])
+        with clock("meshes and pairs"):
+            listener.say(f"{scene.name}: meshing and pairing …")
+            assembly = assemble(scene, cache)
+        cores = len(os.sched_getaffinity(0)) * (world.size if world else 1)
+        expected = forecast(assembly, laws, samples, cores)
+        expected.check(folder)
+        if expected.seconds > LONG:
+            listener.say(f"{samples} samples under {len(laws)} laws: {expected}")
+        with clock("influence coefficients"):
+            influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"))
+            reused = [name for name, hit in cached.items() if hit]
+            if reused:
+                listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
+        with clock("reduced model"):
+            model = ReducedModel.build(assembly, influence)
+            for sentence in model.process().redundant:
+                listener.say(f"note: {sentence}")
+        with clock("Monte Carlo"):
+            found = sample_into(folder, model, laws, samples, seed, listener, replace, assembly)
+        if world is not None and world.rank > 0:
+            return None
+        for law, count in found.items():
+            if count:
+                listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
+        return conclude(folder, clock.seconds, listener)
 
 
 def sample_into(
@@ -94,54 +113,111 @@ def sample_into(
     laws: Sequence[str],
     samples: int,
     seed: int,
-    parts: Sequence[Part] = (),
     listener: Listener | None = None,
+    replace: bool = False,
+    assembly: Assembly | None = None,
 ) -> dict[str, int]:
     """The Monte Carlo of a reduced model into a results folder, without statistics; under MPI a collective call.
+
+    Finished samples of the same run (:mod:`mic.results.identity`) that the folder holds already are kept, also those
+    that lie beyond the samples asked for or under other laws; a folder of another run is refused.
 
     Parameters
     ----------
     folder : Path
-        Finished blocks of the same run that it holds already are kept; those of another are removed.
     model : ReducedModel
     laws : sequence of str
     samples, seed : int
-    parts : sequence of Part, optional
-        The parts that the model was reduced from, see :func:`mic.results.folder.identity`.
     listener : Listener, optional
+    replace : bool
+        Whether results of another run in the folder may be removed.
+    assembly : Assembly, optional
+        What the model was reduced from; the folder keeps of it what fields and report need.
 
     Returns
     -------
     dict of str to int
         Samples per law that were found finished.
+
+    Raises
+    ------
+    RunError, StorageError
     """
-    store, world, listener = RunFolder(Path(folder)), communicator(), listener or Listener()
-    whose, fields = identity(model, seed, parts), model.scene.report.fields
-    if world is None or world.rank == 0:
+    store, listener = RunFolder(Path(folder)), listener or Listener()
+    whose, fields = identity(model, seed), model.scene.report.fields
+
+    def prepare() -> None:
         record = {
             "scene": model.scene.name,
             "samples": samples,
             "seed": seed,
             "laws": list(laws),
             "identity": whose,
+            "inputs": inputs(model, seed),
             "versions": versions(),
         }
-        for sentence in store.prepare(record, [Block(*block) for block in blocks(laws, samples)], fields):
+        for sentence in store.prepare(record, fields, replace):
             listener.say(sentence)
         model.save(store.path / "model.npz")
-    if world:
-        world.Barrier()
+        if assembly is not None:
+            store.keep_inputs(assembly)
 
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if fields else None
         block = Block(law, first, len(evaluation.deviations))
         store.write_block(block, whose, tables(model, evaluation, first), forces)
 
-    def done(law: str, first: int, count: int) -> bool:
-        return store.has_block(Block(law, first, count))
+    with hold(store.path, listener):
+        _on_first(prepare)
+        there = {law: store.finished(law) for law in laws}
 
-    with listener.sampling(laws, samples) as advance:
-        return monte_carlo(model, laws, samples, seed, sink, done, advance)
+        def done(law: str, first: int, count: int) -> bool:
+            start, stop = np.searchsorted(there[law], (first, first + count))
+            return bool(stop - start == count)
+
+        with listener.sampling(laws, samples) as advance:
+            return monte_carlo(model, laws, samples, seed, sink, done, advance)
+
+
+@contextmanager
+def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
+    """Hold the lock of a results folder (:mod:`mic.results.lock`); under MPI the first process does, for all.
+
+    Raises
+    ------
+    RunError, StorageError
+        On all processes.
+    """
+    with ExitStack() as stack:
+
+        def take() -> None:
+            if stack.enter_context(locked(folder)):
+                (listener or Listener()).say(f"{folder}: an earlier run had ended without letting go; taken over.")
+
+        _on_first(take)
+        yield
+
+
+def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
+    """How many of the samples that were asked for are finished in a results folder, over all laws."""
+    store = RunFolder(Path(folder))
+    return sum(int((store.finished(law) < samples).sum()) for law in laws)
+
+
+def _on_first(action: Callable[[], None]) -> None:
+    """Do something on the first process; what the user must mend there is raised on all."""
+    world: Any = communicator()
+    if world is None:
+        return action()
+    problem: MicError | None = None
+    if world.rank == 0:
+        try:
+            action()
+        except MicError as error:
+            problem = error
+    problem = world.bcast(problem)
+    if problem is not None:
+        raise problem
 
 
 def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: Listener | None = None) -> Outcome:
@@ -156,18 +232,24 @@ def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: 
 
     Raises
     ------
-    RunError, FormatError
+    RunError, FormatError, StorageError
     """
     clock, folder = _Clock(), Path(folder)
+    RunFolder(folder).record()  # a folder that holds no run is left as it is
+    with locked(folder):
+        return _conclude(folder, clock, wall_time or {}, listener or Listener())
+
+
+def _conclude(folder: Path, clock: _Clock, wall_time: dict[str, float], listener: Listener) -> Outcome:
     with clock("statistics"):
         outcome = read_outcome(folder)
         for sentence in outcome.damaged:
-            (listener or Listener()).say(sentence)
+            listener.say(sentence)
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
             write_fields(folder)
-    outcome.record.update(RunFolder(folder).add_wall_time((wall_time or {}) | clock.seconds))
+    outcome.record.update(RunFolder(folder).add_wall_time(wall_time | clock.seconds))
     write_summary(outcome)
     return outcome
 

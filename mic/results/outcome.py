@@ -11,16 +11,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from mic.compliance.part import Part
 from mic.contact.states import STATES
-from mic.errors import FormatError
+from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
 from mic.results import summary
 from mic.results.folder import Block, RunFolder
+from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.schema import DATASETS
 
@@ -241,9 +243,9 @@ def read_outcome(folder) -> Outcome:
     damaged = []
     for law in record["laws"]:
         found, blocks[law] = [], []
-        for block in store.blocks(law):
+        for block in store.blocks(law, record["samples"]):
             try:
-                found.append(store.read_block(block, record["identity"]))
+                found.append(store.read_block(block, record["identity"], record["samples"]))
                 blocks[law].append(block)
             except FormatError as problem:
                 damaged.append(f"{problem}.")
@@ -255,8 +257,21 @@ def read_outcome(folder) -> Outcome:
             for column in table.columns:
                 if column.dtype == "category":
                     tables[law][table.name][column.name] = tables[law][table.name][column.name].astype("category")
-    model = ReducedModel.load(store.path / "model.npz")
+    model = _model(store, record)
     return Outcome(store.path, record, model, tables, blocks, tuple(damaged))
+
+
+def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:
+    """The model of a run folder; it must be the one that the record speaks of."""
+    path = store.path / "model.npz"
+    try:
+        model = ReducedModel.load(path)
+    except FileNotFoundError:
+        raise RunError(f"{path}: is missing; run the scene again into this folder") from None
+    differing = differences(record["inputs"], inputs(model, record["seed"]), program=False)
+    if differing:
+        raise RunError(f"{path}: belongs to another run ({'; '.join(differing)}); run the scene again into this folder")
+    return model
 
 
 def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
