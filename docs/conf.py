@@ -6,6 +6,9 @@ import re
 import sys
 from pathlib import Path
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 import mic
 
 sys.path.insert(0, str(Path(__file__).parent))  # pages.py, which writes the generated pages
@@ -20,14 +23,12 @@ extensions = [
     "myst_parser",
     "numpydoc",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["gallery/*", "images/*.py"]
 suppress_warnings = ["config.cache"]  # the gallery's order is a function, which no cache can hold
 
 default_role = "literal"  # single backquotes name an argument or attribute
-autodoc_default_options = {"show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the numpydoc sections say more: shapes, units, signs
 numpydoc_show_class_members = False
@@ -49,7 +50,53 @@ sphinx_gallery_conf = {
 html_theme = "pydata_sphinx_theme"
 html_title = "mic-contact"
 html_show_sourcelink = False
-html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"  # browsers typeset it themselves: no script, nothing fetched from elsewhere
+html_theme_options = {
+    "header_links_before_dropdown": 6,
+    "navigation_with_keys": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+
+
+def mathml(display):
+    """How an equation enters a page."""
+
+    def visit(self, node):
+        self.body.append(convert(node.astext(), display=display))
+        raise nodes.SkipNode
+
+    return visit, None
+
+
+def equations(app, what, name, obj, options, lines):
+    """Indented paragraphs of a docstring are equations: they keep their lines and columns.
+
+    What numpydoc reads by sections is left to it, from the first underlined heading on.
+    """
+    end = next((i - 1 for i, line in enumerate(lines) if i and re.fullmatch(r"\s*-{3,}", line)), len(lines))
+    done, base, literal = [], 0, False
+    for i, line in enumerate(lines[:end]):
+        indent = len(line) - len(line.lstrip())
+        if line.strip():
+            if i and not lines[i - 1].strip() and indent >= base + 4 and not literal and not _marked(done):
+                done += [" " * base + "::", ""]
+                literal = True
+            elif indent < base + 4:
+                item = re.match(r"\s*([-*]|\d+\.) +", line)
+                base, literal = len(item[0]) if item else indent, False
+        done.append(line)
+    lines[:] = done + lines[end:]
+
+
+def _marked(done):
+    """Whether the paragraph before says by itself what follows: a literal block, or a directive."""
+    said = next((line.strip() for line in reversed(done) if line.strip()), "")
+    return said.endswith("::") or said.startswith("..")
 
 
 def references(app, what, name, obj, options, lines):
@@ -66,3 +113,5 @@ def setup(app):
     """Write the generated pages before Sphinx looks for sources."""
     pages.write(Path(__file__).parent / "_generated")
     app.connect("autodoc-process-docstring", references, priority=100)  # before numpydoc
+    app.connect("autodoc-process-docstring", equations, priority=110)
+    app.add_html_math_renderer("mathml", inline_renderers=mathml("inline"), block_renderers=mathml("block"))

@@ -1,6 +1,7 @@
-"""The pages of the documentation that the code writes: API, scene keys, results, verification.
+"""The pages of the documentation that the code writes: API, command line, results, verification, development.
 
-Nothing here is a list kept by hand: a module, key, table or study that is added has its page with the next build.
+Nothing here is a list kept by hand: a module, option, table or study that is added has its page with the next build.
+The scene reference is written too, but kept: ``python -m mic.scene.reference > docs/scene.md``.
 """
 
 from __future__ import annotations
@@ -8,14 +9,12 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+import re
 import types
-import typing
-from enum import Enum
 from importlib.util import find_spec
 from pathlib import Path
 
-import pydantic
-from pydantic_core import PydanticUndefined
+from typer.testing import CliRunner
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
@@ -27,7 +26,7 @@ PACKAGES = {
 
 def write(folder: Path) -> None:
     """Write all generated pages; a page that has not changed keeps its time, one that nobody writes any more goes."""
-    pages = {**api(), **scene(), **results(), **verification()}
+    pages = {**api(), **command_line(), **results(), **verification(), **project()}
     for path in folder.glob("**/*.md"):
         if "gallery" not in path.parts and path.relative_to(folder).as_posix() not in pages:
             path.unlink()
@@ -38,83 +37,133 @@ def write(folder: Path) -> None:
             path.write_text(text, encoding="utf-8")
 
 
-def public(package: str) -> list[str]:
-    """Modules of a package that name what is public, packages first."""
-    root = importlib.import_module(package)
-    names = [package] + [item.name for item in pkgutil.walk_packages(root.__path__, package + ".")]
-    return [name for name in names if not name.endswith("__main__") and getattr(_module(name), "__all__", None)]
-
-
 def api() -> dict[str, str]:
-    """One page per module with a public name."""
-    pages, lines = {}, ["# API", "", "Every public name, module by module. mm, N, MPa.", ""]
+    """One page per package and per module with a public name; a package's page leads to those of its modules."""
+    pages = {}
+    lines = [
+        "# API",
+        "",
+        "Most programs need [mic](api/mic.md), which loads, reduces and evaluates, [mic.runs](api/mic.runs.md), which",
+        "makes and reads results folders, or [mic.contact](api/mic.contact.md), the contact solver by itself. What",
+        "each room is for stands in [how the program is built](../structure.md). Units are mm, N, MPa.",
+        "",
+    ]
     for package, job in PACKAGES.items():
         if package == "fem_reference" and find_spec("dolfinx") is None:
             continue  # its modules cannot be imported, nor described, without the finite elements
-        lines += [f"## `{package}`: {job}", "", "```{toctree}", ":maxdepth: 1", ""]
-        for name in public(package):
-            lines.append(f"api/{name}")
-            pages[f"api/{name}.md"] = _module_page(name)
-        lines += ["```", ""]
+        tree = _tree(package)
+        pages |= {f"api/{name}.md": _module_page(name, children) for name, children in tree.items()}
+        lines += [f"## {package}", "", f"{job[0].upper()}{job[1:]}.", ""]
+        lines += [*_table(tree[package], "api/"), *_toctree([package], "api/")]
     return pages | {"api.md": "\n".join(lines)}
 
 
-def scene() -> dict[str, str]:
-    """Every key of a scene file, from the schema that validates it."""
-    schema = importlib.import_module("mic.scene.schema")
-    tables = _tables(schema.Scene)
+def command_line() -> dict[str, str]:
+    """What ``--help`` says of each command."""
     lines = [
-        "# Keys of a scene",
+        "# Command line",
         "",
-        "As the schema has them. Unknown keys are errors. [The scene reference](../scene.md) explains each.",
-        "",
+        "`mic` simulates, `python -m verification` judges. Exit codes: 0, or 2 with one line",
     ]
-    for title, model in tables.items():
-        lines += [f"## {title}", "", inspect.cleandoc(model.__doc__ or ""), "", "| key | value | default | meaning |"]
-        lines += ["| --- | --- | --- | --- |"]
-        for name, field in model.model_fields.items():
-            if field.exclude or _models(field.annotation):
-                continue
-            default = "" if field.default is PydanticUndefined else _value(field.default)
-            required = "required" if field.is_required() else default
-            lines.append(f"| `{name}` | {_type(field)} | {required} | {field.description or ''} |")
-        lines.append("")
-    return {"scene_keys.md": "\n".join(lines)}
+    lines += ["that says what is wrong and what to do; a verification that misses its numbers ends with 1.", ""]
+    for module, program in (("mic.cli", "mic"), ("verification.__main__", "python -m verification")):
+        if find_spec("dolfinx") is None and module.startswith("verification"):
+            continue
+        app = importlib.import_module(module).app
+        commands = [command.name or command.callback.__name__ for command in app.registered_commands]
+        for command in ("", *commands):
+            asked = [*command.split(), "--help"]
+            shown = CliRunner().invoke(app, asked, prog_name=program, env={"COLUMNS": "92", "NO_COLOR": "1"}).output
+            text = "\n".join(line.rstrip() for line in shown.strip("\n ").splitlines())
+            lines += [f"##{'#' if command else ''} {program} {command}".rstrip(), "", "```text", text, "```", ""]
+    return {"command_line.md": "\n".join(lines)}
 
 
 def results() -> dict[str, str]:
     """Every table and column of a results folder, from the declaration that writes and checks them."""
-    if find_spec("mic.results.schema") is None:
-        return {"../results.md": "# Results\n\nREADME.md tells what a results folder holds.\n"}
-    text = importlib.import_module("mic.results.schema").reference()
-    return {"../results.md": text if text.startswith("# ") else f"# Results\n\n{text}\n"}  # one title, whoever gives it
+    return {"../results.md": importlib.import_module("mic.results.schema").reference()}
 
 
 def verification() -> dict[str, str]:
-    """The page of each verification study."""
-    pages = {}
-    for path in sorted((ROOT / "verification").glob("*/README.md")):
-        pages[f"verification/{path.parent.name}.md"] = path.read_text(encoding="utf-8")
-    lines = ["# Verification", "", "Each study states a claim, a reference and the numbers that it must keep.", ""]
-    lines += ["```{toctree}", ":maxdepth: 1", "", *sorted(name.removesuffix(".md") for name in pages), "```", ""]
+    """The page of each verification study, and of all of them their claims."""
+    studies = sorted(path.parent for path in (ROOT / "verification").glob("*/README.md"))
+    pages = {f"verification/{study.name}.md": _linked(study / "README.md") for study in studies}
+    lines = [
+        "# Verification",
+        "",
+        "Each study states a claim, a reference and the numbers that it must keep; on a planted error a test sees it",
+        "miss them. `script/verify` runs them all, `script/verify --quick` on small meshes; the report says what was",
+        "found.",
+        "",
+        "| study | claim |",
+        "| --- | --- |",
+    ]
+    for study in studies:
+        text = (study / "README.md").read_text(encoding="utf-8")
+        title = re.search(r"^# (.*)$", text, re.MULTILINE)[1]
+        claim = re.search(r"\*\*Claim\.\*\*\s+(.*?)\n\n", text, re.DOTALL)[1].replace("\n", " ")
+        lines.append(f"| [{title}](verification/{study.name}.md) | {claim} |")
+    lines += ["", *_toctree([study.name for study in studies], "verification/")]
     return pages | {"verification.md": "\n".join(lines)}
 
 
-def _module(name):
-    return importlib.import_module(name)
+def project() -> dict[str, str]:
+    """CONTRIBUTING and CHANGELOG as they stand at the root of the project."""
+    return {f"{name.lower()}.md": _linked(ROOT / f"{name}.md") for name in ("CONTRIBUTING", "CHANGELOG")}
 
 
-def _module_page(name) -> str:
+def _linked(path: Path) -> str:
+    """A page that stands outside the documentation; of its links to other files those into the documentation stay."""
+
+    def link(found):
+        text, target = found[1], (path.parent / found[2].split("#")[0]).resolve()
+        if target.suffix != ".md" or target.parent != ROOT / "docs":
+            return text
+        return f"[{text}]({'../' * (1 + (path.parent != ROOT))}{target.name})"
+
+    return re.sub(r"(?<!!)\[([^\]]*)\]\((?!\w+:|#)([^)]*)\)", link, path.read_text(encoding="utf-8"))
+
+
+def _tree(package: str) -> dict[str, list[str]]:
+    """Modules with a public name, and the packages that hold some; each package with what stands in it."""
+    tree: dict[str, list[str]] = {package: []}
+    for item in pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}."):
+        below = _tree(item.name) if item.ispkg else {item.name: []}
+        if item.name.endswith("__main__") or not (len(below) > 1 or _public(item.name)):
+            continue
+        tree[package].append(item.name)
+        tree |= below
+    return tree
+
+
+def _public(name: str) -> list[str]:
+    return getattr(importlib.import_module(name), "__all__", [])
+
+
+def _table(names: list[str], folder: str = "") -> list[str]:
+    """Modules with the first sentence that each says of itself."""
+    rows = []
+    for name in names:
+        said = inspect.cleandoc(importlib.import_module(name).__doc__ or "").split("\n\n")[0].replace("\n", " ")
+        said = re.sub(r":\w+:`~?\.?([^`]*)`", r"`\1`", said).replace("``", "`").replace("|", "\\|")
+        rows.append(f"| [{name}]({folder}{name}.md) | {said} |")
+    return ["| module | holds |", "| --- | --- |", *rows, ""] if rows else []
+
+
+def _toctree(names: list[str], folder: str = "") -> list[str]:
+    entries = [f"{folder}{name}" for name in names]
+    return ["```{toctree}", ":hidden:", ":maxdepth: 1", "", *entries, "```", ""] if names else []
+
+
+def _module_page(name: str, children: list[str]) -> str:
     """What a module defines, in full; what it hands on from another module, as a link there."""
-    module = _module(name)
+    module = importlib.import_module(name)
     own, elsewhere, aliases = [], [], []
-    for item in module.__all__:
+    for item in _public(name):
         thing = getattr(module, item)
         home = getattr(thing, "__module__", name)
-        if (
-            isinstance(thing, (types.GenericAlias, types.UnionType)) or type(thing).__module__ == "typing"
-        ):  # autodoc takes them for classes
-            aliases.append(f"- `{item}` = `{thing}`")
+        if isinstance(thing, (types.GenericAlias, types.UnionType)) or type(thing).__module__ == "typing":
+            aliases.append(f"- `{item}` = `{thing}`")  # autodoc takes them for classes
         elif isinstance(thing, types.ModuleType):
             elsewhere.append(f"- {{py:mod}}`{thing.__name__}`")
         elif home == name or not (inspect.isclass(thing) or inspect.isroutine(thing)):
@@ -122,65 +171,10 @@ def _module_page(name) -> str:
         else:
             elsewhere.append(f"- {{py:obj}}`{item} <{home}.{thing.__qualname__}>`")
     members = f"   :members: {', '.join(own)}" if own else "   :no-members:"
-    lines = [f"# `{name}`", "", "```{eval-rst}", f".. automodule:: {name}", members, "```", ""]
+    lines = [f"# {name}", "", "```{eval-rst}", f".. automodule:: {name}", members, "```", ""]
     for title, items in (("Names for types", aliases), ("Also to be had here", elsewhere)):
         if items:
             lines += [f"## {title}", "", *items, ""]
+    if children:
+        lines += ["## Modules", "", *_table(children), *_toctree(children)]
     return "\n".join(lines)
-
-
-def _models(annotation) -> list[type[pydantic.BaseModel]]:
-    """The tables that a field's type holds."""
-    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
-        return [annotation]
-    return [model for part in typing.get_args(annotation) for model in _models(part)]
-
-
-def _tables(top) -> dict[str, type[pydantic.BaseModel]]:
-    """The scene and its tables, under the headings that a scene file gives them."""
-    tables = {"Top level": top}
-    for name, field in top.model_fields.items():
-        several = typing.get_origin(field.annotation) is list
-        for model in _models(field.annotation):
-            tables[f"`[[{name}]]`" if several else f"`[{name}]`"] = model
-    return tables
-
-
-def _type(field) -> str:
-    """A field's type and bounds in words."""
-    words = _words(field.annotation)
-    for bound in field.metadata:
-        for sign, attribute in ((">", "gt"), ("≥", "ge"), ("<", "lt"), ("≤", "le")):
-            if getattr(bound, attribute, None) is not None:
-                words += f", {sign} {getattr(bound, attribute)}"
-    return words
-
-
-def _words(annotation) -> str:
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is typing.Annotated:
-        return _words(arguments[0])
-    if origin is typing.Literal:
-        return " or ".join(_value(value) for value in arguments)
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(_words(item) for item in arguments if item is not type(None))
-    if origin is list:
-        return f"list of {_words(arguments[0])}"
-    if origin is tuple:
-        return f"[{', '.join(_words(item) for item in arguments)}]"
-    if isinstance(annotation, type) and issubclass(annotation, Enum):
-        return " or ".join(_value(item) for item in annotation)
-    return {float: "number", int: "whole number", str: "text", bool: "true or false", Path: "file"}.get(
-        annotation, getattr(annotation, "__name__", str(annotation))
-    )
-
-
-def _value(value) -> str:
-    if value is None or value == []:
-        return ""
-    value = value.value if isinstance(value, Enum) else value
-    if isinstance(value, bool):
-        return "`true`" if value else "`false`"
-    if isinstance(value, list):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"

@@ -24,11 +24,11 @@ class Shells:
         return part.element in ELEMENTS
 
     def coefficients(self, parts, comm=None) -> dict[str, InfluenceCoefficients]:
-        """Collective on `comm` (default: all processes); parts are shared out over it."""
+        """Collective on `comm` (default: this process alone); parts are shared out over it."""
         computed = compute_influence(
             {part.name: lambda part=part: shell_part(part) for part in parts},
             {part.name: part.functionals for part in parts},
-            comm or MPI.COMM_WORLD,
+            comm or MPI.COMM_SELF,
         )
         return {part.name: InfluenceCoefficients(part.name, *computed[part.name], _provenance(part)) for part in parts}
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from platformdirs import user_cache_path
 
@@ -18,6 +19,9 @@ from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneEr
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.scene import Scene, load_scene
+
+if TYPE_CHECKING:
+    from mic.runs import read_run, run
 
 __all__ = [
     "FormatError",
@@ -30,7 +34,9 @@ __all__ = [
     "StorageError",
     "cache_folder",
     "load_scene",
+    "read_run",
     "reduce",
+    "run",
 ]
 
 __version__ = "0.2.0"
@@ -71,3 +77,12 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     cache = cache or cache_folder()
     assembly = assemble(scene, cache)
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
+
+
+def __getattr__(name: str) -> Any:
+    """``mic.run`` and ``mic.read_run``: tables and statistics are slow to import, and evaluating a model needs none."""
+    if name in ("read_run", "run"):
+        from mic import runs
+
+        return getattr(runs, name)
+    raise AttributeError(f"module 'mic' has no attribute {name!r}")

@@ -10,6 +10,7 @@ import sys
 import traceback
 from contextlib import contextmanager
 from enum import Enum
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -26,7 +27,7 @@ from mic.errors import MicError, RunError
 from mic.results.forecast import forecast
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import communicator, leave, on_first, others_silent
 from mic.scene import load_scene
 from mic.scene.schema import MonteCarlo
 
@@ -68,6 +69,18 @@ LawOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _on_first(command):
+    """A command that takes one process; under ``mpirun`` the others leave it to the first."""
+
+    @wraps(command)
+    def alone(*args, **options):
+        world = communicator()
+        if world is None or world.rank == 0:
+            command(*args, **options)
+
+    return alone
 
 
 def _requested(scene, laws, samples=None, seed=None, backend=None):
@@ -122,7 +135,7 @@ def run(
     """
     world = communicator()
     console = Console(quiet=world is not None and world.rank > 0)
-    asked = _requested(load_scene(scene), law, samples, seed, backend and backend.value)
+    asked = on_first(world, lambda: _requested(load_scene(scene), law, samples, seed, backend and backend.value))
     if out is None and asked.name.strip(".") == "":
         raise RunError(f"scene name {asked.name!r}: cannot name a results folder; name the folder with --out")
     folder = out or Path("results") / asked.name
@@ -131,7 +144,7 @@ def run(
             outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace)
             if outcome is not None:
                 _report(console, outcome)
-    except KeyboardInterrupt as stop:
+    except (KeyboardInterrupt, _Stopped) as stop:
         laws, samples = asked.report.laws, asked.monte_carlo.samples
         console.print(
             f"Interrupted: {finished(folder, laws, samples)} of {len(laws) * samples} samples are finished and kept in "
@@ -143,6 +156,7 @@ def run(
 
 
 @app.command()
+@_on_first
 def report(
     folder: Annotated[
         Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
@@ -152,7 +166,7 @@ def report(
     console = Console()
     try:
         _report(console, conclude(folder, listener=_Listener(console)))
-    except KeyboardInterrupt as stop:
+    except (KeyboardInterrupt, _Stopped) as stop:
         console.print(f"Interrupted: the samples in {plain(folder)} stand untouched; call mic report again.")
         raise typer.Exit(_exit_code(stop)) from None
 
@@ -201,6 +215,7 @@ def _print_zones(console, outcome):
 
 
 @app.command()
+@_on_first
 def check(scene: SceneArgument, law: LawOption = None):
     """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
     from mic.model.assembly import assemble
@@ -301,6 +316,7 @@ def _print_cost(console, assembly, plans):
 
 
 @app.command()
+@_on_first
 def init(
     example: Annotated[str, typer.Option(help="Name of the example scene.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
@@ -315,8 +331,8 @@ def plain(text):
     return escape(re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", str(text)))
 
 
-class _Stopped(KeyboardInterrupt):
-    """SIGINT or SIGTERM; `args` holds its number."""
+class _Stopped(BaseException):
+    """SIGINT or SIGTERM; `args` holds its number. No KeyboardInterrupt, of which the command line makes one of its own."""
 
 
 def _stop(number, frame):
@@ -328,34 +344,35 @@ def _exit_code(stop):
     return 128 + (stop.args[0] if stop.args else signal.SIGINT)
 
 
-def _fail(sentence):
-    Console(stderr=True).print(f"[bold red]error:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
-
-
 def main():
     """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
+    world, status, words = None, 0, ""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop)
-    world = communicator()
     try:
-        app()
+        world = communicator()
+        with others_silent(world):
+            app()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except MicError as error:
-        if world is None or world.rank == 0:
-            _fail(error)
-        sys.exit(2)
-    except KeyboardInterrupt as stop:
-        _fail("interrupted before anything was written; call again")
-        sys.exit(_exit_code(stop))
+        status, words = 2, _sentence(error)
+    except (KeyboardInterrupt, _Stopped) as stop:
+        status, words = _exit_code(stop), _sentence("interrupted, and nothing was written; call again")
     except OSError as problem:
-        _fail(f"{problem.filename or 'a file'}: {(problem.strerror or str(problem)).lower()}; what is finished stays")
-        if world is not None:
-            world.Abort(2)
-        sys.exit(2)
+        reason = (problem.strerror or str(problem)).lower()
+        status, words = 2, _sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays, call again")
     except Exception:
-        if world is None:
-            raise
-        traceback.print_exc()
-        world.Abort(1)  # one process must not leave the others waiting
+        status, words = 1, traceback.format_exc()
+    leave(world, status, words)
+
+
+def _sentence(error):
+    """An error as the console shows it."""
+    console = Console(stderr=True)
+    with console.capture() as capture:
+        console.print(f"[bold red]error:[/] {plain(error)}", highlight=False, soft_wrap=True)
+    return capture.get()
 
 
 if __name__ == "__main__":

@@ -10,12 +10,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mic.compliance.cache import influence_coefficients
-from mic.errors import MicError
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
@@ -28,7 +27,7 @@ from mic.results.outcome import Outcome, read_outcome
 from mic.results.summary import write_summary, write_tables
 from mic.results.tables import tables
 from mic.sampling.montecarlo import monte_carlo
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import communicator, on_first
 from mic.scene import Scene
 from mic.store import clean
 
@@ -77,28 +76,35 @@ def run(
     """
     world, clock, folder = communicator(), _Clock(), Path(folder)
     listener = listener or Listener()
-    laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
     with hold(folder, listener):
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
         with clock("meshes and pairs"):
             listener.say(f"{scene.name}: meshing and pairing …")
-            assembly = assemble(scene, cache)
-        cores = len(os.sched_getaffinity(0)) * (world.size if world else 1)
-        expected = forecast(assembly, laws, samples, cores)
-        expected.check(folder)
-        if expected.seconds > LONG:
-            listener.say(f"{samples} samples under {len(laws)} laws: {expected}")
+            assembly = on_first(world, lambda: assemble(scene, cache))
+            scene = assembly.scene  # the first process's, should the file have changed meanwhile
+        laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
+
+        def prepare() -> None:
+            expected = forecast(assembly, laws, samples, cores=len(os.sched_getaffinity(0)))
+            expected.check(folder)
+            if expected.seconds > LONG:
+                listener.say(f"{samples} samples under {len(laws)} laws: {expected}")
+            _prepare(folder, assembly, laws, samples, seed, listener, replace)
+            RunFolder(folder).keep_inputs(assembly)
+
+        on_first(world, prepare)  # a folder that cannot be used is refused before anything is computed
         with clock("influence coefficients"):
-            influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"))
+            influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"), world)
             reused = [name for name, hit in cached.items() if hit]
             if reused:
                 listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
         with clock("reduced model"):
-            model = ReducedModel.build(assembly, influence)
+            with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
+                model = ReducedModel.build(assembly, influence)
             for sentence in model.process().redundant:
                 listener.say(f"note: {sentence}")
         with clock("Monte Carlo"):
-            found = sample_into(folder, model, laws, samples, seed, listener, replace, assembly)
+            found = _sample(folder, model, laws, samples, seed, listener)
         if world is not None and world.rank > 0:
             return None
         for law, count in found.items():
@@ -115,7 +121,6 @@ def sample_into(
     seed: int,
     listener: Listener | None = None,
     replace: bool = False,
-    assembly: Assembly | None = None,
 ) -> dict[str, int]:
     """The Monte Carlo of a reduced model into a results folder, without statistics; under MPI a collective call.
 
@@ -131,8 +136,6 @@ def sample_into(
     listener : Listener, optional
     replace : bool
         Whether results of another run in the folder may be removed.
-    assembly : Assembly, optional
-        What the model was reduced from; the folder keeps of it what fields and report need.
 
     Returns
     -------
@@ -143,40 +146,50 @@ def sample_into(
     ------
     RunError, StorageError
     """
-    store, listener = RunFolder(Path(folder)), listener or Listener()
-    whose, fields = identity(model, seed), model.scene.report.fields
+    folder, listener = Path(folder), listener or Listener()
+    with hold(folder, listener):
+        on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, listener, replace))
+        return _sample(folder, model, laws, samples, seed, listener)
 
-    def prepare() -> None:
-        record = {
-            "scene": model.scene.name,
-            "samples": samples,
-            "seed": seed,
-            "laws": list(laws),
-            "identity": whose,
-            "inputs": inputs(model, seed),
-            "versions": versions(),
-        }
-        for sentence in store.prepare(record, fields, replace):
-            listener.say(sentence)
+
+def _prepare(folder, source: Assembly | ReducedModel, laws, samples, seed, listener, replace) -> None:
+    """The folder made ready for a run, or refused."""
+    record = {
+        "scene": source.scene.name,
+        "samples": samples,
+        "seed": seed,
+        "laws": list(laws),
+        "identity": identity(source, seed),
+        "inputs": inputs(source, seed),
+        "versions": versions(),
+    }
+    for sentence in RunFolder(folder).prepare(record, source.scene.report.fields, replace):
+        listener.say(sentence)
+
+
+def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:
+    """The samples that a folder lacks; it was made ready by the first process."""
+    store, world = RunFolder(folder), communicator()
+    whose, fields = identity(model, seed), model.scene.report.fields
+    there: dict[str, np.ndarray] = {}
+
+    def start() -> None:
         model.save(store.path / "model.npz")
-        if assembly is not None:
-            store.keep_inputs(assembly)
+        there.update({law: store.finished(law) for law in laws})
+
+    on_first(world, start)
+
+    def done(law: str, first: int, count: int) -> bool:
+        start, stop = np.searchsorted(there[law], (first, first + count))
+        return bool(stop - start == count)
 
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if fields else None
         block = Block(law, first, len(evaluation.deviations))
         store.write_block(block, whose, tables(model, evaluation, first), forces)
 
-    with hold(store.path, listener):
-        _on_first(prepare)
-        there = {law: store.finished(law) for law in laws}
-
-        def done(law: str, first: int, count: int) -> bool:
-            start, stop = np.searchsorted(there[law], (first, first + count))
-            return bool(stop - start == count)
-
-        with listener.sampling(laws, samples) as advance:
-            return monte_carlo(model, laws, samples, seed, sink, done, advance)
+    with listener.sampling(laws, samples) as advance:
+        return monte_carlo(model, laws, samples, seed, sink, done, advance)
 
 
 @contextmanager
@@ -194,7 +207,7 @@ def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
             if stack.enter_context(locked(folder)):
                 (listener or Listener()).say(f"{folder}: an earlier run had ended without letting go; taken over.")
 
-        _on_first(take)
+        on_first(communicator(), take)
         yield
 
 
@@ -202,22 +215,6 @@ def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
     """How many of the samples that were asked for are finished in a results folder, over all laws."""
     store = RunFolder(Path(folder))
     return sum(int((store.finished(law) < samples).sum()) for law in laws)
-
-
-def _on_first(action: Callable[[], None]) -> None:
-    """Do something on the first process; what the user must mend there is raised on all."""
-    world: Any = communicator()
-    if world is None:
-        return action()
-    problem: MicError | None = None
-    if world.rank == 0:
-        try:
-            action()
-        except MicError as error:
-            problem = error
-    problem = world.bcast(problem)
-    if problem is not None:
-        raise problem
 
 
 def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: Listener | None = None) -> Outcome:

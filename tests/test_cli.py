@@ -61,12 +61,13 @@ def test_run_check_report(command, tmp_path):
     assert (folder / "report.html").is_file()
 
 
-def test_check_shows_what_is_not_modelled(command, tmp_path):
+def test_check_shows_what_is_not_modelled(cache, tmp_path):
     text = (LAP / "scene.toml").read_text().replace("fields = true", "")
     text = re.sub(r'\[\[stages\]\]\nkind = "release".*?\n\n', "", text, flags=re.S)
     (tmp_path / "scene.toml").write_text(text)
     (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
-    lean = command("check", tmp_path, "--law", "frictionless").stdout
+    environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
+    lean = CliRunner().invoke(app, ["check", str(tmp_path), "--law", "frictionless"], env=environment).output
     assert "only normals are modelled, 24 rows instead of 72" in lean
     assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 24 unknowns" in lean
     assert "no field solves" in lean

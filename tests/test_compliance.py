@@ -1,5 +1,7 @@
 """Compliance by parts, and who provides it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
@@ -98,13 +100,60 @@ def test_another_code_can_be_the_provider(springs, tmp_path):
     assert cached == {"p": True} and springs.calls == 1
 
 
-def test_a_damaged_cache_file_counts_as_absent(springs, tmp_path):
+def test_kept_coefficients_that_are_cut_are_computed_anew_and_that_is_said(springs, tmp_path, caplog):
     influence_coefficients(Assembly, tmp_path)
     file = next((tmp_path / "influence").iterdir())
     file.write_bytes(file.read_bytes()[:200])
+    assert not is_cached(part(), tmp_path)
+    caplog.clear()
     found, cached = influence_coefficients(Assembly, tmp_path)
     assert found["p"].H == [[1.0]] and cached == {"p": False} and springs.calls == 2
+    (line,) = caplog.messages
+    assert file.name in line and "counts as absent and is replaced" in line
     assert influence_coefficients(Assembly, tmp_path)[1] == {"p": True}
+
+
+def test_kept_coefficients_of_another_part_are_not_believed(springs, tmp_path):
+    influence_coefficients(Assembly, tmp_path)
+    (file,) = (tmp_path / "influence").iterdir()
+
+    class Thicker:
+        parts = (replace(part(), thickness=2.0),)
+
+    file.rename(file.with_name(f"{Thicker.parts[0].fingerprint()}.npz"))
+    assert influence_coefficients(Thicker, tmp_path)[1] == {"p": False} and springs.calls == 2
+
+
+class Rank:
+    """One of two processes, as far as they share coefficients: what the first sends is what the second gets."""
+
+    def __init__(self, rank, wire):
+        self.rank, self.size, self.wire = rank, 2, wire
+
+    def bcast(self, thing):
+        return self.wire.pop(0) if self.rank else self.wire.append(thing) or thing
+
+    def Bcast(self, array):
+        if self.rank:
+            array[:] = self.wire.pop(0)
+        else:
+            self.wire.append(array.copy())
+
+
+@pytest.mark.parametrize("full", ["first", "second"])
+def test_processes_agree_on_what_is_missing_whatever_each_of_them_would_find(springs, tmp_path, full):
+    influence_coefficients(Assembly, tmp_path / full)
+    wire = []
+    found, cached = influence_coefficients(Assembly, tmp_path / "first", comm=Rank(0, wire))
+    assert cached == {"p": full == "first"}
+    second, same = influence_coefficients(Assembly, tmp_path / "second", comm=Rank(1, wire))
+    assert same == cached and not wire and second["p"].H == found["p"].H and second["p"].part == "p"
+    assert springs.calls == (1 if full == "first" else 3)  # both compute together, or none does
+
+
+def test_only_the_first_process_keeps_what_was_computed(springs, tmp_path):
+    influence_coefficients(Assembly, tmp_path, comm=Rank(1, [{"p": False}]))
+    assert not list(tmp_path.rglob("*.npz"))
 
 
 def test_a_part_that_nobody_knows_is_refused_with_the_remedy(springs):

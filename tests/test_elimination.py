@@ -1,5 +1,7 @@
 """Stage elimination against the saddle-point system that it condenses, solved whole and dense."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
@@ -116,3 +118,30 @@ def test_support_does_not_matter(two_parts):
     first, second = eliminate(blocks(H, G), *rows), eliminate(blocks(L @ other @ L.T, G), *rows)
     np.testing.assert_allclose(second.S, first.S, rtol=0, atol=1e-7 * np.abs(first.S).max())
     np.testing.assert_allclose(second.T_out, first.T_out, rtol=0, atol=1e-7 * np.abs(first.T_out).max())
+
+
+def test_nothing_is_made_dense_over_all_parts():
+    """Sixteen parts: what a stage costs follows its rows, not the square of all functionals."""
+    rng = np.random.default_rng(11)
+    parts, own = 16, 120
+    H = [np.cov(rng.normal(size=(own, 2 * own))) for _ in range(parts)]
+    compliance = Blocks(tuple(H), tuple(rng.normal(size=(own, 6)) for _ in range(parts)))
+    F = compliance.size
+
+    def rows(*functionals):
+        return csr_matrix(
+            (np.ones(len(functionals)), (np.arange(len(functionals)), functionals)), (len(functionals), F)
+        )
+
+    held = rows(*(p * own + i for p in range(parts) for i in range(6)))
+    pairs = rows(*(p * own + 7 for p in range(1, parts))) - rows(*(p * own + 8 for p in range(parts - 1)))
+    tracemalloc.start()
+    try:
+        response = eliminate(compliance, held, pairs, csr_matrix((0, F)), rows(9, F - 1))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert response.S.shape == (parts - 1, parts - 1) and np.linalg.eigvalsh(response.S).min() > 0
+    assert peak < 0.1 * 8 * F**2, (
+        f"{peak / 1e6:.1f} MB where the dense compliance of all parts has {8e-6 * F**2:.1f} MB"
+    )

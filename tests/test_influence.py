@@ -6,6 +6,7 @@ import scipy.sparse as sp
 from support.panels import NU, PLACES, E, T, functionals, panel
 from support.processes import on_processes
 from support.shells import several_parts
+from threadpoolctl import threadpool_limits
 
 from fem_reference.shell import influence
 from fem_reference.shell.factorisation import (
@@ -131,6 +132,7 @@ import numpy as np
 from mpi4py import MPI
 from support.panels import NU, PLACES, E, T, functionals, panel
 from support.shells import several_parts
+from threadpoolctl import threadpool_limits
 
 from fem_reference.shell.influence import compute_influence
 from fem_reference.shell.part import ShellPart
@@ -162,3 +164,16 @@ def test_equal_on_any_number_of_processes(processes, tmp_path):
         for name, (H, G) in serial.items():
             assert abs(parallel[f"{name} H"] - H).max() < 1e-10 * abs(H).max()
             assert abs(parallel[f"{name} G"] - G).max() < 1e-10 * abs(G).max()
+
+
+def test_the_number_of_threads_moves_no_digit():
+    K, L = spd(m=1500, n=500)
+    right = np.random.default_rng(2).normal(size=(K.shape[0], BLOCK))
+
+    def computed(threads):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            factorisation = Factorisation(K, L)
+            return factorisation.influence, factorisation.solve(right), factorisation.solve_sparse(L[:BLOCK])
+
+    for one, two in zip(computed(1), computed(2)):
+        np.testing.assert_array_equal(one, two)

@@ -175,9 +175,13 @@ def test_instances_of_a_deck_are_placed(tmp_path):
     assert read_mesh(tmp_path / "a.inp")[0] == pytest.approx(POINTS + [0, 0, 7])
 
 
-def test_points_keep_the_order_of_the_file(tmp_path):
-    (tmp_path / "a.bdf").write_text(NASTRAN_SMALL)
-    assert read_mesh(tmp_path / "a.bdf")[0] == pytest.approx(POINTS)
+@pytest.mark.parametrize("name, text", [("a.bdf", NASTRAN_FREE), ("a.inp", ABAQUS)])
+def test_points_keep_the_order_of_the_file_whatever_their_numbers(tmp_path, name, text):
+    numbered = re.sub(r"(?<![\w.])3(?![\w.])", "30", text)  # the third of five, and the highest number
+    assert numbered.count("30") == 3
+    (tmp_path / name).write_text(numbered)
+    points, triangles, _ = read_mesh(tmp_path / name)
+    assert points == pytest.approx(POINTS) and Surface(points, triangles).areas.sum() == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("version", [2.2, 4.1])

@@ -76,7 +76,19 @@ def test_rigid_pad_and_sheet():
             assert pair.frame[2, 0] == pytest.approx(order)
 
 
-def test_spacing_points_and_patch_radius():
+def test_a_patch_radius_bounds_what_a_pair_reads_and_leaves_its_area_alone():
+    first, second = plane(0), plane(1.0, n=7)
+    pairs = find_pairs(
+        zone(pairs=None, points=[(5, 5, 0), (15, 12, 0)], patch=3.0), Side(first, 1.0), Side(second, 1.0)
+    )
+    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    for pair in pairs:
+        for surface, patch in zip((first, second), pair.patches):
+            r = np.linalg.norm(surface.at(patch.triangle, patch.barycentric)[:, :2] - pair.point[:2], axis=1)
+            assert r.max() < 3.2 and patch.weight @ r**2 == pytest.approx(4.5, rel=0.1)  # a disc's mean r²
+
+
+def test_spacing_points_and_nodal_patches():
     bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
     assert len(find_pairs(zone(pairs=None, spacing=5.0), *bodies)) == 16
     wanted = [(5, 5, 0), (15, 5, 0), (10, 15, 0)]

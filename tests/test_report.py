@@ -64,12 +64,15 @@ class _Page(HTMLParser):
         return " ".join(" ".join(self.text).split())
 
 
-def _results(scene, cache, folder, samples=12, seed=2):
+def _sampled(scene, samples):
+    """The scene with so many samples."""
+    monte_carlo = scene.monte_carlo.model_copy(update={"samples": samples, "seed": 2})
+    return scene.model_copy(update={"monte_carlo": monte_carlo})
+
+
+def _results(scene, cache, folder, samples):
     """Everything that a run of a scene leaves behind, and its page."""
-    scene = scene.model_copy(
-        update={"monte_carlo": scene.monte_carlo.model_copy(update={"samples": samples, "seed": seed})}
-    )
-    run(scene, folder, cache)
+    run(_sampled(scene, samples), folder, cache)
     write_fields(folder)
     return _Page(write_report(folder))
 
@@ -163,6 +166,12 @@ def test_figures_in_the_text_are_those_of_the_summary(page, folder):
     assert cost.sentence in page.words and cost.gaps.max() > 0
 
 
+def test_pictures_of_samples_stand_in_their_sections(page):
+    assert {entry.name for entry in PICTURES if entry.section not in ("fields", "still")} <= page.ids
+
+
+@pytest.mark.slow
+@pytest.mark.fem
 def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder):
     outcome = read_outcome(folder)
     drawn = draw_all(outcome, read_context(outcome))
@@ -201,28 +210,23 @@ def test_the_laws_under_scaled_friction_are_drawn_from_the_study_that_the_run_le
     assert without is None
 
 
-def test_drawing_a_page_solves_nothing_and_changes_nothing_else(page, folder, monkeypatch):
+def test_drawing_a_page_solves_nothing_and_needs_and_changes_nothing_else(page, folder, tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("drawing solves")
 
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    for name in ("summary.json", "report.html", "assembly.png"):
+        (copy / name).unlink()
     monkeypatch.setattr(ContactSolver, "solve", refuse)
     for name in ("process", "evaluate"):
-        monkeypatch.setattr(type(read_outcome(folder).model), name, refuse)
-    before = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-    source = _Page(write_report(folder)).source
-    after = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-    assert list(before) == list(after)
-    assert {path.name for path in before if before[path] != after[path]} <= {"report.html", "assembly.png"}
-    assert source == page.source  # and the same folder gives the same page
-
-
-def test_the_summary_and_tables_are_none_of_the_pages_business(page, folder, tmp_path):
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    (copy / "summary.json").unlink()
-    (copy / "assembly.png").unlink()
-    write_report(copy)
-    assert not (copy / "summary.json").exists()
+        monkeypatch.setattr(type(read_outcome(copy).model), name, refuse)
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    source = _Page(write_report(copy)).source
+    after = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    assert {path.name for path in after.keys() - before.keys()} == {"report.html", "assembly.png"}
+    assert all(after[path] == content for path, content in before.items())
     assert (copy / "assembly.png").read_bytes().startswith(b"\x89PNG")
+    assert source == page.source  # and the same folder gives the same page
 
 
 def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
@@ -236,13 +240,13 @@ def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
 
 
 @pytest.mark.slow
-def test_published_figures_stand_beside_those_of_their_zones(lap_scene, folder, page):
+def test_published_figures_stand_beside_those_of_their_zones(folder, page, tmp_path):
     """The paper's figures come from a file beside the scene; nothing about them is in the program."""
-    (folder / PUBLISHED).write_text(
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    (copy / PUBLISHED).write_text(
         (WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap"), encoding="utf-8"
     )
-    found = _Page(write_report(folder))
-    (folder / PUBLISHED).unlink()
+    found = _Page(write_report(copy))
     assert "0.9582" in found.words and "0.2529" not in found.words  # CZ3 is no zone of this scene
     assert "another, proprietary geometry" in found.words and "0.9582" not in page.words
     assert "measured range" not in page.words and "by −57 % in the paper" in found.words
@@ -262,10 +266,11 @@ def test_failed_and_missing_samples_are_named_with_advice(folder, page, tmp_path
 
 
 @pytest.mark.slow
-def test_wall_time_and_versions_are_told(folder, page):
-    record = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps(record | {"wall_time": {"Monte Carlo": 12.34}}))
-    words = _Page(write_report(folder)).words
+def test_wall_time_and_versions_are_told(folder, page, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    record = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps(record | {"wall_time": {"Monte Carlo": 12.34}}))
+    words = _Page(write_report(copy)).words
     assert "Monte Carlo 12.3" in words and f"numpy {record['versions']['numpy']}" in words
 
 
@@ -313,6 +318,7 @@ def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
     assert "1 (clamp)" in page.words and "table-1" in page.ids
 
 
+@pytest.mark.slow
 def test_report_of_a_law_that_failed_throughout(folder, page, tmp_path):
     spoilt = tmp_path / "spoilt"
     shutil.copytree(folder, spoilt)
@@ -327,8 +333,9 @@ def test_report_of_a_law_that_failed_throughout(folder, page, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
-    _results(lap_scene, cache, tmp_path, 3)
+    run(_sampled(lap_scene, 3), tmp_path, cache)
     for path in tmp_path.glob("samples/*/*"):
         path.unlink()
     page = _Page(write_report(tmp_path))

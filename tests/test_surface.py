@@ -60,6 +60,19 @@ def test_patch_stays_on_its_own_sheet():
     assert np.abs(both.at(patch.triangle, patch.barycentric)[:, 2]).max() == 0
 
 
+def test_patch_ends_where_the_surface_turns_and_a_normal_picks_the_side_of_the_fold():
+    wall = plane(10)
+    wall = Surface(wall.points[:, [2, 1, 0]], wall.triangles)  # upright at the plane's edge x = 0, from z = 0 upwards
+    floor = plane(10)
+    both = Surface(np.vstack([floor.points, wall.points]), np.vstack([floor.triangles, wall.triangles + 121]))
+    vertex = np.unique(np.round(both.points, 9), axis=0, return_inverse=True)[1].ravel()
+    folded = Surface(np.unique(np.round(both.points, 9), axis=0), vertex[both.triangles])
+    for normal, flat in (([0, 0, 1.0], 2), ([1.0, 0, 0], 0)):
+        patch = folded.patch([0.5, 5.0, 0.5], 2.0, normal)
+        at = folded.at(patch.triangle, patch.barycentric)
+        assert np.abs(at[:, flat]).max() == 0 and np.ptp(at[:, 2 - flat]) > 2
+
+
 @pytest.mark.parametrize(
     "points, triangles, word",
     [

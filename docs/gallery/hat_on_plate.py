@@ -5,16 +5,14 @@ Hat on plate
 A hat profile welded to a plate along its two flanges. Where do the flanges slip while the clamps close?
 """
 
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 
 import mic
+from mic import examples
 from mic.sampling.draw import draw
 
-meshes = next(folder for folder in Path.cwd().parents if (folder / "meshes").is_dir()) / "meshes"
-scene = mic.load_scene(meshes / "hat_on_plate")
+scene = mic.load_scene(examples.folder("hat_on_plate"))
 model = mic.reduce(scene)
 
 # %%
@@ -24,12 +22,12 @@ evaluation = model.evaluate(draw(scene, seed=1, first=0, count=20), "coulomb")
 # %%
 # Slip is the tangential displacement of each contact pair, in the stage that resolves contact.
 stages = list(evaluation.resolutions)
-figure, axes = plt.subplots(1, len(stages), figsize=(9, 3), sharey=True, layout="constrained")
+figure, axes = plt.subplots(1, len(stages), figsize=(9, 3.2), sharey=True, layout="constrained")
 for axis, stage in zip(np.atleast_1d(axes), stages):
     slip = np.linalg.norm(evaluation.resolutions[stage].displacement[:, :, 1:], axis=2)
     rms = np.sqrt((slip**2).mean(axis=0))
     dots = axis.scatter(*model.contacts.point[:, :2].T, c=1e3 * rms, s=40, cmap="viridis")
     axis.set(xlabel="x (mm)", title=stage, aspect="equal")
-    figure.colorbar(dots, ax=axis, label="RMS slip (µm)", shrink=0.8)
+    figure.colorbar(dots, ax=axis, label="RMS slip (µm)", orientation="horizontal")
 np.atleast_1d(axes)[0].set_ylabel("y (mm)")
 plt.show()

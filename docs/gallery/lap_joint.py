@@ -6,15 +6,13 @@ Two strips, clamped and welded in their overlap: the smallest assembly with ever
 contact carries load, and how far do the sheets slip when the upper strip's shape deviates?
 """
 
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 
 import mic
+from mic import examples
 
-meshes = next(folder for folder in Path.cwd().parents if (folder / "meshes").is_dir()) / "meshes"
-scene = mic.load_scene(meshes / "lap_joint")
+scene = mic.load_scene(examples.folder("lap_joint"))
 model = mic.reduce(scene)
 
 # %%

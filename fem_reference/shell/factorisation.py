@@ -18,6 +18,7 @@ from functools import cache
 import numpy as np
 from petsc4py import PETSc
 from scipy.sparse import bmat, csr_matrix, dia_matrix
+from threadpoolctl import threadpool_limits
 
 from mic.errors import MicError
 
@@ -31,6 +32,10 @@ _ICNTL_RHS_BLOCK = 27  # columns handled at once in a solve
 _INFOG_STATUS = 1  # negative: failure
 _INFOG_NEGATIVE_PIVOTS = 12
 _INFOG_MEMORY = 19  # MB, over all processes
+
+# How many threads share a product of MUMPS's moves the last digits of H, by 1e-9 of its largest entry for a sheet that
+# is badly conditioned. One thread always: the same bits on any number of them, and fronts this small cost no more time.
+_one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 class FactorisationError(MicError, RuntimeError):
@@ -72,6 +77,7 @@ class Factorisation:
         If K is not positive definite.
     """
 
+    @_one_thread
     def __init__(self, K: csr_matrix, L: csr_matrix | None = None):
         self.size = m = K.shape[0]
         n = 0 if L is None else L.shape[0]
@@ -110,6 +116,7 @@ class Factorisation:
             if hasattr(self, held):
                 getattr(self, held).destroy()
 
+    @_one_thread
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K⁻¹ B for dense columns B (m, r)."""
         solution = np.empty((self.size, right.shape[1]))
@@ -122,6 +129,7 @@ class Factorisation:
             B.destroy()
         return solution
 
+    @_one_thread
     def solve_sparse(self, right: csr_matrix) -> np.ndarray:
         """K⁻¹ Bᵀ for the sparse rows B (r, m): one sweep, so keep r near `BLOCK`."""
         right = csr_matrix((right.data, right.indices, right.indptr), shape=(right.shape[0], self._matrix.size[0]))

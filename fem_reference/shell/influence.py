@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -17,16 +17,21 @@ from fem_reference.shell.factorisation import (
     NoSchurComplement,
     OutOfMemory,
 )
+from mic.compliance.functional import Functionals
 
-if TYPE_CHECKING:  # a part computes its own coefficients by `influence_matrix`
-    from fem_reference.shell.part import ShellPart
-    from mic.compliance.functional import Functionals
+__all__ = ["Body", "compute_influence", "influence_matrix"]
 
-__all__ = ["compute_influence", "influence_matrix"]
+
+class Body(Protocol):
+    """What has influence coefficients: :class:`fem_reference.shell.part.ShellPart`."""
+
+    def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
+        """H (n, n) and G (n, 6) at the functionals."""
+        ...
 
 
 def compute_influence(
-    parts: Mapping[str, Callable[[], ShellPart]],
+    parts: Mapping[str, Callable[[], Body]],
     functionals: Mapping[str, Functionals],
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:

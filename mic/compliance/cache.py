@@ -5,12 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from mic.cache import ABSENT, Cache
 from mic.compliance import provider
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.part import Part
-from mic.errors import FormatError
+from mic.store import Format
 
 __all__ = ["influence_coefficients", "is_cached"]
+
+KEPT = Format("set of influence coefficients", 2, ABSENT)
 
 
 def influence_coefficients(
@@ -22,16 +27,17 @@ def influence_coefficients(
     ----------
     assembly : mic.model.assembly.Assembly
     cache : Path
-        Folder of cached coefficients. A file there that cannot be read counts as absent.
+        Folder of cached coefficients, see :mod:`mic.cache`.
     progress : callable, optional
         Called with one line of text before each part that is computed.
     comm : mpi4py.MPI.Comm, optional
-        Processes that call together and share the parts out; default: all.
+        Processes that call together and share the parts out; default: this one alone. The first alone looks into the
+        cache and writes to it, so that all agree on what is missing.
 
     Returns
     -------
     coefficients : dict
-        By part name.
+        By part name; the same bits on every process.
     cached : dict
         By part name: whether the cache had them.
 
@@ -40,8 +46,14 @@ def influence_coefficients(
     MissingProvider
         If they must be computed and nothing that can is installed.
     """
-    found = {part.name: _cached(part, cache) for part in assembly.parts}
-    missing = [part for part in assembly.parts if found[part.name] is None]
+    first = comm is None or comm.rank == 0
+    kept = {part.name: _kept(part, cache) if first else None for part in assembly.parts}
+    cached = {name: coefficients is not None for name, coefficients in kept.items()}
+    if comm is not None:
+        cached = comm.bcast(cached)
+        kept = {name: _shared(name, kept[name], comm) if cached[name] else None for name in cached}
+    found = {name: coefficients for name, coefficients in kept.items() if coefficients is not None}
+    missing = [part for part in assembly.parts if not cached[part.name]]
     for part in missing:
         if progress:
             progress(
@@ -51,26 +63,38 @@ def influence_coefficients(
     providers = {part.name: provider.find(part) for part in missing}
     for one in dict.fromkeys(providers.values()):
         own = [part for part in missing if providers[part.name] is one]
-        for name, coefficients in one.coefficients(own, comm).items():
-            found[name] = coefficients
-            # Every process holds the whole result; each may write it, for a file is replaced as a whole.
-            coefficients.save(_file(next(part for part in own if part.name == name), cache))
-    return {name: value for name, value in found.items()}, {
-        part.name: part.name not in providers for part in assembly.parts
-    }
+        computed = one.coefficients(own, comm)
+        for part in own:
+            found[part.name] = computed[part.name]
+            if first:
+                _keep(part, computed[part.name], cache)
+    return {part.name: found[part.name] for part in assembly.parts}, cached
 
 
 def is_cached(part: Part, cache: Path) -> bool:
-    """Whether the cache folder holds the part's influence coefficients."""
-    return _file(part, cache).is_file()
+    """Whether the cache folder holds the part's influence coefficients, fit to be used."""
+    return _kept(part, cache) is not None
 
 
-def _cached(part, cache):
-    try:
-        return InfluenceCoefficients.load(_file(part, cache))
-    except (FileNotFoundError, FormatError):
+def _kept(part, cache):
+    kept = Cache(cache, "influence", KEPT).find(part.fingerprint())
+    if kept is None:
         return None
+    header, arrays = kept
+    return InfluenceCoefficients(part.name, arrays["H"], arrays["G"], header["provenance"])
 
 
-def _file(part, cache):
-    return Path(cache) / "influence" / f"{part.fingerprint()}.npz"
+def _keep(part, coefficients, cache):
+    header = {"part": part.name, "provenance": coefficients.provenance}
+    Cache(cache, "influence", KEPT).keep(part.fingerprint(), header, {"H": coefficients.H, "G": coefficients.G})
+
+
+def _shared(name, coefficients, comm):
+    """Coefficients that the first process has, on all of them; as arrays, for pickled they may be too large to send."""
+    first = comm.rank == 0
+    size, provenance = comm.bcast((len(coefficients.H), coefficients.provenance) if first else None)
+    H, G = (coefficients.H, coefficients.G) if first else (np.empty((size, size)), np.empty((size, 6)))
+    H, G = (np.ascontiguousarray(array, dtype=float) for array in (H, G))
+    comm.Bcast(H)
+    comm.Bcast(G)
+    return InfluenceCoefficients(name, H, G, provenance)

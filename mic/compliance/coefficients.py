@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from mic import store
-
 __all__ = ["InfluenceCoefficients"]
-
-FORMAT = store.Format("set of influence coefficients", 1, "delete the file, and they are computed again")
 
 
 @dataclass(frozen=True)
@@ -50,19 +45,3 @@ class InfluenceCoefficients:
             raise ValueError(f"part {self.part!r}: H {self.H.shape} and G {self.G.shape} do not fit together")
         if not (np.isfinite(self.H).all() and np.isfinite(self.G).all()):
             raise ValueError(f"part {self.part!r}: the influence coefficients hold values that are not finite")
-
-    def save(self, path: Path) -> None:
-        """Write to one ``.npz`` file."""
-        store.save_arrays(path, FORMAT, {"part": self.part, "provenance": self.provenance}, {"H": self.H, "G": self.G})
-
-    @classmethod
-    def load(cls, path: Path) -> InfluenceCoefficients:
-        """Read what :meth:`save` wrote.
-
-        Raises
-        ------
-        FileNotFoundError
-        FormatError
-        """
-        header, arrays = store.load_arrays(path, FORMAT)
-        return cls(header["part"], arrays["H"], arrays["G"], header["provenance"])

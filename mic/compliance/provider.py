@@ -38,7 +38,7 @@ class Provider(Protocol):
         ----------
         parts : sequence of Part
         comm : mpi4py.MPI.Comm, optional
-            Processes that call together and share the parts out; default: all that were started.
+            Processes that call together and share the parts out; default: this one alone.
         """
         ...
 

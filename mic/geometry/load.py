@@ -18,15 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from mic.errors import FormatError, SceneError, StorageError
+from mic.cache import ABSENT, Cache
+from mic.errors import SceneError
 from mic.geometry import structured
 from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.surface import Surface
-from mic.store import Format, fingerprint, load_arrays, save_arrays
+from mic.store import Format, fingerprint
 
 __all__ = ["fixture_surface", "load_fixture", "load_part", "load_script", "part_surface"]
 
-GENERATED = Format("generated mesh", 2, "remove the file, it is generated again")
+GENERATED = Format("generated mesh", 2, ABSENT)
 
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
@@ -40,8 +41,8 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
     """Surface of a part, from its mesh file or its geometry script, and the content of the files that it was made from.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
-    script's folder and of the folder above, which it may import. It is used again only while every file that the script
-    read, or declares, holds what it held. A kept file that cannot be read is generated again.
+    script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it. It is
+    used again only while every file that the script read, or declares, holds what it held.
 
     Parameters
     ----------
@@ -70,22 +71,14 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
         )
     if part.mesh is not None:
         return _read(f"part {part.name!r}", path, part.mesh)
-    kept = cache / "meshes" / f"{_key(part, path)}.npz"
-    try:
-        header, arrays = load_arrays(kept, GENERATED)
-        read = Dependencies(header["files"], header["place"])
-        surface = Surface(arrays["points"], arrays["triangles"]) if read.unchanged(path) else None
-    except (FileNotFoundError, FormatError):
-        surface = None
-    if surface is None:
+    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path)
+    found = meshes.find(key)
+    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
+    if found is not None and read is not None and read.unchanged(path):
+        surface = Surface(found[1]["points"], found[1]["triangles"])
+    else:
         surface, read = _generate(part, path)
-        try:
-            save_arrays(kept, GENERATED, read.header(), {"points": surface.points, "triangles": surface.triangles})
-        except StorageError as problem:
-            raise SceneError(
-                f"part {part.name!r}: its mesh cannot be kept in {kept.parent} "
-                f"({getattr(problem.__cause__, 'strerror', None)}); let MIC_CACHE name a folder that can be written"
-            ) from problem
+        meshes.keep(key, read.header(), {"points": surface.points, "triangles": surface.triangles})
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)

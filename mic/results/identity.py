@@ -28,7 +28,7 @@ def inputs(model, seed: int) -> dict[str, Any]:
 
     Parameters
     ----------
-    model : mic.process.model.ReducedModel
+    model : mic.process.model.ReducedModel or mic.model.assembly.Assembly
     seed : int
     """
     scene = model.scene

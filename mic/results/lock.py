@@ -46,6 +46,7 @@ def locked(folder: Path) -> Iterator[bool]:
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise RunError(f"{folder}: is a file; name a folder for the results with --out")
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         key = os.path.realpath(folder)
@@ -69,6 +70,9 @@ def locked(folder: Path) -> Iterator[bool]:
                 with suppress(OSError):
                     (folder / LOCK).unlink()
                 os.close(descriptor)
+            if made:
+                with suppress(OSError):  # a run that was refused leaves no empty folder
+                    folder.rmdir()
 
 
 def _take(folder: Path) -> tuple[int, bool]:

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import communicator, on_first, wait
 
 __all__ = ["BLOCK", "blocks", "monte_carlo"]
 
@@ -44,9 +44,11 @@ def monte_carlo(
     sink : callable
         Called with (law, number of the first sample, evaluation) for each block, by the process that evaluated it.
     done : callable, optional
-        Called with (law, number of the first sample, number of samples): whether the block need not be evaluated.
+        Called with (law, number of the first sample, number of samples): whether the block need not be evaluated. The
+        first process alone asks, before any block is evaluated: all share out the same blocks, and each has its share.
     advance : callable, optional
-        Called with (law, number of samples) after each block, evaluated or not.
+        Called with (law, number of samples) for each block that is done; under MPI on each process, for the blocks of
+        all, as it advances itself.
 
     Returns
     -------
@@ -55,21 +57,28 @@ def monte_carlo(
     """
     world = communicator()
     rank, size = (world.rank, world.size) if world else (0, 1)
+    every = blocks(laws, samples)
+    missing = on_first(world, lambda: [block for block in every if done is None or not done(*block)])
+    left = set(missing)
     reused = dict.fromkeys(laws, 0)
+    for law, first, count in every:
+        if (law, first, count) not in left:
+            reused[law] += count
+            if advance is not None:
+                advance(law, count)
     threads = max(1, len(os.sched_getaffinity(0)) // size)
     # A fixed number of BLAS threads keeps results the same from run to run, and small products fast.
     with threadpool_limits(limits=1, user_api="blas"):
         processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
-        for law, first, count in blocks(laws, samples)[rank::size]:
-            if done is not None and done(law, first, count):
-                reused[law] += count
-            else:
+        for i in range(0, len(missing), size):
+            together = missing[i : i + size]  # what the processes evaluate side by side
+            if rank < len(together):
+                law, first, count = together[rank]
                 sink(law, first, _evaluate(processes[law], draw(model.scene, seed, first, count)))
             if advance is not None:
-                advance(law, count)
-    if world:
-        world.Barrier()
-        reused = {law: world.allreduce(count) for law, count in reused.items()}
+                for law, _, count in together:
+                    advance(law, count)
+    wait(world)
     return reused
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from typing import get_args
+import types
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mic.scene.schema import Scene
+from mic.scene.schema import Scene, Vector
 from mic.scene.settings import SETTINGS
 
 __all__ = ["reference"]
@@ -29,6 +31,7 @@ SETTING = """`setting` fills in what the scene leaves open, and only that: the e
 
 What each is worth in accuracy, and what it costs, is measured by `python -m verification run trade`.
 """
+WORDS: dict[Any, str] = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 
 
 def reference() -> str:
@@ -63,14 +66,48 @@ def _prose(kind: type[BaseModel]) -> str:
 
 
 def _keys(fields: list[tuple[str, FieldInfo]]) -> str:
-    rows = [f"| `{name}` | {_default(field)} | {field.description} |" for name, field in fields]
-    return "\n".join(["| key | default | meaning |", "| --- | --- | --- |", *rows, ""])
+    rows = [f"| `{name}` | {_value(field)} | {_default(field)} | {field.description} |" for name, field in fields]
+    return "\n".join(["| key | value | default | meaning |", "| --- | --- | --- | --- |", *rows, ""])
 
 
 def _default(field: FieldInfo) -> str:
     if field.is_required() or field.default is None or field.default == "":
         return "required" if field.is_required() else ""
     return f"`{json.dumps(field.default)}`"
+
+
+def _value(field: FieldInfo) -> str:
+    """What a key takes, in words."""
+    return _words(field.annotation, field.metadata)
+
+
+def _words(annotation: Any, bounds: Iterable[Any] = ()) -> str:
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if annotation == Vector:
+        return "[x, y, z]"
+    if origin is Annotated:
+        return _words(inner[0], inner[1:])
+    if origin is Literal:
+        return " or ".join(f"`{json.dumps(word)}`" for word in inner)
+    if origin in (Union, types.UnionType):
+        return " or ".join(_words(item, bounds) for item in inner if item is not type(None))
+    if origin is list:
+        return f"list of {_words(inner[0])}"
+    if origin is tuple:
+        return f"[{', '.join(_words(item) for item in inner)}]"
+    words = WORDS.get(annotation, getattr(annotation, "__name__", str(annotation)))
+    limits = [limit for bound in bounds for limit in _limits(bound)] if annotation in (float, int) else []
+    return ", ".join([f"{words} {limits[0]}", *limits[1:]]) if limits else words
+
+
+def _limits(bound: Any) -> list[str]:
+    """Bounds of a number: pydantic keeps them one by one, or several in one field."""
+    signs = (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤"))
+    several = getattr(bound, "metadata", None)
+    if several is not None:
+        return [limit for item in several for limit in _limits(item)]
+    given = [(sign, getattr(bound, name, None)) for name, sign in signs]
+    return [f"{sign} {value:g}".replace("-", "−") for sign, value in given if value is not None]
 
 
 def _classes(annotation) -> list[type]:

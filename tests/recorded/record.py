@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 import mic
+from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,15 +30,11 @@ WHOLE = ("measurements", "failed", "motion", "functional_force")  # of an evalua
 STAGE = ("force", "displacement", "state", "reaction")  # of each stage that resolves contact
 
 
-def changed(name: str, increments: int) -> mic.Scene:
-    """A shipped scene under all three laws, with slip and with this many increments in every stage."""
+def reduced(name: str, cache: Path) -> ReducedModel:
+    """A shipped scene under all three laws, with slip."""
     scene = mic.load_scene(ROOT / "meshes" / name)
-    return scene.model_copy(
-        update={
-            "stages": [stage.model_copy(update={"increments": increments}) for stage in scene.stages],
-            "report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True}),
-        }
-    )
+    scene = scene.model_copy(update={"report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True})})
+    return mic.reduce(scene, cache)
 
 
 def drawn(name: str) -> np.ndarray:
@@ -45,13 +43,10 @@ def drawn(name: str) -> np.ndarray:
     return draw(scene, scene.monte_carlo.seed, 0, SAMPLES)
 
 
-def outcome(name: str, increments: int, deviations: np.ndarray, cache: Path) -> dict[str, np.ndarray]:
-    """All that is recorded of one scene and number of increments, by key: ``law/increments/stage/quantity``."""
-    with threadpool_limits(1):  # how many share a factorisation moves the wheelhouse's compliance by 6e-10
-        return _outcome(mic.reduce(changed(name, increments), cache), increments, deviations)
-
-
-def _outcome(model, increments, deviations):
+def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dict[str, np.ndarray]:
+    """What is recorded of a scene with so many increments in every stage, by key: ``law/increments/stage/quantity``."""
+    stages = [stage.model_copy(update={"increments": increments}) for stage in model.scene.stages]
+    model = replace(model, scene=model.scene.model_copy(update={"stages": stages}))
     arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
     for law in LAWS:
         evaluation = model.evaluate(deviations, law)
@@ -74,8 +69,9 @@ def main() -> None:
     for name in SCENES:
         arrays = {"platform": np.array(platform()), "deviations": drawn(name)}
         with TemporaryDirectory() as cache:
-            for increments in INCREMENTS:
-                arrays |= outcome(name, increments, arrays["deviations"], Path(cache))
+            model = reduced(name, Path(cache))
+        for increments in INCREMENTS:
+            arrays |= outcome(model, increments, arrays["deviations"])
         np.savez_compressed(FOLDER / f"{name}.npz", **arrays)
         print(f"recorded {len(arrays)} arrays of {name}", file=sys.stderr)
 

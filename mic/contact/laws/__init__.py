@@ -12,25 +12,8 @@ frictionless   ``0 <= f_n  ⊥  u_n >= 0`` and ``f_t = 0``
 from mic.contact.laws.associated import ASSOCIATED
 from mic.contact.laws.coulomb import COULOMB
 from mic.contact.laws.frictionless import FRICTIONLESS
-from mic.contact.laws.law import Law
+from mic.contact.laws.law import LAWS, Law, find
 
 __all__ = ["ASSOCIATED", "COULOMB", "FRICTIONLESS", "LAWS", "Law", "find"]
 
-#: Every law by its name, in the order of reports.
-LAWS: dict[str, Law] = {law.name: law for law in (COULOMB, ASSOCIATED, FRICTIONLESS)}
-
-
-def find(law: str | Law) -> Law:
-    """The law of this name; a law is its own.
-
-    Raises
-    ------
-    ValueError
-        Naming the laws that there are.
-    """
-    if isinstance(law, Law):
-        return law
-    try:
-        return LAWS[law]
-    except (KeyError, TypeError):
-        raise ValueError(f"law must be one of {', '.join(LAWS)}; got {law!r}") from None
+LAWS.update({law.name: law for law in (COULOMB, ASSOCIATED, FRICTIONLESS)})

@@ -25,7 +25,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Law"]
+__all__ = ["LAWS", "Law", "find"]
+
+#: Every law by its name, in the order of reports; :mod:`mic.contact.laws` fills it.
+LAWS: dict[str, Law] = {}
 
 
 class _FormerEnumeration(type):
@@ -46,16 +49,12 @@ class _FormerEnumeration(type):
             raise AttributeError(str(error)) from None
 
     def __iter__(cls) -> Iterator[Law]:
-        from mic.contact.laws import LAWS  # the registry imports this module
-
         _former("iteration over Law", "mic.contact.laws.LAWS")
         return iter(LAWS.values())
 
 
 def _former(old, new):
     """Warn about the old name; return the function that finds a law by its name."""
-    from mic.contact.laws import find  # the registry imports this module
-
     warnings.warn(f"{old} is deprecated: use {new}", DeprecationWarning, stacklevel=3)
     return find
 
@@ -191,3 +190,19 @@ class Law(metaclass=_FormerEnumeration):
         if self.shift == 1.0:
             return u[..., 0]
         return u[..., 0] - (1.0 - self.shift) * mu * np.hypot(u[..., 1], u[..., 2])
+
+
+def find(law: str | Law) -> Law:
+    """The law of this name; a law is its own.
+
+    Raises
+    ------
+    ValueError
+        Naming the laws that there are.
+    """
+    if isinstance(law, Law):
+        return law
+    try:
+        return LAWS[law]
+    except (KeyError, TypeError):
+        raise ValueError(f"law must be one of {', '.join(LAWS)}; got {law!r}") from None

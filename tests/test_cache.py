@@ -1,0 +1,120 @@
+"""A cache is believed only where it is whole, of what is asked for, and one's own; everything else counts as absent."""
+
+import logging
+import os
+import stat
+
+import numpy as np
+import pytest
+
+from mic.cache import ABSENT, Cache
+from mic.store import Format, save_arrays
+
+THING = Format("thing", 1, ABSENT)
+H = np.arange(6.0).reshape(2, 3)
+
+
+@pytest.fixture
+def cache(tmp_path):
+    made = Cache(tmp_path / "cache", "influence", THING)
+    made.keep("abc", {"part": "lower"}, {"H": H})
+    return made
+
+
+def refused(cache, caplog, words, identity="abc"):
+    """Whether an entry counts as absent, said in one line with these words, and the next one kept is believed again."""
+    caplog.clear()
+    assert cache.find(identity) is None
+    (line,) = caplog.messages
+    assert words in line and str(cache.folder) in line and "\n" not in line
+    cache.keep(identity, {}, {"H": H})
+    caplog.clear()
+    return cache.find(identity) is not None and not caplog.messages
+
+
+def test_what_is_kept_is_found_and_nothing_else(cache, caplog):
+    header, arrays = cache.find("abc")
+    assert header == {"part": "lower"} and list(arrays) == ["H"]
+    np.testing.assert_array_equal(arrays["H"], H)
+    assert cache.find("abd") is None and Cache(cache.folder / "nowhere", "influence", THING).find("abc") is None
+    assert not caplog.messages
+
+
+def test_numbers_that_were_exchanged_are_not_believed(cache, caplog):
+    path = cache.path("abc")
+    with np.load(path) as data:
+        header = data["header"]
+    np.savez(path, header=header, H=3 * H)
+    assert refused(cache, caplog, "cut short or damaged; it counts as absent and is replaced")
+
+
+def test_a_file_cut_anywhere_is_not_believed(cache, caplog):
+    whole = cache.path("abc").read_bytes()
+    for length in (0, 20, 200, len(whole) - 1):
+        cache.path("abc").write_bytes(whole[:length])
+        assert refused(cache, caplog, "cut short or damaged")
+
+
+def test_the_file_of_something_else_is_not_believed(cache, caplog):
+    cache.path("other").write_bytes(cache.path("abc").read_bytes())
+    assert refused(cache, caplog, "computed from something else", "other")
+    save_arrays(cache.path("abc"), THING, {}, {"H": H})  # whole, and says nothing of what it was computed from
+    assert refused(cache, caplog, "computed from something else")
+
+
+def test_a_file_that_others_may_write_is_not_believed(cache, caplog):
+    cache.path("abc").chmod(0o620)
+    assert refused(cache, caplog, "can be written by other users")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a file away")
+def test_the_file_of_another_user_is_not_believed(cache, caplog):
+    os.chown(cache.path("abc"), 65534, -1)
+    assert refused(cache, caplog, "belongs to another user")
+
+
+def test_in_the_folder_of_another_user_nothing_is_believed_and_nothing_is_kept(cache, caplog, monkeypatch):
+    before = sorted(cache.folder.rglob("*"))
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    assert cache.find("abc") is None and "belongs to another user" in caplog.text
+    caplog.clear()
+    cache.keep("abd", {}, {"H": H})
+    (line,) = caplog.messages
+    assert "cannot be kept (its folder belongs to another user)" in line and "MIC_CACHE" in line
+    assert sorted(cache.folder.rglob("*")) == before
+
+
+def mode(path):
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_the_cache_is_closed_to_others_whatever_the_mask_says(tmp_path):
+    folder = tmp_path / "open"
+    (folder / "influence").mkdir(parents=True)
+    for place in (folder, folder / "influence"):
+        place.chmod(0o777)
+    mask = os.umask(0)
+    try:
+        cache = Cache(folder, "influence", THING)
+        cache.keep("abc", {}, {"H": H})
+    finally:
+        os.umask(mask)
+    assert mode(folder) == mode(folder / "influence") == 0o700 and mode(cache.path("abc")) == 0o600
+    assert cache.find("abc") is not None
+
+
+def test_a_folder_that_holds_other_things_keeps_its_permissions(tmp_path):
+    folder = tmp_path / "home"
+    folder.mkdir(mode=0o755)
+    (folder / "letter.txt").write_text("mine")
+    Cache(folder, "influence", THING).keep("abc", {}, {"H": H})
+    assert mode(folder) == 0o755 and mode(folder / "influence") == 0o700
+
+
+def test_where_nothing_can_be_kept_it_is_said_and_nothing_else_happens(tmp_path, caplog):
+    (tmp_path / "file").write_text("")
+    with caplog.at_level(logging.WARNING):
+        Cache(tmp_path / "file", "influence", THING).keep("abc", {}, {"H": H})
+    (line,) = caplog.messages
+    assert "this thing cannot be kept" in line and "let MIC_CACHE name a folder of your own" in line
+    assert (tmp_path / "file").read_text() == ""

@@ -1,0 +1,64 @@
+"""Habits of the tests themselves: they use what users may use, and each module stands alone."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+MODULES = sorted(TESTS.rglob("*.py"))
+
+
+def private(name):
+    return name.startswith("_") and not name.endswith("__")
+
+
+def offences(source):
+    """What a source reaches into or imports that it should not, as written, line by line."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute):
+            own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+            wrong = private(node.attr) and not own
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names] + [getattr(node, "module", None) or ""]
+            words = [word for name in names for word in name.split(".")]
+            wrong = any(private(word) or word.startswith("test_") or word == "conftest" for word in words)
+        elif isinstance(node, ast.Call):  # getattr(x, "_name"), monkeypatch.setattr(x, "_name", …), "mic.a._name"
+            reached = getattr(node.func, "id", getattr(node.func, "attr", "")) in ("getattr", "setattr", "delattr")
+            texts = [one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+            wrong = reached and any(private(word) for text in texts for word in text.split("."))
+        else:
+            continue
+        if wrong:
+            found.append((node.lineno, ast.unparse(node)))
+    return [f"line {line}: {text}" for line, text in sorted(found)]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(TESTS)))
+def test_no_test_reaches_into_private_members_or_imports_another_test(path):
+    assert offences(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "model._processes",
+        "mic.contact._kernels.run()",
+        "from mic.report.page import _zones",
+        "from mic._hidden import solve",
+        "from test_mesh import grid",
+        "from tests.test_mesh import grid",
+        "import conftest",
+        "getattr(model, '_processes')",
+        "monkeypatch.setattr(solver, '_native', None)",
+        "monkeypatch.setattr('mic.contact.backends._native', None)",
+    ],
+)
+def test_each_offence_is_found(source):
+    assert len(offences(source)) == 1
+
+
+@pytest.mark.parametrize("source", ["self._open.pop()", "from __future__ import annotations", "x.__dict__", "_ = f(x)"])
+def test_what_is_a_modules_own_is_no_offence(source):
+    assert offences(source) == []
