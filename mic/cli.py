@@ -332,7 +332,7 @@ def plain(text):
 
 
 class _Stopped(BaseException):
-    """SIGINT or SIGTERM; `args` holds its number. No KeyboardInterrupt, of which the command line makes one of its own."""
+    """SIGINT or SIGTERM; `args` holds its number. Typer has its own way to end at a KeyboardInterrupt."""
 
 
 def _stop(number, frame):
