@@ -1,4 +1,4 @@
-"""Locks, cut files, full disks, missing rights, hostile text, runs that would never end: right numbers or one sentence."""
+"""Locks, cut files, full disks, missing rights, hostile text, endless runs: right numbers or one sentence."""
 
 import json
 import os
@@ -34,10 +34,13 @@ def in_python(text, *arguments, **options):
     )
 
 
-# ------------------------------------------------------------------------------------------------------ the lock
+# ---------------------------------------------- the lock
 
 
-HOLD = "import sys, time; from mic.results.lock import locked\nwith locked(sys.argv[1]): print('held', flush=True); time.sleep(60)"
+HOLD = """
+import sys, time; from mic.results.lock import locked
+with locked(sys.argv[1]): print("held", flush=True); time.sleep(60)
+"""
 
 
 def test_a_second_run_in_a_folder_is_refused_in_one_sentence(lap_model, tmp_path):
@@ -87,7 +90,7 @@ def test_one_process_may_hold_a_folder_more_than_once(tmp_path):
     assert not (tmp_path / LOCK).exists()
 
 
-# ------------------------------------------------------------------------------------------------------ cut files
+# ---------------------------------------------- cut files
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +140,7 @@ def test_partial_files_of_killed_programs_are_cleaned_and_others_stay(tmp_path):
     assert [path.exists() for path in others] == [False, True, True]
 
 
-# ------------------------------------------------------------------------------------------------------ disks and rights
+# ---------------------------------------------- disks and rights
 
 
 FULL = """
@@ -192,7 +195,7 @@ def test_without_a_home_the_cache_must_be_named(monkeypatch):
         mic.cache_folder()
 
 
-# ------------------------------------------------------------------------------------------------------ what a user writes
+# ---------------------------------------------- what a user writes
 
 
 def test_text_of_a_user_reaches_the_terminal_as_text(tmp_path, cache, monkeypatch):
