@@ -23,4 +23,4 @@ def test_a_run_killed_at_any_file_operation_resumes_to_identical_bits(lap_model,
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["operations"] > 60  # the datasets alone write sixteen files, each by several operations
-    assert found["wrong"] == {}
+    assert found["wrong"] == {}, done.stderr

@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 import sys
+import traceback
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,8 @@ def in_child(action) -> int:
         try:
             action()
             status = 0
+        except BaseException:
+            traceback.print_exc()
         finally:
             os._exit(status)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -72,7 +75,7 @@ def content(folder: Path) -> dict[str, str]:
                 with np.load(path) as data:
                     body = b"".join(name.encode() + data[name].tobytes() for name in sorted(data.files))
             elif path.suffix == ".json":
-                body = json.dumps(json.loads(path.read_text()) | {"wall_time": {}}).encode()
+                body = json.dumps(json.loads(path.read_text()) | {"wall_time": {}}, sort_keys=True).encode()
             else:
                 body = path.read_bytes()
             found[str(path.relative_to(folder))] = hashlib.sha256(body).hexdigest()
@@ -96,7 +99,7 @@ def main(model_file: str, where: str) -> None:
         if status == 0:
             break
         if status != KILLED or in_child(lambda: run(folder, model)) != 0:
-            wrong[at] = ["no run can go on"]
+            wrong[at] = [f"ended with {status}, and no run can go on"]
         else:
             found = content(folder)
             wrong[at] = sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
