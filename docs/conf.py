@@ -29,6 +29,7 @@ exclude_patterns = ["gallery/*", "images/*.py"]
 suppress_warnings = ["config.cache"]  # the gallery's order is a function, which no cache can hold
 
 default_role = "literal"  # single backquotes name an argument or attribute
+autodoc_default_options = {"exclude-members": "model_config"}  # how pydantic keeps its settings
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the numpydoc sections say more: shapes, units, signs
 numpydoc_show_class_members = False
@@ -67,7 +68,8 @@ def mathml(display):
     """How an equation enters a page."""
 
     def visit(self, node):
-        self.body.append(convert(node.astext(), display=display))
+        text = convert(node.astext(), display=display)
+        self.body.append(text.replace("<mo>&#x0005E;", '<mo stretchy="false">&#x0005E;'))  # a hat, not a roof
         raise nodes.SkipNode
 
     return visit, None
@@ -89,7 +91,7 @@ def equations(app, what, name, obj, options, lines):
             elif indent < base + 4:
                 item = re.match(r"\s*([-*]|\d+\.) +", line)
                 base, literal = len(item[0]) if item else indent, False
-        done.append(line)
+        done.append(re.sub(r" {6,}(\(\d+\))$", r"      \1", line) if literal else line)  # its number within sight
     lines[:] = done + lines[end:]
 
 

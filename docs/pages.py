@@ -43,9 +43,9 @@ def api() -> dict[str, str]:
     lines = [
         "# API",
         "",
-        "Most programs need [mic](api/mic.md), which loads, reduces and evaluates, [mic.runs](api/mic.runs.md), which",
-        "makes and reads results folders, or [mic.contact](api/mic.contact.md), the contact solver by itself. What",
-        "each room is for stands in [how the program is built](../structure.md). Units are mm, N, MPa.",
+        "Most programs need [mic](api/mic.md), which loads, reduces, evaluates and runs, or",
+        "[mic.contact](api/mic.contact.md), the contact solver by itself. What each room is for stands in",
+        "[how the program is built](../structure.md). Units are mm, N, MPa.",
         "",
     ]
     for package, job in PACKAGES.items():
@@ -142,23 +142,25 @@ def _public(name: str) -> list[str]:
 
 def _table(names: list[str], folder: str = "") -> list[str]:
     """Modules with the first sentence that each says of itself."""
-    rows = []
-    for name in names:
-        said = inspect.cleandoc(importlib.import_module(name).__doc__ or "").split("\n\n")[0].replace("\n", " ")
-        said = re.sub(r":\w+:`~?\.?([^`]*)`", r"`\1`", said).replace("``", "`").replace("|", "\\|")
-        rows.append(f"| [{name}]({folder}{name}.md) | {said} |")
+    rows = [f"| [{name}]({folder}{name}.md) | {_said(importlib.import_module(name))} |" for name in names]
     return ["| module | holds |", "| --- | --- |", *rows, ""] if rows else []
 
 
+def _said(thing) -> str:
+    """The first paragraph that something says of itself, in Markdown."""
+    text = inspect.cleandoc(thing.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    return re.sub(r":\w+:`~?\.?([^`]*)`", r"`\1`", text).replace("``", "`").replace("|", "\\|")
+
+
 def _toctree(names: list[str], folder: str = "") -> list[str]:
-    entries = [f"{folder}{name}" for name in names]
+    entries = [f"{name.split('.')[-1]} <{folder}{name}>" if "." in name else f"{folder}{name}" for name in names]
     return ["```{toctree}", ":hidden:", ":maxdepth: 1", "", *entries, "```", ""] if names else []
 
 
 def _module_page(name: str, children: list[str]) -> str:
     """What a module defines, in full; what it hands on from another module, as a link there."""
     module = importlib.import_module(name)
-    own, elsewhere, aliases = [], [], []
+    own, long, elsewhere, aliases = [], [], [], []
     for item in _public(name):
         thing = getattr(module, item)
         home = getattr(thing, "__module__", name)
@@ -167,11 +169,13 @@ def _module_page(name: str, children: list[str]) -> str:
         elif isinstance(thing, types.ModuleType):
             elsewhere.append(f"- {{py:mod}}`{thing.__name__}`")
         elif home == name or not (inspect.isclass(thing) or inspect.isroutine(thing)):
-            own.append(item)
+            table = isinstance(thing, (dict, list, tuple)) and len(repr(thing)) > 80  # is read in the source, if at all
+            (long if table else own).append(item)
         else:
-            elsewhere.append(f"- {{py:obj}}`{item} <{home}.{thing.__qualname__}>`")
+            elsewhere.append(f"- {{py:obj}}`{item} <{home}.{thing.__qualname__}>`: {_said(thing)}")
     members = f"   :members: {', '.join(own)}" if own else "   :no-members:"
-    lines = [f"# {name}", "", "```{eval-rst}", f".. automodule:: {name}", members, "```", ""]
+    values = [line for item in long for line in ("", f".. autodata:: {name}.{item}", "   :no-value:")]
+    lines = [f"# {name}", "", "```{eval-rst}", f".. automodule:: {name}", members, *values, "```", ""]
     for title, items in (("Names for types", aliases), ("Also to be had here", elsewhere)):
         if items:
             lines += [f"## {title}", "", *items, ""]

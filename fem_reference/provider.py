@@ -19,9 +19,11 @@ def shell_part(part, comm: MPI.Comm = MPI.COMM_SELF) -> ShellPart:
 class Shells:
     """Influence coefficients and displacement fields of sheets, by the shells of `fem_reference.shell`."""
 
+    elements = tuple(ELEMENTS)
+
     def accepts(self, part) -> bool:
         """Whether the part names one of the elements."""
-        return part.element in ELEMENTS
+        return part.element in self.elements
 
     def coefficients(self, parts, comm=None) -> dict[str, InfluenceCoefficients]:
         """Collective on `comm` (default: this process alone); parts are shared out over it."""

@@ -58,7 +58,7 @@ def cache_folder() -> Path:
 
 
 def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
-    """Build the reduced model of a scene: meshes, contact pairs, influence coefficients.
+    """Build the reduced model of a scene: meshes, contact pairs, influence coefficients; each process for itself.
 
     Parameters
     ----------

@@ -6,6 +6,7 @@ so in one line too.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -23,6 +24,7 @@ def main() -> NoReturn:
     from mic import commands  # slow to import, and stopped as any other moment is
     from mic.sampling.ranks import communicator, leave, others_silent
 
+    logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
     world, status, words = None, 0, ""
     try:
         _on_signals(_stop)

@@ -20,6 +20,7 @@ from rich.table import Table
 
 from mic import cache_folder, examples
 from mic.compliance.cache import is_cached
+from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.results.forecast import forecast
@@ -173,7 +174,7 @@ def _report(console, outcome):
     """The page, and on the console the least that a user wants to know."""
     from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
 
-    page = write_report(outcome.folder)
+    page = write_report(outcome.folder, outcome)
     _print_zones(console, outcome)
     console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(outcome.folder / 'summary.json')}")
 
@@ -261,9 +262,17 @@ def _print_parts(console, assembly):
             f"{part.young:g}",
             f"{part.poisson:g}",
             str(len(part.functionals)),
-            "cached" if is_cached(part, cache_folder()) else "to be computed",
+            _coefficients(part),
         )
     console.print(table)
+
+
+def _coefficients(part):
+    """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
+    if is_cached(part, cache_folder()):
+        return "cached"
+    check_element(part.element)
+    return "to be computed"
 
 
 def _print_contacts(console, assembly):
@@ -294,9 +303,9 @@ def _print_cost(console, assembly, plans):
     scene, contacts = assembly.scene, assembly.contacts
     solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
     sizes = [len(part.functionals) for part in assembly.parts]
-    freedoms = ", ".join(f"{6 * len(part.surface.points)} freedoms" for part in assembly.parts)
+    nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
     samples, laws = scene.monte_carlo.samples, scene.report.laws
-    console.print("• one factorisation per part not cached" + (f": {freedoms}" if scene.element == "dkt-opt" else ""))
+    console.print(f"• one factorisation per part not cached: {nodes}")
     console.print(
         f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
         "coefficients"

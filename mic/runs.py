@@ -245,7 +245,7 @@ def _conclude(folder: Path, clock: _Clock, wall_time: dict[str, float], listener
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
-            write_fields(folder)
+            write_fields(folder, outcome)
     outcome.record.update(RunFolder(folder).add_wall_time(wall_time | clock.seconds))
     write_summary(outcome)
     return outcome

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -78,9 +79,13 @@ def test_check_shows_what_is_not_modelled(cache, tmp_path):
     [
         (("check", "nowhere"), ["nowhere", "no such scene"]),
         (("report", "."), ["holds no run"]),
+        (("check", "springs"), ["element: there is none called 'springs'; known: ", "dkt-opt"]),
     ],
 )
-def test_errors_are_one_line_and_exit_with_two(command, arguments, words):
+def test_errors_are_one_line_and_exit_with_two(command, arguments, words, tmp_path):
+    shutil.copytree(LAP, tmp_path / "springs")
+    text = (LAP / "scene.toml").read_text()
+    (tmp_path / "springs" / "scene.toml").write_text(f'element = "springs"\n{text}')
     done = command(*arguments, check=False)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

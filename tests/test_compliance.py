@@ -12,7 +12,7 @@ from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
-from mic.errors import MissingProvider
+from mic.errors import MissingProvider, SceneError
 from mic.geometry.surface import Surface
 
 SIZES = (4, 7, 3)
@@ -56,6 +56,8 @@ def part(element="springs"):
 
 class Springs:
     """A provider that is not a finite-element code."""
+
+    elements = ("springs",)
 
     def __init__(self):
         self.calls = 0
@@ -156,9 +158,18 @@ def test_only_the_first_process_keeps_what_was_computed(springs, tmp_path):
     assert not list(tmp_path.rglob("*.npz"))
 
 
-def test_a_part_that_nobody_knows_is_refused_with_the_remedy(springs):
-    with pytest.raises(MissingProvider, match=r"part 'p': .*springs does not know it.*apt-get install python3-dolfinx"):
+def test_a_part_that_nobody_accepts_is_refused_with_the_remedy(springs):
+    springs.elements = ("springs", "beams")
+    words = r"part 'p': .*springs does not accept it.*apt-get install python3-dolfinx"
+    with pytest.raises(MissingProvider, match=words):
         provider.find(part(element="beams"))
+
+
+def test_an_element_that_nobody_knows_is_answered_with_those_there_are(springs):
+    for refused in (lambda: provider.find(part(element="beams")), lambda: provider.check_element("beams")):
+        with pytest.raises(SceneError, match="element: there is none called 'beams'; known: springs"):
+            refused()
+    provider.check_element("springs")
 
 
 def test_a_provider_that_cannot_be_loaded_says_why(monkeypatch):
@@ -173,5 +184,6 @@ def test_a_provider_that_cannot_be_loaded_says_why(monkeypatch):
     try:
         with pytest.raises(MissingProvider, match="broken: No module named 'dolfinx'"):
             provider.find(part())
+        provider.check_element("whatever")  # what it would have known cannot be told
     finally:
         provider.installed.cache_clear()

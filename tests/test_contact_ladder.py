@@ -1,6 +1,7 @@
 """Laws, states and rungs as data: one more law is one file and one registration, and nobody else keeps a list."""
 
 import ast
+import importlib
 import math
 import subprocess
 import sys
@@ -133,7 +134,26 @@ def test_unknown_laws_are_answered_with_those_there_are():
     assert find("coulomb") is find(COULOMB) is COULOMB
 
 
-@pytest.mark.parametrize("law", [COULOMB, ASSOCIATED], ids=lambda law: law.name)
+def test_every_law_that_has_a_file_is_registered():
+    found = set()
+    for file in (MIC / "contact" / "laws").glob("*.py"):
+        name = "mic.contact.laws" if file.stem == "__init__" else f"mic.contact.laws.{file.stem}"
+        found |= {thing.name for thing in vars(importlib.import_module(name)).values() if isinstance(thing, Law)}
+    assert found == set(LAWS)
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS.values() if law.frictional], ids=lambda law: law.name)
+def test_a_sliding_contact_opens_by_what_its_law_leaves_of_the_shift(law):
+    """S = I, b = (-1, 1, 0): ``f = p (1, -μ, 0)``, ``u = (p - 1, 1 - μ p, 0)`` and ``u_n = (1 - s) μ u_t``."""
+    mu, left = 0.27, 1.0 - law.shift
+    p = (1.0 + left * mu) / (1.0 + left * mu**2)
+    solution = solve(np.eye(3), [-1.0, 1.0, 0.0], mu, law)
+    assert solution.status is Status.CONVERGED
+    np.testing.assert_allclose(solution.force, [p, -mu * p, 0.0], atol=1e-10)
+    np.testing.assert_allclose(solution.displacement, [p - 1.0, 1.0 - mu * p, 0.0], atol=1e-10)
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS.values() if law.frictional], ids=lambda law: law.name)
 def test_the_derivative_of_an_equation_is_that_of_its_values(law):
     rng = np.random.default_rng(1)
     m, step = 200, 1e-6

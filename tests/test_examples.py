@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from recorded.record import SCENES
 from typer.testing import CliRunner
 
 import mic
@@ -21,6 +22,12 @@ def test_every_example_is_a_scene():
     assert examples.names() == ["hat_on_plate", "lap_joint", "wheelhouse"]
     for name in examples.names():
         assert mic.load_scene(examples.folder(name)).name.replace("-", "_") == name
+
+
+def test_every_example_is_recorded_and_shown_in_the_gallery():
+    """What is not recorded may change its numbers unseen."""
+    assert sorted(SCENES) == examples.names()
+    assert sorted(path.stem for path in (ROOT / "docs" / "gallery").glob("*.py")) == examples.names()
 
 
 def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):

@@ -8,7 +8,7 @@ import mic
 from mic.compliance import provider
 from mic.errors import FormatError, MissingProvider
 from mic.model.assembly import assemble
-from mic.results.fields import compute_fields, low_rank, read_fields, write_fields
+from mic.results.fields import Condenser, compute_fields, low_rank, read_fields, write_fields
 from mic.results.folder import RunFolder
 from mic.results.outcome import read_outcome
 from mic.runs import sample_into
@@ -94,6 +94,14 @@ def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, ca
         assert field.rank < SAMPLES // 2, "the factor saves nothing"
 
 
+def condensed(force, motion, pieces=1, **room):
+    """The samples as the fields take them in, in several pieces."""
+    condenser = Condenser(**room)
+    for part, other in zip(np.array_split(force, pieces), np.array_split(motion, pieces)):
+        condenser.add(part, other)
+    return condenser.centred()
+
+
 def test_the_factor_keeps_the_energy_it_promises():
     rng = np.random.default_rng(0)
     C = rng.normal(size=(12, 12))
@@ -101,7 +109,7 @@ def test_the_factor_keeps_the_energy_it_promises():
     force, motion = rng.normal(size=(40, 12)) * 10.0 ** -np.arange(12), rng.normal(size=(40, 6))
     ranks = []
     for share in (0.3, 1e-2, 1e-6, 0.0):
-        factor = low_rank(force, motion, H, share)
+        factor = low_rank(condensed(force, motion), H, share)
         centred = force - force.mean(axis=0)
         assert factor.discarded <= max(share, 1e-20)
         assert ranks == [] or factor.rank > ranks[-1]
@@ -112,8 +120,34 @@ def test_the_factor_keeps_the_energy_it_promises():
     assert ranks[-1] == 12
 
 
+def test_however_many_samples_the_condensed_ones_have_the_same_factor():
+    rng = np.random.default_rng(3)
+    C = rng.normal(size=(9, 9))
+    force = (5 + rng.normal(size=(700, 9))) * 10.0 ** -np.arange(9)
+    force[:, 4] = 0.0  # loaded by no sample
+    force[:, 5] = 2.0  # by all alike
+    motion = force @ rng.normal(size=(9, 6)) + rng.normal(size=(700, 6))
+    whole, few = condensed(force, motion), condensed(force, motion, pieces=40, room=0)
+    assert len(whole.rows) == 700 and len(few.rows) == 15
+    one, other = low_rank(whole, C @ C.T), low_rank(few, C @ C.T)
+    assert one.rank == other.rank > 2 and other.samples == 700
+    np.testing.assert_allclose(other.mean_force, one.mean_force, rtol=1e-12)
+    np.testing.assert_allclose(other.mean_motion, one.mean_motion, rtol=1e-12, atol=1e-12)
+
+    def covariance(factor):
+        """Of forces and motions, whichever way the retained columns point."""
+        basis = np.zeros((15, factor.rank + 6))
+        basis[:9, : factor.rank], basis[9:, factor.rank :] = factor.force, np.eye(6)
+        return basis @ factor.gram @ basis.T
+
+    exact = covariance(one)
+    size = np.sqrt(np.outer(exact.diagonal(), exact.diagonal()))
+    assert (np.abs(covariance(other) - exact) <= 1e-12 * size).all()
+    assert not other.force[4].any() and not other.force[5].any()
+
+
 def test_one_sample_has_a_mean_and_no_spread(lap_model):
-    factor = low_rank(np.ones((1, 4)), np.ones((1, 6)), np.eye(4))
+    factor = low_rank(condensed(np.ones((1, 4)), np.ones((1, 6))), np.eye(4))
     assert factor.rank == 0 and (factor.mean_force == 1).all() and factor.samples == 1
 
 

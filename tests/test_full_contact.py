@@ -11,6 +11,8 @@ from fem_reference.full.equilibrium import NoConvergence
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
+from mic.model.sources import SOURCES
+from mic.process.actions import SUGAR
 from mic.sampling.draw import draw
 
 pytestmark = pytest.mark.fem
@@ -36,8 +38,13 @@ def lap_model(scene, cache):
 
 
 @pytest.fixture(scope="module")
-def hat(hat_model, cache):
-    return assemble(hat_model.scene, cache)
+def hat(cache):
+    return assemble(sized(mic.load_scene(ROOT / "meshes" / "hat_on_plate"), "coarse"), cache)
+
+
+@pytest.fixture(scope="module")
+def hat_model(hat, cache):
+    return mic.reduce(hat.scene, cache)
 
 
 def difference(full, reduced):
@@ -75,6 +82,35 @@ def test_penalty_error_falls_at_first_order(lap, lap_model, law):
     order = -np.diff(np.log10(error))
     assert (np.abs(order - 1) < 0.1).all(), f"observed orders {order}, errors {error}"
     assert error[-1] < 1e-4
+
+
+#: One deviation of every kind, at its mean, and a process with every kind of stage.
+DEVIATIONS = {
+    "force": {"part": "upper", "point": [110, 10, 1], "direction": [0, 0, 1], "mean": 0.5},
+    "locator": {"target": "upper-A1", "mean": 0.2},
+    "clamp": {"target": "C1-upper", "mean": 10.0},
+}
+STAGES = [
+    {"kind": "locate"},
+    {"kind": "clamp"},
+    {"kind": "weld"},
+    {"kind": "release", "keep": [f"lower-{name}" for name in ("A1", "A2", "A3", "B1", "B2", "C1")]},
+    {"kind": "measure"},
+]
+
+
+@pytest.mark.slow
+def test_every_kind_of_deviation_and_of_stage_means_the_same_to_both(scene, cache):
+    assert set(DEVIATIONS) == set(SOURCES) and {stage["kind"] for stage in STAGES} == set(SUGAR)
+    deviations = [{"name": kind, "kind": kind, "sigma": 0.0} | keys for kind, keys in DEVIATIONS.items()]
+    varied = mic.Scene(**scene.model_dump() | {"deviations": deviations, "stages": STAGES, "folder": scene.folder})
+    model = mic.reduce(varied, cache)
+    means = model.deviations({})[0]
+    nominal = model.evaluate(0 * means)
+    for kind, one in zip(DEVIATIONS, np.diag(means)):
+        moved = model.evaluate(one).measurements - nominal.measurements
+        assert np.abs(moved).max() > 1e-4, f"a deviation of kind {kind} does nothing"
+    assert difference(FullModel(assemble(varied, cache)).evaluate(means), model.evaluate(means)) < 1e-8
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from fem_reference.shell.factorisation import (
 )
 from fem_reference.shell.influence import compute_influence, influence_matrix
 from fem_reference.shell.part import ELEMENTS, ShellPart
+from mic.compliance.part import GENERATION
 
 pytestmark = pytest.mark.fem
 
@@ -93,6 +94,23 @@ def test_an_indefinite_matrix_is_refused():
     K, L = spd()
     with pytest.raises(FactorisationError):
         influence_matrix((K - 50 * sp.eye(K.shape[0])).tocsr(), L)
+
+
+#: Largest three eigenvalues of H on balanced forces, of the panel below, mm/N.
+COMPLIANCE = {
+    "dkt-opt": (9.191797549896e-06, 3.151605296038e-05, 9.961153120999e-05),
+    "p2-cr": (9.484394966696e-06, 3.416564864481e-05, 9.900068880311e-05),
+}
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_an_element_gives_the_coefficients_that_caches_hold(element):
+    """Where this fails for a good reason, raise `GENERATION`: old caches are else used with the new element."""
+    surface = panel(5)
+    H, G = ShellPart(surface, T, E, NU, element).influence(functionals(surface, PLACES, 6.0))
+    balanced = np.linalg.svd(G)[0][:, 6:]
+    found = np.linalg.eigvalsh(balanced.T @ H @ balanced)[-3:]
+    assert GENERATION == 3 and found == pytest.approx(COMPLIANCE[element], rel=1e-8)
 
 
 @pytest.mark.parametrize("element", ELEMENTS)

@@ -2,6 +2,7 @@
 
 import re
 
+import meshlane
 import numpy as np
 import pytest
 
@@ -130,6 +131,19 @@ Quadrilaterals
 1 2 3 4 0
 End
 """
+OFF = "OFF\n5 3 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n2 0 0\n3 0 1 2\n3 0 2 3\n3 1 4 2\n"
+SU2 = """NDIME= 3
+NELEM= 2
+9 0 1 2 3 0
+5 1 4 2 1
+NPOIN= 5
+0 0 0 0
+1 0 0 1
+1 1 0 2
+0 1 0 3
+2 0 0 4
+NMARK= 0
+"""
 FACET = " facet normal 0 0 1\n  outer loop\n   vertex {}\n   vertex {}\n   vertex {}\n  endloop\n endfacet\n"
 STL = (
     "solid a\n"
@@ -148,7 +162,28 @@ FILES = {
     "sheet.vtk": VTK,
     "sheet.mesh": MEDIT,
     "SHEET.STL": STL,
+    "sheet.off": OFF,
+    "sheet.su2": SU2,
 }
+#: Formats that nobody writes by hand, and the package that they need, if any.
+WRITTEN = {".cdb": None, ".med": "h5py", ".meshb": None, ".vtu": None, ".xdmf": "h5py"}
+BY_GMSH = {".msh"}
+
+
+def test_a_file_of_every_format_is_tried():
+    """A reader that nothing is read with may read nonsense."""
+    tried = {name[name.rindex(".") :].lower() for name in FILES} | {*WRITTEN} | BY_GMSH
+    assert tried == set(READERS)
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_a_file_that_a_library_wrote_is_read(tmp_path, suffix):
+    if WRITTEN[suffix]:
+        pytest.importorskip(WRITTEN[suffix])
+    sheet = meshlane.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [0, 2, 3], [1, 4, 2]]))])
+    meshlane.write(tmp_path / f"sheet{suffix}", sheet)
+    points, triangles, _ = read_mesh(tmp_path / f"sheet{suffix}")
+    assert points == pytest.approx(POINTS) and Surface(points, triangles).areas.sum() == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("name", FILES)

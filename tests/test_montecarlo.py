@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mic.sampling.distributions import DISTRIBUTIONS
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import BLOCK, monte_carlo
+from mic.sampling.montecarlo import BLOCK, ROOM, SIZES, blocks, monte_carlo
 
 LAWS = ["coulomb", "frictionless"]
 
@@ -26,14 +27,19 @@ def test_samples_depend_on_seed_and_number_only(lap_scene):
     assert len(np.unique(whole)) == whole.size
 
 
-@pytest.mark.parametrize("distribution", ["normal", "uniform"])
+#: Each of mean 0 and standard deviation 1.
+REFERENCES = {"normal": stats.norm(), "uniform": stats.uniform(-np.sqrt(3), 2 * np.sqrt(3))}
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 def test_deviations_follow_the_stated_distribution(lap_scene, distribution):
     deviations = [d.model_copy(update={"distribution": distribution}) for d in lap_scene.deviations]
     scene = lap_scene.model_copy(update={"deviations": deviations})
     values = draw(scene, 8, 0, 4000)
     for j, deviation in enumerate(deviations):
         standard = (values[:, j] - deviation.mean) / deviation.sigma
-        reference = stats.norm() if distribution == "normal" else stats.uniform(-np.sqrt(3), 2 * np.sqrt(3))
+        reference = REFERENCES[distribution]
+        assert (reference.mean(), reference.std()) == pytest.approx((0.0, 1.0))
         assert stats.kstest(standard, reference.cdf).pvalue > 1e-3
     correlation = np.corrcoef(values.T) - np.eye(len(deviations))
     assert np.abs(correlation).max() < 4 / np.sqrt(4000)
@@ -80,3 +86,22 @@ def test_a_sample_that_breaks_is_counted_and_the_rest_survives(lap_model, monkey
     assert np.flatnonzero(found.failed).tolist() == [7]
     assert found.resolutions["clamp"].status[7] == "planted" and np.isnan(found.measurements[7]).all()
     assert np.isfinite(np.delete(found.measurements, 7, axis=0)).all()
+
+
+@pytest.mark.parametrize("pairs", [0, 24, 500, 100_000])
+def test_blocks_begin_where_they_do_however_many_samples_there_are(pairs):
+    whole = [first for _, first, _ in blocks(["coulomb"], 1_000_000, pairs)]
+    for samples in (1, BLOCK, 1030, 1050, 9_999, 123_456):
+        found = blocks(["coulomb", "frictionless"], samples, pairs)
+        for law in ("coulomb", "frictionless"):
+            firsts, counts = zip(*[(first, count) for name, first, count in found if name == law])
+            assert list(firsts) == whole[: len(firsts)]
+            assert list(np.cumsum(counts)) == [*firsts[1:], samples]  # without gaps, up to the last sample
+
+
+def test_blocks_grow_with_their_place_as_far_as_memory_allows():
+    small, large = blocks(["coulomb"], 1_000_000, 24), blocks(["coulomb"], 1_000_000, 500)
+    assert all(count == BLOCK for _, first, count in small if first < 1000)
+    assert all(count <= max(BLOCK, first / 20) for _, first, count in small)
+    assert len(small) < 400 and max(count for *_, count in small) == SIZES[-1]
+    assert max(count for *_, count in large) * 500 <= ROOM

@@ -9,6 +9,8 @@ from support.runs import fail
 
 from mic.errors import FormatError, RunError
 from mic.model.assembly import assemble
+from mic.results import statistics
+from mic.results.capability import centred_capability
 from mic.results.folder import RunFolder
 from mic.results.outcome import read_outcome
 from mic.results.summary import write_summary, write_tables
@@ -207,3 +209,61 @@ def test_a_study_that_no_longer_applies_goes(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 3, SEED)
     write_tables(read_outcome(tmp_path))
     assert read_outcome(tmp_path).friction_study is None
+
+
+def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
+    fail(folder, "coulomb", {3: ("clamp", "not converged")})
+    outcome = read_outcome(folder)
+    assert [len(outcome.blocks[law]) for law in LAWS] == [2, 2]
+    close = lambda found, whole: np.testing.assert_allclose(found, whole, rtol=1e-12, atol=1e-300)
+    for law in LAWS:
+        for stage in outcome.stages:
+            rows = outcome.contact_statistics
+            rows = rows[(rows["law"] == law) & (rows["stage"] == stage)]
+            for name, column in (("f_n", "f_n"), ("slip_force", "f_t")):
+                x = outcome.contact(law, stage, column)
+                for prefix, estimate in (("mean", statistics.mean(x)), ("six_sigma", statistics.six_sigma(x))):
+                    for suffix, whole in (("", estimate.value), ("_low", estimate.low), ("_high", estimate.high)):
+                        close(rows[f"{prefix}_{name}{suffix}"], whole)
+            close(rows["mean_gap"], outcome.contact(law, stage, "u_n").mean(axis=0))
+            close(rows["mean_slip"], outcome.contact(law, stage, "u_t").mean(axis=0))
+            state = outcome.contact(law, stage, "state")
+            for code, name in enumerate(("open", "stick", "slip")):
+                close(rows[name], (state == code).mean(axis=0))
+            (row,) = outcome.zone_statistics.query("law == @law and stage == @stage").to_dict("records")
+            x = outcome.slip(law, stage, "lap")
+            close([row["mean_rms_slip"], row["six_sigma_rms_slip"]], [x.mean(), 6 * x.std(ddof=1)])
+        for row in outcome.measurement_statistics.query("law == @law").to_dict("records"):
+            x = outcome.measured(law, row["measurement"])
+            close([row["mean"], row["sigma"], row["min"], row["max"]], [x.mean(), x.std(ddof=1), x.min(), x.max()])
+            cpk = centred_capability(x, row["lower"], row["upper"])
+            close([row["cpk"], row["cpk_low"], row["cpk_high"]], [cpk.value, cpk.low, cpk.high])
+            close(row["share_outside"], np.mean((x < row["lower"]) | (x > row["upper"])))
+        assert outcome.worst_residual(law) == max(outcome.residual(law, stage).max() for stage in outcome.stages)
+
+
+def test_samples_asked_for_by_number_are_those_samples(folder, monkeypatch):
+    fail(folder, "coulomb", {3: ("clamp", "not converged")})
+    whole, few = read_outcome(folder), (2, 7, BLOCK + 4)
+    monkeypatch.setattr("mic.results.outcome.ROOM", 0)  # nothing at hand: all is read again
+    outcome = read_outcome(folder)
+    assert not any(outcome.kept.values()) and any(whole.kept.values())
+    place = np.searchsorted(outcome.sample_numbers("coulomb"), few)
+    for found in (whole, outcome):
+        np.testing.assert_array_equal(
+            found.contact("coulomb", "clamp", "f_t", few), whole.contact("coulomb", "clamp", "f_t")[place]
+        )
+        np.testing.assert_array_equal(found.measured("coulomb", "M1", few), whole.measured("coulomb", "M1")[place])
+    with pytest.raises(KeyError, match="not among its valid ones"):
+        outcome.measured("coulomb", "M1", [3, 4])
+
+
+def test_samples_beyond_those_asked_for_do_not_count(folder):
+    record = RunFolder(folder).record()
+    RunFolder(folder).write_record(record | {"samples": 20})
+    outcome = read_outcome(folder)
+    assert outcome.sample_numbers("coulomb").tolist() == list(range(20)) and outcome.missing["coulomb"] == 0
+    assert outcome.contact("coulomb", "clamp", "f_n").shape[0] == 20
+    summary = outcome.summary()["laws"]["coulomb"]
+    assert summary["samples"] == 20
+    assert summary["measurements"]["M1"]["mean"] == pytest.approx(outcome.measured("coulomb", "M1").mean(), rel=1e-14)

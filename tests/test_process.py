@@ -1,10 +1,13 @@
 """The process: what must hold whatever the contact solution is, and friction's memory."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import mic
 from mic.process.model import ReducedModel
+from mic.process.process import Process
 from mic.sampling.draw import draw
 
 
@@ -32,21 +35,28 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     assert np.abs(evaluation.measurements).max() > 1e-3
 
 
-def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
+def test_later_stages_leave_the_clamped_state_as_it_was(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
     before = mic.reduce(with_stages(lap_scene, ("locate", "clamp"), welds=[], measurements=[]), cache)
-    clamped = before.process("coulomb").evaluate(deviations)
-    after = lap_model.process("coulomb").evaluate(deviations)
-    # The same functionals stand at other places in the two models: compare the weld's rows through the welded one.
-    resolution = clamped.resolutions["clamp"]
-    np.testing.assert_allclose(
-        resolution.force, after.resolutions["clamp"].force, atol=1e-6 * np.abs(resolution.force).max()
+    alone = before.process("coulomb").evaluate(deviations).resolutions["clamp"]
+    followed = lap_model.process("coulomb").evaluate(deviations).resolutions["clamp"]
+    np.testing.assert_allclose(alone.force, followed.force, atol=1e-6 * np.abs(alone.force).max())
+
+
+def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
+    deviations = draw(lap_scene, 3, 0, 4)
+    unwelded = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "measure"), welds=[]), cache)
+    held = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "weld", "measure")), cache)
+    found, at_weld, after = (model.process("coulomb").evaluate(deviations) for model in (unwelded, held, lap_model))
+    # Welds that do not close a gap move nothing while the clamps still hold ...
+    scale = np.abs(found.measurements).max()
+    assert scale > 1e-3 and np.abs(after.measurements - found.measurements).max() > 1e-3
+    np.testing.assert_allclose(at_weld.measurements, found.measurements, atol=1e-9 * scale)
+    # ... and keep what they found once the clamps have gone.
+    start, end = (
+        readings(model, evaluation) @ model.rows["weld"].T
+        for model, evaluation in ((held, at_weld), (lap_model, after))
     )
-    welded_only = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "weld"), measurements=[]), cache)
-    at_weld = welded_only.process("coulomb").evaluate(deviations)
-    rows = lap_model.rows["weld"]
-    start = readings(welded_only, at_weld)[:, :] @ welded_only.rows["weld"].T
-    end = readings(lap_model, after) @ rows.T
     assert np.abs(start).max() > 1e-3
     np.testing.assert_allclose(end, start, atol=1e-9 * np.abs(start).max())
 
@@ -99,6 +109,20 @@ def test_rough_contact_sticks_and_smooth_contact_slides(lap_scene, cache):
     assert usual.mean() < 0.97 * free.mean()
     rough, sticking, held = clamped(50.0, "coulomb")
     assert sticking > 0.5 and held.max() < 1e-8 * free.max() and rough.mean() < 0.2 * free.mean()
+
+
+def test_a_sample_that_misses_its_tolerance_in_one_stage_has_failed(lap_model, monkeypatch):
+    process = Process(lap_model, "coulomb")
+    clamped = next(stage for stage in process.stages if stage.plan.name == "clamp")
+    solve = clamped.solver.solve
+
+    def miss_one(*arguments, **keys):
+        solution = solve(*arguments, **keys)
+        return replace(solution, converged=solution.converged & (np.arange(len(solution.converged)) != 1))
+
+    monkeypatch.setattr(clamped.solver, "solve", miss_one)
+    evaluation = process.evaluate(draw(lap_model.scene, 3, 0, 3))
+    assert evaluation.failed.tolist() == [False, True, False] and evaluation.resolutions["release"].converged.all()
 
 
 def test_samples_do_not_depend_on_their_batch(hat_model):

@@ -7,7 +7,8 @@ import pytest
 from recorded.record import FOLDER, INCREMENTS, SCENES, drawn, outcome, platform, reduced
 
 TOLERANCE = 1e-10  # of the largest value of the array, where finite elements and BLAS are those of the recording
-ELSEWHERE = 1e-8  # the wheelhouse's compliance is conditioned such that others move its last digits by 1e-9
+ELSEWHERE = 1e-7  # the wheelhouse's compliance is conditioned such that others move its forces by 2e-8
+AT_HOME = ("motion",)  # counts from where the finite elements hold a free part; others may hold it elsewhere
 EXACT = ("state", "failed")
 
 
@@ -50,10 +51,12 @@ def test_the_same_scene_gives_the_same_numbers(name, increments, model):
         held = [key for key in file.files if key.startswith("pairs/") or f"/{increments}/" in key]
         recorded = {key: file[key] for key in held}
         deviations, home = file["deviations"], str(file["platform"])
-    tolerance = TOLERANCE if platform() == home else ELSEWHERE
+    at_home = platform() == home
+    tolerance = TOLERANCE if at_home else ELSEWHERE
     found = outcome(model(name), increments, deviations)
     assert sorted(found) == sorted(recorded)
-    differences = [words for key in found if (words := moved(key, found[key], recorded[key], tolerance))]
+    compared = [key for key in found if at_home or key.split("/")[-1] not in AT_HOME]
+    differences = [words for key in compared if (words := moved(key, found[key], recorded[key], tolerance))]
     heading = f"{name}: (recorded with {home}; here {platform()}; held to {tolerance})"
     assert not differences, "\n".join([heading, *differences])
 

@@ -1,5 +1,7 @@
 """Results are what their declaration says: names, types, units, formats."""
 
+import hashlib
+
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
@@ -127,6 +129,27 @@ def test_a_flipped_number_inside_a_block_is_noticed(found, tmp_path):
     path.write_bytes(bytes(content))
     with pytest.raises(FormatError):
         read_table(path, schema.CONTACTS)
+
+
+#: Version of each dataset, and a digest of its columns.
+DECLARED = {
+    "deviations": (1, "2113a270"),
+    "resolutions": (2, "c96a2e6c"),
+    "slips": (1, "ee3ab1a9"),
+    "measurements": (1, "00559d48"),
+    "contacts": (1, "6bba7c6a"),
+    "samples": (1, "5b570156"),
+}
+
+
+def test_a_dataset_whose_columns_change_has_another_version():
+    """Else a folder of before would be read as if its columns meant what they mean now."""
+    found = {
+        table.name: (table.version, hashlib.sha256(repr(columns).encode()).hexdigest()[:8])
+        for table in schema.DATASETS
+        if (columns := [(column.name, column.dtype, column.unit, column.optional) for column in table.columns])
+    }
+    assert found == DECLARED, "raise the version of the table in mic/results/schema.py, then write down its new digest"
 
 
 def test_names_are_declared_once():

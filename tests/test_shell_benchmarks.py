@@ -6,6 +6,7 @@ CR) differ where a structure is thick or carries torsion in open strips; each ca
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from support.panels import grid
 from support.shells import at, read, supported_solution, vertex, vertex_load
 
-from fem_reference.shell.part import ShellPart
+from fem_reference.shell.part import ELEMENTS, ShellPart
 
 pytestmark = pytest.mark.fem
 
@@ -262,6 +263,13 @@ CASES = {
     ("square tube", "dkt-opt"): Case(square_tube, (2, 4), 1.0, 0.01),
     ("square tube", "p2-cr"): Case(square_tube, (2, 4), 1.0, 0.01),
 }
+
+
+def test_every_element_stands_every_benchmark_and_on_the_page():
+    names = {name for name, _ in CASES}
+    assert set(CASES) == {(name, element) for name in names for element in ELEMENTS}
+    page = (Path(__file__).resolve().parents[1] / "docs" / "shells.md").read_text(encoding="utf-8")
+    assert all(f"`{element}`" in page for element in ELEMENTS)
 
 
 @pytest.mark.parametrize(("name", "element"), CASES)

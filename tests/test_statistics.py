@@ -7,7 +7,7 @@ import pytest
 import scipy.stats
 
 from mic.results import statistics as st
-from mic.results.capability import capability, centred_capability, share_outside
+from mic.results.capability import capability, centred_capability, outside
 
 TEN = np.arange(1.0, 11.0)  # mean 5.5, s = 3.0276504
 
@@ -74,9 +74,8 @@ def test_clopper_pearson_agrees_with_scipy(count, n):
     assert [ours.low, ours.high] == pytest.approx([theirs.low, theirs.high], rel=1e-9)
 
 
-def test_share_outside_counts_both_sides_and_leaves_failed_samples_out():
-    found = share_outside([-2.0, 0.0, 0.5, 3.0, np.nan], -1, 1)
-    assert (found.value, found.used, found.excluded) == (0.5, 4, 1)
+def test_samples_outside_are_counted_on_both_sides_and_failed_ones_are_left_out():
+    assert outside([-2.0, 0.0, 0.5, 3.0, np.nan], -1, 1) == 2
 
 
 def test_density_integrates_to_one_and_agrees_with_scipy():
@@ -100,12 +99,12 @@ def test_degenerate_samples_claim_no_certainty(x):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         mean, sigma, cp, cpk = st.mean(x), st.sigma(x), capability(x, 0, 10), centred_capability(x, 0, 10)
-        smallest, outside, curve = st.minimum(x), share_outside(x, 0, 10), st.density(x, [3.0])
+        smallest, share, curve = st.minimum(x), st.share(outside(x, 0, 10), mean.used), st.density(x, [3.0])
     used = int(np.isfinite(x).sum())
     for estimate in (mean, sigma, cp, cpk):
         assert np.isnan(estimate.low) and np.isnan(estimate.high)
     assert np.isnan(curve).all()
-    assert np.isnan(mean.value) == np.isnan(smallest.value) == np.isnan(outside.value) == (used == 0)
+    assert np.isnan(mean.value) == np.isnan(smallest.value) == np.isnan(share.value) == (used == 0)
     if used > 1:
         assert sigma.value == 0 and cp.value == np.inf and cpk.value == np.inf
     else:
@@ -175,3 +174,46 @@ def test_clopper_pearson_never_covers_less_than_it_promises(p):
     found = st.share(counts, n)
     covered = scipy.stats.binom.pmf(counts, n, p)[(found.low <= p) & (p <= found.high)].sum()
     assert 0.95 <= covered < 1
+
+
+def pieces_together(x, count):
+    """Moments of samples that come in pieces, joined one after the other."""
+    found = None
+    for piece in np.array_split(x, count):
+        moments = st.Moments.of(piece)
+        found = moments if found is None else found.merged(moments)
+    return found
+
+
+@pytest.mark.parametrize("count", [2, 7, 300])
+def test_samples_in_pieces_have_the_estimates_of_the_whole(count):
+    rng = np.random.default_rng(5)
+    x = np.column_stack([rng.normal(size=1000), 1e6 + rng.gamma(2.0, size=1000), rng.standard_t(5, size=1000) * 1e-9])
+    x[rng.random(x.shape) < 0.01] = np.nan
+    x[:500, 1] = np.nan  # whole pieces without a value
+    whole, pieces = st.Moments.of(x), pieces_together(x, count)
+    for estimate in (st.mean, st.sigma, st.six_sigma, st.minimum, st.maximum):
+        one, other = estimate(x), estimate(pieces)
+        for name in ("value", "low", "high"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-12)
+        assert (other.used == one.used).all() and (other.excluded == one.excluded).all()
+    for one, other in zip(st.tails(x), st.tails(pieces)):
+        np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-14)
+    assert st.tails(x)[2].any(), "no heavy tail, so Bonett's interval was not compared"
+    cpk, same = centred_capability(x, -2, 2e6), centred_capability(pieces, -2, 2e6)
+    np.testing.assert_allclose([same.value, same.low, same.high], [cpk.value, cpk.low, cpk.high], rtol=1e-12)
+    np.testing.assert_array_equal(whole.n, pieces.n)
+
+
+def test_moments_of_many_million_samples_do_not_overflow():
+    one = st.Moments.of(TEN)
+    for _ in range(30):
+        one = one.merged(one)
+    assert one.n == 10 * 2**30 and one.mean == 5.5
+    assert one.m2 == 82.5 * 2**30 and one.m3 == 0 and one.m4 == pytest.approx(1208.625 * 2**30, rel=1e-14)
+
+
+@pytest.mark.parametrize("value", [0.1, 3.0, -1e-7])
+def test_a_constant_has_no_spread_however_many_samples_there_are(value):
+    assert st.sigma(pieces_together(np.full((30_000, 2), value), 31)).value.tolist() == [0.0, 0.0]
+    assert st.sigma(np.full((30_000, 2), value)).value.tolist() == [0.0, 0.0]

@@ -8,7 +8,7 @@ import pytest
 import mic
 from fem_reference.full.model import FullModel
 from mic.results import statistics
-from verification.scene import choose, verify_scene
+from verification.own_scene import choose, verify_scene
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 

@@ -193,6 +193,13 @@ def test_list_names_every_study():
         assert study.name in shown and all(acceptance.words() in shown for acceptance in study.acceptance)
 
 
+def test_every_folder_with_a_page_is_a_study_with_a_place_of_its_own():
+    found = studies()
+    assert {path.parent.name for path in FOLDER.glob("*/README.md")} == set(found)
+    assert all((FOLDER / name / "__init__.py").is_file() for name in found)
+    assert len({study.order for study in found.values()}) == len(found)
+
+
 @pytest.mark.parametrize("name", studies())
 def test_page_opens_with_claim_reference_and_acceptance_numbers(name):
     study = studies()[name]

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from mic import cache_folder
 from mic.scene import SceneError, load_scene
+from verification.own_scene import verify_scene
 from verification.report import write_report
 from verification.run import run as run_studies
 from verification.run import team, write_summary
-from verification.scene import verify_scene
 from verification.study import studies
 
 app = typer.Typer(

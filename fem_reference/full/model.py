@@ -21,6 +21,7 @@ from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.compliance.support import motion_size
+from mic.contact import laws
 from mic.model.shape import datum_locators
 from mic.model.sources import sources
 from mic.process.drive import drive
@@ -28,7 +29,8 @@ from mic.process.plan import plan_stages
 
 __all__ = ["LAWS", "ContactFailure", "FullEvaluation", "FullModel", "FullResolution", "Solve"]
 
-LAWS = ("frictionless", "coulomb")
+#: Names of the laws that the full solve obeys: those that keep a slipping contact closed, and those without friction.
+LAWS = tuple(law.name for law in laws.LAWS.values() if law.shift == 1.0 or not law.frictional)
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,8 @@ class FullModel:
         ----------
         deviations : (p,) array
             Values of the scene's deviations, in its order.
-        law : {"coulomb", "frictionless"}
+        law : str
+            One of :data:`LAWS`.
 
         Raises
         ------
@@ -161,7 +164,7 @@ class FullModel:
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
         mesh, asked = self._driven(deviations)
-        friction = contacts.friction if law == "coulomb" else np.zeros(len(contacts))
+        friction = contacts.friction if laws.find(law).frictional else np.zeros(len(contacts))
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:

@@ -15,6 +15,8 @@ import numpy as np
 
 from mic.geometry.surface import Surface
 
+__all__ = ["CalculixError", "available", "read", "run", "shell_displacements"]
+
 
 class CalculixError(RuntimeError):
     """ccx is missing or did not deliver displacements; the text holds its last lines."""

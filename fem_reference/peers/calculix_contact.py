@@ -16,6 +16,8 @@ import numpy as np
 
 from fem_reference.peers.calculix import CalculixError, read, run
 
+__all__ = ["leaves"]
+
 # One C3D20R in a grid of half elements: corners, then midsides, in CalculiX's order
 _NODES = np.array(
     [

@@ -26,6 +26,16 @@ from petsc4py import PETSc
 
 from fem_reference.shell.versions import supported
 
+__all__ = [
+    "assemble_matrix",
+    "cell_dofs",
+    "cell_points",
+    "compile_form",
+    "lagrange_6",
+    "p2_crouzeix_raviart",
+    "shell_mesh",
+]
+
 _VERSION = supported(dolfinx.__version__)
 _LEGACY = _VERSION < (0, 6)  # UFL's own element classes, adjacency lists; afterwards basix.ufl and plain arrays
 if not _LEGACY:

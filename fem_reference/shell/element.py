@@ -26,13 +26,14 @@ wrong matrices where one integral mixes degrees.
 
 References
 ----------
-Batoz, Bathe, Ho (1980), A study of three-node triangular plate bending elements, Int. J. Numer. Meth. Engng 15,
-1771–1812. Felippa (2003), A study of optimal membrane triangles with drilling freedoms, Comput. Methods Appl. Mech.
-Engrg 192,
-2125–2168.
-Allman (1984), A compatible triangular element including vertex rotations for plane elasticity analysis, Comput. Struct.
-19, 1–8. Campello, Pimenta, Wriggers (2003), A triangular finite shell element based on a fully nonlinear shell
-formulation, Comput. Mech. 31, 505–518.
+- Batoz, Bathe, Ho (1980), A study of three-node triangular plate bending elements, Int. J. Numer. Meth. Engng 15,
+  1771–1812.
+- Felippa (2003), A study of optimal membrane triangles with drilling freedoms, Comput. Methods Appl. Mech. Engrg 192,
+  2125–2168.
+- Allman (1984), A compatible triangular element including vertex rotations for plane elasticity analysis, Comput.
+  Struct. 19, 1–8.
+- Campello, Pimenta, Wriggers (2003), A triangular finite shell element based on a fully nonlinear shell formulation,
+  Comput. Mech. 31, 505–518.
 """
 
 from __future__ import annotations
@@ -47,6 +48,25 @@ from ufl import as_matrix, as_vector, cross, dot, grad, inner, outer, sqrt, sym,
 from fem_reference.shell import compat
 from fem_reference.shell.interpolation import CROUZEIX_RAVIART, P1, P2, Interpolation
 
+__all__ = [
+    "DRILLING_PENALTY",
+    "ELEMENTS",
+    "QUADRATURE_DEGREE",
+    "SHEAR_FACTOR",
+    "Kinematics",
+    "Material",
+    "ShellElement",
+    "Triangle",
+    "dkt_curvature",
+    "dkt_opt",
+    "kinematics",
+    "opt_beta0",
+    "opt_strain",
+    "p2_cr",
+    "plane_stress",
+    "triangle",
+]
+
 QUADRATURE_DEGREE = 2
 
 SHEAR_FACTOR = 5 / 6  # Reissner's, of the transverse shear energy
@@ -54,12 +74,12 @@ DRILLING_PENALTY = 1.0  # times E t³/h²: Bleyer's choice
 
 
 class Material(NamedTuple):
-    """Isotropic sheet; the members are `fem.Constant`s so that a form is compiled once for all values."""
+    """Isotropic sheet; the members are of type ``fem.Constant``, so that a form is compiled once for all values."""
 
     young: ufl.Coefficient  #: E, MPa
     poisson: ufl.Coefficient  #: ν
     thickness: ufl.Coefficient  #: t, mm
-    beta0: ufl.Coefficient  #: β0 of OPT's higher-order stiffness, see `opt_beta0`
+    beta0: ufl.Coefficient  #: β0 of OPT's higher-order stiffness, see :func:`opt_beta0`
 
 
 class Triangle(NamedTuple):
@@ -224,8 +244,8 @@ def dkt_opt(V, material: Material):
 def p2_cr(V, material: Material):
     """Bilinear form of (1) for quadratic u and Crouzeix–Raviart θ, V = [P2]³ × [CR]³.
 
-    Transverse shear energy ½ · 5/6 G t |∇w − β|² and drilling energy ½ E t³/h² (½ curl u − ω)², h the cell's diameter.
-    Crouzeix–Raviart rotations contain the gradients of quadratics edge by edge, hence no shear locking.
+    Transverse shear energy ``½ · 5/6 G t |∇w − β|²`` and drilling energy ``½ E t³/h² (½ curl u − ω)²``, h the cell's
+    diameter. Crouzeix–Raviart rotations contain the gradients of quadratics edge by edge, hence no shear locking.
     """
     T, t, E = triangle(V.mesh), material.thickness, material.young
     G = E / (2 * (1 + material.poisson))

@@ -24,6 +24,8 @@ from fem_reference.shell.influence import influence_matrix
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
+__all__ = ["RIGID_MOTION_TOLERANCE", "ShellPart"]
+
 RIGID_MOTION_TOLERANCE = 1e-2  # reached where t/L ~ 1e-5 on curved shells
 
 

@@ -10,7 +10,11 @@ import numpy as np
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
-__all__ = ["Part"]
+__all__ = ["GENERATION", "Part"]
+
+#: Raised whenever the coefficients of the same part come out otherwise than before, by another formulation of its
+#: element or another meaning of a functional: caches then hold none of them.
+GENERATION = 3
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Part:
         MPa.
     poisson : float
     element : str
-        Shell element, ``"dkt-opt"`` or ``"p2-cr"``.
+        Shell element, a name that the part's provider knows (:mod:`mic.compliance.provider`).
     functionals : Functionals
     """
 
@@ -43,7 +47,7 @@ class Part:
         """Hash of everything that the part's influence coefficients depend on."""
         digest = hashlib.sha256()
         f = self.functionals
-        digest.update(repr((3, self.element, self.thickness, self.young, self.poisson)).encode())
+        digest.update(repr((GENERATION, self.element, self.thickness, self.young, self.poisson)).encode())
         arrays = [self.surface.points, self.surface.triangles, f.patch, f.direction, f.rotation, f.side]
         arrays += [array for patch in f.patches for array in (patch.triangle, patch.barycentric, patch.weight)]
         for array in arrays:

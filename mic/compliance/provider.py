@@ -6,7 +6,7 @@ package may. The production path names none of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Any, Protocol, runtime_checkable
@@ -15,9 +15,9 @@ import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.part import Part
-from mic.errors import MissingProvider
+from mic.errors import MissingProvider, SceneError
 
-__all__ = ["GROUP", "Provider", "find", "installed"]
+__all__ = ["GROUP", "Provider", "check_element", "find", "installed"]
 
 GROUP = "mic.compliance"  #: of the entry points
 REMEDY = "on Debian: apt-get install python3-dolfinx; or copy a cache folder from a machine that has it"
@@ -26,6 +26,11 @@ REMEDY = "on Debian: apt-get install python3-dolfinx; or copy a cache folder fro
 @runtime_checkable
 class Provider(Protocol):
     """What computes the compliance of parts."""
+
+    @property
+    def elements(self) -> Collection[str]:
+        """Names of the shell elements that it knows: what a scene's ``element`` may be."""
+        ...
 
     def accepts(self, part: Part) -> bool:
         """Whether it can compute this part."""
@@ -73,11 +78,27 @@ def installed() -> tuple[dict[str, Provider], dict[str, str]]:
     return found, broken
 
 
+def check_element(element: str) -> None:
+    """Refuse an element that nobody knows; where a provider cannot be loaded, what it knows cannot be told.
+
+    Raises
+    ------
+    SceneError
+        Naming the elements that there are.
+    """
+    found, broken = installed()
+    known = sorted({name for provider in found.values() for name in provider.elements})
+    if known and not broken and element not in known:
+        raise SceneError(f"element: there is none called {element!r}; known: {', '.join(known)}")
+
+
 def find(part: Part) -> Provider:
     """The first installed provider that accepts a part.
 
     Raises
     ------
+    SceneError
+        If nobody knows the part's element.
     MissingProvider
         If there is none; the message says what is missing and how to install it.
     """
@@ -85,8 +106,9 @@ def find(part: Part) -> Provider:
     for provider in found.values():
         if provider.accepts(part):
             return provider
+    check_element(part.element)
     reasons = [f"{name}: {reason}" for name, reason in broken.items()]
-    reasons += [f"{name} does not know it" for name in found] or ["no package registers one"] * (not broken)
+    reasons += [f"{name} does not accept it" for name in found] or ["no package registers one"] * (not broken)
     raise MissingProvider(
         f"part {part.name!r}: its compliance must be computed by finite elements, and no provider of them is at hand "
         f"({'; '.join(reasons)}); {REMEDY}"

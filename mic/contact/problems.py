@@ -126,8 +126,8 @@ def manufactured(
     u[..., 1:] = np.where(stuck, 0.0, -slip)[..., None] * direction
     u[..., 0] = np.where(stuck | sliding, 0.0, rng.uniform(0.1, 1.0, (n, m)) * size)
     u[..., 0] += np.where(stuck, 0.0, (1.0 - find(law).shift) * mu * slip)
-    f, u = f.reshape(n, -1), u.reshape(n, -1)
-    return ContactProblem(S, u - f @ S, mu, f, u)
+    force, displacement = f.reshape(n, -1), u.reshape(n, -1)
+    return ContactProblem(S, displacement - force @ S, mu, force, displacement)
 
 
 @dataclass

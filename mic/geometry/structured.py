@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+__all__ = ["extrude"]
+
 
 def extrude(profile, start: float, length: float, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Extrude a polyline of the (y, z) plane along x.

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.compliance.part import Part
+from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
@@ -176,9 +177,7 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> float:
 
 def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
-    friction = any(law != "frictionless" for law in scene.report.laws) and any(
-        zone.friction > 0 for zone in scene.zones
-    )
+    friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.friction > 0 for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
     resolved = any(stage.kind != "locate" for stage in scene.stages)
     pairs: list[ContactPair] = []

@@ -49,13 +49,13 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
         load = source.load(assembly.labels, assembly.rows)
         if load is None:
             continue
-        p = int(np.searchsorted(compliance.offsets, load.indices[0], side="right") - 1)
-        own, part = compliance.functionals[p], compliance.part(p)
-        locators = assembly.rows["locator"][:, own]
-        datum = datum_locators(assembly, assembly.parts[p].name, part.rigid(locators), motion_size(part.G))
-        response = eliminate(
-            part, locators[datum], csr_matrix((0, part.size)), load[:, own], identity(part.size, format="csr")
-        )
-        shape[own, j] = response.L_out[:, 0]
-        forces[own, j] = load[:, own].toarray()[0] + locators[datum].T @ response.reaction_L[:, 0]
+        for p in np.unique(np.searchsorted(compliance.offsets, load.indices, side="right") - 1):
+            own, part = compliance.functionals[p], compliance.part(p)
+            locators = assembly.rows["locator"][:, own]
+            datum = datum_locators(assembly, assembly.parts[p].name, part.rigid(locators), motion_size(part.G))
+            response = eliminate(
+                part, locators[datum], csr_matrix((0, part.size)), load[:, own], identity(part.size, format="csr")
+            )
+            shape[own, j] = response.L_out[:, 0]
+            forces[own, j] = load[:, own].toarray()[0] + locators[datum].T @ response.reaction_L[:, 0]
     return shape, forces

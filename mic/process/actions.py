@@ -148,6 +148,12 @@ def _of_stage(items, stage) -> tuple[int, ...]:
     return tuple(i for i, item in enumerate(items) if item.stage == stage.name)
 
 
+def _named(items, names) -> tuple[int, ...]:
+    """Numbers of the items of these names, each of which `mic.scene.checks` has seen to exist."""
+    number = {item.name: i for i, item in enumerate(items)}
+    return tuple(sorted(number[name] for name in names))
+
+
 def _locate(scene, stage) -> list[Action]:
     return [SetDown(_of_stage(scene.locators, stage))]
 
@@ -165,8 +171,8 @@ def _weld(scene, stage) -> list[Action]:
 
 
 def _release(scene, stage) -> list[Action]:
-    keep = stage.keep if stage.keep is not None else [locator.name for locator in scene.locators]
-    return [Withdraw(), Open(tuple(i for i, locator in enumerate(scene.locators) if locator.name in keep))]
+    everything = [locator.name for locator in scene.locators]
+    return [Withdraw(), Open(_named(scene.locators, everything if stage.keep is None else stage.keep))]
 
 
 def _measure(scene, stage) -> list[Action]:

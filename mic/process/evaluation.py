@@ -30,6 +30,8 @@ class Resolution:
     iterations : (n,) int array
     status : (n,) object array
         Outcome of the last increment.
+    rung : (n,) object array
+        Which rung of the ladder found the force of the last increment, see :class:`mic.contact.ContactSolution`.
     reaction : (n, b) array
         Forces of the bilateral rows on the parts, N or N mm.
     """
@@ -42,6 +44,7 @@ class Resolution:
     converged: np.ndarray
     iterations: np.ndarray
     status: np.ndarray
+    rung: np.ndarray
     reaction: np.ndarray
 
     @classmethod

@@ -60,7 +60,7 @@ class Process:
             return ContactSolver(
                 stage.response.S,
                 contacts.friction,
-                law="frictionless" if smooth else law,
+                law=laws.FRICTIONLESS if smooth else law,
                 backend=solver_name,
                 tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
                 threads=threads,
@@ -119,6 +119,7 @@ class Process:
                 converged=np.zeros(n, bool),
                 iterations=np.zeros(n, int),
                 status=np.full(n, reason, dtype=object),
+                rung=np.full(n, "none", dtype=object),
                 reaction=nan(stage.bilateral.shape[0]),
             )
             for stage in self.stages

@@ -193,6 +193,7 @@ class PreparedStage:
             converged=converged,
             iterations=iterations,
             status=np.asarray(solution.status),
+            rung=np.asarray(solution.rung),
             reaction=np.zeros((n, 0)),
         )
         return force, left, resolution

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mic.report.context import Context
+from mic.report.context import SHOWN, Context
 from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, number, percent, zone_colour
 from mic.results.outcome import Outcome
@@ -28,7 +29,7 @@ def slip_density_picture(outcome: Outcome, context: Context) -> Picture | None:
     columns = min(3, len(outcome.zones))
     fig, axes = panels(len(outcome.zones), columns, (3.5, 2.5))
     for i, (ax, zone) in enumerate(zip(axes, outcome.zones)):
-        slips = {law: outcome.slip(law, stage, zone) for law in context.laws}
+        slips = {law: outcome.slip(law, stage, zone, outcome.sample_numbers(law)[:SHOWN]) for law in context.laws}
         everything = np.concatenate(list(slips.values()))
         margin = 0.15 * (np.ptp(everything) or abs(everything[0]) or 1.0)
         grid = np.linspace(everything.min() - margin, everything.max() + margin, 300)
@@ -46,11 +47,12 @@ def slip_density_picture(outcome: Outcome, context: Context) -> Picture | None:
         if i % columns == 0:
             ax.set_ylabel("density (1/mm)")
     law_legend(fig, outcome.laws)
+    count = outcome.record["samples"]
     return svg(
         fig,
         f"Probability density of the zones' RMS slip, stage {stage}",
-        f"Kernel densities of the RMS slip over {outcome.record['samples']} samples; dashed: means. "
-        + _slip_sentence(outcome, context),
+        f"Kernel densities of the RMS slip over {'the first ' * (count > SHOWN)}{min(count, SHOWN)} samples; dashed: "
+        "means. " + _slip_sentence(outcome, context),
     )
 
 
@@ -108,17 +110,17 @@ def sample_picture(outcome: Outcome, context: Context, quantity: Literal["f", "u
     laws = [law for law in (context.frictional, context.frictionless) if law]
     if not (len(outcome.model.contacts) and stage and laws):
         return None
-    common = sorted(set.intersection(*(set(outcome.sample_numbers(law)) for law in laws)))
-    if not common:
+    common = reduce(np.intersect1d, [outcome.sample_numbers(law) for law in laws])
+    if not len(common):
         return None
     axes_names = ("n", "t1", "t2") if outcome.has_slip else ("n",)
     title, unit = {"f": ("Forces", "N"), "u": ("Displacements", "mm")}[quantity]
     fig, axes = panels(len(axes_names), 1, (10.5, 1.75), sharex=True)
     values = {}
     for law in laws:
-        row, look = int(np.flatnonzero(outcome.sample_numbers(law) == common[0])[0]), LAWS[law]
+        look = LAWS[law]
         for ax, axis in zip(axes, axes_names):
-            values[law, axis] = outcome.contact(law, stage, f"{quantity}_{axis}")[row]
+            values[law, axis] = outcome.contact(law, stage, f"{quantity}_{axis}", common[:1])[0]
             line = _by_zone(outcome, values[law, axis])
             ax.plot(*line, look.mark + "-", ms=3.4, mew=0, lw=0.6, color=look.colour, alpha=0.85)
     for ax, axis in zip(axes, axes_names):

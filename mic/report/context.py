@@ -13,7 +13,9 @@ from mic.results.fields import PartField, read_fields
 from mic.results.folder import PUBLISHED
 from mic.results.outcome import Outcome
 
-__all__ = ["Context", "read_context"]
+__all__ = ["SHOWN", "Context", "read_context"]
+
+SHOWN = 10_000  # samples from which distributions are drawn, the first ones: more change no picture
 
 
 @dataclass(frozen=True)

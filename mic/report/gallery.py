@@ -51,6 +51,7 @@ class Entry:
             raise ValueError(f"picture {self.name}: section must be one of {', '.join(SECTIONS)}, not {self.section}")
 
 
+#: Every picture, in the order of the page.
 PICTURES = (
     Entry("assembly", "still", assembly_picture),
     Entry("slip-density", "slip", slip_density_picture),

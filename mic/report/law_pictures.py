@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mic.contact.comparison import summarise
-from mic.report.context import Context
+from mic.report.context import SHOWN, Context
 from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.style import LAWS, STATE_COLOURS, number, percent
 from mic.results.outcome import Outcome
@@ -44,7 +44,8 @@ class LawCost:
     @property
     def sentence(self) -> str:
         """The cost in words."""
-        text = f"Over the {len(self.coulomb)} samples valid under both laws: "
+        n = len(self.coulomb)
+        text = f"Over the {'first ' * (n == SHOWN)}{n} samples valid under both laws: "
         if len(self.gaps):
             text += (
                 f"under the associated law {percent(float(np.mean(self.gaps > 1e-3)))} of the loaded contacts stand "
@@ -65,11 +66,10 @@ def law_cost(outcome: Outcome, stage: str) -> LawCost | None:
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws):
         return None
     numbers = {law: outcome.sample_numbers(law) for law in ("coulomb", "associated")}
-    common = np.intersect1d(numbers["coulomb"], numbers["associated"])
+    common = np.intersect1d(numbers["coulomb"], numbers["associated"])[:SHOWN]
     if not len(common):
         return None
-    pick = {law: np.isin(numbers[law], common) for law in numbers}
-    get = lambda law, column: outcome.contact(law, stage, column)[pick[law]]
+    get = lambda law, column: outcome.contact(law, stage, column, common)
     f, a = get("coulomb", "f_n"), get("associated", "f_n")
     states = np.zeros((len(STATE_COLOURS), len(STATE_COLOURS)))
     np.add.at(states, (get("coulomb", "state").ravel(), get("associated", "state").ravel()), 1 / f.size)

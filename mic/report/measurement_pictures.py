@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.lines import Line2D
 
-from mic.report.context import Context
+from mic.report.context import SHOWN, Context
 from mic.report.picture import MOST_PANELS, Picture, panels, svg
 from mic.report.style import LAWS, number, percent
 from mic.results.outcome import Outcome
@@ -30,10 +30,10 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     characteristics = {item.name: item for item in outcome.model.scene.measurements}
     for i, (ax, name) in enumerate(zip(axes, shown)):
         item = characteristics[name]
-        values = {law: outcome.measured(law, name) for law in context.laws}
+        values = {law: outcome.measured(law, name, outcome.sample_numbers(law)[:SHOWN]) for law in context.laws}
         everything = np.concatenate(list(values.values())) if values else np.zeros(1)
         low, high = everything.min(), everything.max()
-        edges = np.linspace(low, high, 31) if high - low > 1e-12 else np.linspace(low - 1e-3, high + 1e-3, 31)
+        edges = np.linspace(*((low, high) if high - low > 1e-12 else (low - 1e-3, high + 1e-3)), 31).tolist()
         for law, x in values.items():
             ax.hist(x, bins=edges, histtype="stepfilled", color=LAWS[law].colour, alpha=0.14, lw=0)
             ax.hist(x, bins=edges, histtype="step", color=LAWS[law].colour, lw=1.2)
@@ -50,6 +50,8 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     handles.append(Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits"))
     fig.legend(handles=handles, loc="outside upper left", ncols=4)
     text = "" if shown == order else f"The {len(shown)} least capable of {len(order)} measurements are shown. "
+    if any(len(outcome.sample_numbers(law)) > SHOWN for law in context.laws):
+        text += f"The first {SHOWN} samples are drawn. "
     law = outcome.laws[0]
     rows = table[table["law"] == law]
     if rows["cpk"].notna().any():

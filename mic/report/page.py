@@ -26,7 +26,7 @@ LISTED_FAILURES = 50
 LISTED_CONTACTS = 1000
 
 
-def write_report(folder: str | PathLike[str]) -> Path:
+def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) -> Path:
     """Write ``report.html`` and ``assembly.png`` into a run folder, finished or interrupted.
 
     The page shows what the run left behind: statistics of its samples, its fields, its study of friction. Nothing is
@@ -35,6 +35,8 @@ def write_report(folder: str | PathLike[str]) -> Path:
     Parameters
     ----------
     folder : path-like
+    outcome : Outcome, optional
+        What was read of it, should that be at hand.
 
     Returns
     -------
@@ -46,7 +48,7 @@ def write_report(folder: str | PathLike[str]) -> Path:
     FileNotFoundError
         If it is no run folder.
     """
-    outcome = read_outcome(folder)
+    outcome = outcome or read_outcome(folder)
     context = read_context(outcome)
     pictures = draw_all(outcome, context)
     viewer = viewer_data(outcome, context)

@@ -1,6 +1,6 @@
-"""Key characteristics against their limits: Cp, Cpk and the share outside, each with its confidence interval.
+"""Key characteristics against their limits: Cp and Cpk with their confidence intervals, and samples outside.
 
-Samples run along the first axis of ``x``, as in :mod:`mic.results.statistics`.
+Samples run along the first axis of ``x``, or their moments stand for them, as in :mod:`mic.results.statistics`.
 
 References
 ----------
@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtri
 
-from mic.results.statistics import LEVEL, Estimate, mean, share, sigma, six_sigma, tails
+from mic.results.statistics import LEVEL, Estimate, Moments, mean, sigma, six_sigma, tails
 
-__all__ = ["capability", "centred_capability", "share_outside"]
+__all__ = ["capability", "centred_capability", "outside"]
 
 
 def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
@@ -22,10 +22,11 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
 
     Parameters
     ----------
-    x : (n,) or (n, k) array
+    x : (n,) or (n, k) array, or Moments
     lower, upper : float or (k,) array
         Limits in the unit of `x`.
     """
+    x = Moments.of(x)
     spread, width = six_sigma(x, level), np.asarray(upper, dtype=float) - lower
     with np.errstate(divide="ignore"):
         return Estimate.of(x, width / np.asarray(spread.value), width / spread.high, width / spread.low)
@@ -38,6 +39,7 @@ def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     variance is that of the ratio to first order, ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis
     κ, plus towards the upper limit. Without spread it is infinite, of the sign that the mean's place demands.
     """
+    x = Moments.of(x)
     centre, s = mean(x, level), np.asarray(sigma(x, level).value)
     n, m = centre.used, centre.value
     above, below = np.asarray(upper, dtype=float) - m, m - np.asarray(lower, dtype=float)
@@ -52,8 +54,14 @@ def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     return Estimate.of(x, value, known - half, known + half)
 
 
-def share_outside(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Share of the samples outside [lower, upper], with the exact interval of :func:`mic.results.statistics.share`."""
+def outside(x, lower, upper) -> np.ndarray:
+    """How many samples lie outside [lower, upper]; :func:`mic.results.statistics.share` makes a share of it.
+
+    Parameters
+    ----------
+    x : (n,) or (n, k) array
+    lower, upper : float or (k,) array
+        Limits in the unit of `x`.
+    """
     x = np.asarray(x, dtype=float)
-    found = share(((x < lower) | (x > upper)).sum(axis=0), np.isfinite(x).sum(axis=0), level)
-    return Estimate.of(x, found.value, found.low, found.high)
+    return ((x < lower) | (x > upper)).sum(axis=0)

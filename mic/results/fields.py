@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +28,23 @@ from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import FIELDS
 from mic.store import Format, load_arrays, save_arrays
 
-__all__ = ["DISCARDED_ENERGY", "Factor", "PartField", "compute_fields", "low_rank", "read_fields", "write_fields"]
+__all__ = [
+    "DISCARDED_ENERGY",
+    "Centred",
+    "Condenser",
+    "Factor",
+    "PartField",
+    "compute_fields",
+    "low_rank",
+    "read_fields",
+    "write_fields",
+]
 
 STORE = "fields.npz"
 _FORMAT = Format("set of displacement fields", 1, "call `mic report` on the run folder")
 _NUMBERS = ("law", "part", "rank", "samples", "discarded", "error")
 _ARRAYS = ("mean", "six_sigma", "six_sigma_normal")
+ROOM = 32_000_000  # bytes of samples that are kept as they are, by part and law
 DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
 
 
@@ -105,37 +117,105 @@ class PartField:
         return np.linalg.norm(self.six_sigma, axis=1)
 
 
-def low_rank(force, motion, H, discarded: float = DISCARDED_ENERGY) -> Factor:
+class Condenser:
+    """Forces and motions of one part in all samples, kept as few rows however many samples there are.
+
+    Beyond some room the rows that were added are replaced by the triangle R of ``[1, F, Q] = Z R``, Z orthogonal.
+    Without its first row and column it is what is left of the samples once they are centred: ``Z`` drops out of every
+    product of two columns, and these are all that :class:`Factor` needs.
+
+    Parameters
+    ----------
+    room : int
+        Bytes.
+    """
+
+    def __init__(self, room: int = ROOM) -> None:
+        self.samples = 0
+        self._room = room
+        self._largest = 0.0
+        self._rows: list[np.ndarray] = []
+        self._condensed = False
+
+    def add(self, force: np.ndarray, motion: np.ndarray) -> None:
+        """Take in (n, F) forces and (n, 6) motions."""
+        self.samples += len(force)
+        self._largest = max(self._largest, float(np.abs(force).max(initial=0.0)))
+        self._rows.append(np.hstack([np.ones((len(force), 1)), force, motion]))
+        held, width = sum(len(rows) for rows in self._rows), self._rows[0].shape[1]
+        if held > max(2 * width, self._room // (8 * width)):
+            self._rows = [_triangle(np.concatenate(self._rows))]
+            self._condensed = True
+
+    def centred(self) -> Centred:
+        """All that was added, about its mean."""
+        rows = np.concatenate(self._rows)
+        if not self._condensed:
+            mean = rows[:, 1:].mean(axis=0)
+            return Centred(mean, rows[:, 1:] - mean, self.samples, self._largest)
+        R = _triangle(rows)
+        return Centred(R[0, 1:] / R[0, 0], R[1:, 1:], self.samples, self._largest * np.sqrt(self.samples))
+
+
+@dataclass(frozen=True)
+class Centred:
+    """Rows that have the products of the centred samples, see :class:`Condenser`.
+
+    Attributes
+    ----------
+    mean : (F + 6,) array
+        Forces, then motions.
+    rows : (r, F + 6) array
+    samples : int
+    size : float
+        Of the forces: what their rounding is measured by.
+    """
+
+    mean: np.ndarray
+    rows: np.ndarray
+    samples: int
+    size: float
+
+    @property
+    def force(self) -> np.ndarray:
+        """(r, F) array."""
+        return self.rows[:, :-6]
+
+    @property
+    def motion(self) -> np.ndarray:
+        """(r, 6) array."""
+        return self.rows[:, -6:]
+
+
+def low_rank(samples: Centred, H, discarded: float = DISCARDED_ENERGY) -> Factor:
     """Factor the forces of one part by their elastic energy.
 
     Parameters
     ----------
-    force : (n, F) array
-        Self-balanced forces on the part's functionals, one row per sample.
-    motion : (n, 6) array
+    samples : Centred
+        Self-balanced forces on the part's functionals, and its motions.
     H : (F, F) array
         Compliance of the part.
     discarded : float
         Share of the energy that may be left out; 0 keeps all that is above rounding.
     """
-    n = len(force)
-    mean_force, mean_motion = force.mean(axis=0), motion.mean(axis=0)
-    centred = force - mean_force
+    n, force = samples.samples, samples.force
     # Functionals no sample loads take no part; scaling by each one's own compliance keeps N and N mm commensurate.
-    loaded = np.flatnonzero(np.abs(centred).max(axis=0) > 1e-13 * np.abs(force).max(initial=0.0))
+    loaded = np.flatnonzero(np.abs(force).max(axis=0, initial=0.0) > 1e-13 * samples.size)
     scale = np.sqrt(np.maximum(H.diagonal()[loaded], np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(H[np.ix_(loaded, loaded)] / np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, 1e-14 * values.max(initial=0.0)))
-    U, singular, Vt = np.linalg.svd((centred[:, loaded] * scale) @ vectors * root, full_matrices=False)
+    U, singular, Vt = np.linalg.svd((force[:, loaded] * scale) @ vectors * root, full_matrices=False)
     energy = singular**2
     tail = np.append(np.cumsum(energy[::-1])[::-1], 0.0)  # energy left out at rank 0, 1, …
     total = max(tail[0], np.finfo(float).tiny)
     rank = int(np.argmax(tail <= max(discarded, 1e-28) * total)) if tail[0] > 0 else 0
     columns = np.zeros((force.shape[1], rank))
     # From the samples rather than from V_r: balanced as they are, and no division by small roots.
-    columns[loaded] = centred[:, loaded].T @ U[:, :rank]
-    both = np.hstack([U[:, :rank], motion - mean_motion])
-    return Factor(mean_force, mean_motion, columns, both.T @ both / max(n - 1, 1), float(tail[rank] / total), n)
+    columns[loaded] = force[:, loaded].T @ U[:, :rank]
+    both = np.hstack([U[:, :rank], samples.motion])
+    gram = both.T @ both / max(n - 1, 1)
+    return Factor(samples.mean[:-6], samples.mean[-6:], columns, gram, float(tail[rank] / total), n)
 
 
 def compute_fields(outcome: Outcome) -> list[PartField]:
@@ -151,12 +231,10 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
         If no finite elements are installed.
     """
     model, found = outcome.model, []
-    forces = {law: _forces(outcome, law) for law in outcome.laws}
-    forces = {law: pair for law, pair in forces.items() if pair is not None and len(pair[0])}
-    for p, part in enumerate(outcome.parts if forces else ()):
-        rows, motions = model.compliance.functionals[p], model.compliance.motions[p]
+    samples = {law: parts for law in outcome.laws if (parts := _condensed(outcome, law)) is not None}
+    for p, part in enumerate(outcome.parts if samples else ()):
         H, G = model.compliance.H[p], model.compliance.G[p]
-        factors = {law: low_rank(force[:, rows], motion[:, motions], H) for law, (force, motion) in forces.items()}
+        factors = {law: low_rank(parts[p], H) for law, parts in samples.items()}
         loads = [np.column_stack([factor.mean_force, factor.force]) for factor in factors.values()]
         solved, rigid = provider.find(part).field(part, np.hstack(loads))  # (v, 6, columns), (v, 6, 6)
         solved, rigid = solved[:, :3], rigid[:, :3]
@@ -166,7 +244,6 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
             mean = solved[:, :, start] + rigid @ factor.mean_motion
             basis = np.concatenate([solved[:, :, start + 1 : stop], rigid], axis=2)
             along = np.einsum("vi,vir->vr", part.surface.vertex_normals, basis)
-            force, motion = forces[law]
             found.append(
                 PartField(
                     law,
@@ -177,14 +254,14 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
                     factor.rank,
                     factor.samples,
                     factor.discarded,
-                    _error(force[:, rows], motion[:, motions], H, G, factor, ~part.functionals.rotation),
+                    _error(samples[law][p], H, G, factor, ~part.functionals.rotation),
                 )
             )
             start = stop
     return found
 
 
-def write_fields(folder) -> list[PartField]:
+def write_fields(folder, outcome: Outcome | None = None) -> list[PartField]:
     """Compute the fields of a run folder and write them into it, where its scene asks for them.
 
     ``fields/fields.npz`` holds them for the program. For ParaView, ``fields/<law>-<part>.vtu`` holds the columns of
@@ -197,8 +274,10 @@ def write_fields(folder) -> list[PartField]:
     ----------
     folder : path-like
         As :func:`mic.runs.run` left it.
+    outcome : Outcome, optional
+        What was read of it, should that be at hand.
     """
-    outcome = read_outcome(folder)
+    outcome = outcome or read_outcome(folder)
     folder = outcome.folder / "fields"
     basis = [
         outcome.record["identity"],
@@ -268,20 +347,26 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
     return found, header["skipped"]
 
 
-def _forces(outcome, law):
-    """Forces (n, F) and motions (n, 6P) of the valid samples, or None where the run kept none."""
-    folder, number, force, motion = RunFolder(outcome.folder), [], [], []
+def _condensed(outcome, law) -> list[Centred] | None:
+    """Forces and motions of the valid samples, by part; None where the run kept none."""
+    folder, compliance, numbers = RunFolder(outcome.folder), outcome.model.compliance, outcome.sample_numbers(law)
+    parts = [Condenser() for _ in compliance.functionals]
     for block in outcome.blocks[law]:
         arrays = folder.read_forces(block, outcome.record["identity"])
         if arrays is None:
             return None
-        number.append(block.first + np.arange(block.count))
-        force.append(arrays["force"])
-        motion.append(arrays["motion"])
-    if not number:
+        first, last = np.searchsorted(numbers, [block.first, block.first + block.count])
+        keep = numbers[first:last] - block.first
+        for part, rows, motions in zip(parts, compliance.functionals, compliance.motions):
+            part.add(arrays["force"][keep, rows], arrays["motion"][keep, motions])
+    if not len(numbers):
         return None
-    keep = np.isin(np.concatenate(number), outcome.sample_numbers(law))
-    return np.concatenate(force)[keep], np.concatenate(motion)[keep]
+    return [part.centred() for part in parts]
+
+
+def _triangle(rows) -> np.ndarray:
+    R: Any = np.linalg.qr(rows, mode="r")  # an array, which the stubs do not know
+    return R
 
 
 def _six_sigma(basis, factor):
@@ -291,10 +376,11 @@ def _six_sigma(basis, factor):
     return 6 * np.sqrt(np.maximum(variance, 0.0))
 
 
-def _error(force, motion, H, G, factor, displacements):
+def _error(samples, H, G, factor, displacements):
     """Largest difference of 6σ at the functionals, whole against truncated."""
     if factor.samples < 2:
         return float("nan")
-    exact = 6 * (force @ H + motion @ G.T)[:, displacements].std(axis=0, ddof=1)
+    centred = (samples.force @ H + samples.motion @ G.T)[:, displacements]
+    exact = 6 * np.sqrt((centred**2).sum(axis=0) / (factor.samples - 1))
     basis = np.hstack([H @ factor.force, G])[displacements]
     return float(np.abs(exact - _six_sigma(basis, factor)).max(initial=0.0))

@@ -335,26 +335,18 @@ class RunFolder:
         runs = [np.arange(block.first, block.first + block.count) for block in self.blocks(law)]
         return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
-    def read_block(self, block: Block, identity: str, samples: int | None = None) -> dict[str, pd.DataFrame]:
+    def read_block(self, block: Block, identity: str) -> dict[str, pd.DataFrame]:
         """Read a finished block by table.
-
-        Parameters
-        ----------
-        block : Block
-        identity : str
-            Of the run.
-        samples : int, optional
-            Only rows of samples below this number.
 
         Raises
         ------
         FormatError
             If a file is missing, cannot be read, or belongs to another run.
         """
-        return {table.name: self.read_dataset(block, table.name, identity, samples) for table in DATASETS}
+        return {table.name: self.read_dataset(block, table.name, identity) for table in DATASETS}
 
-    def read_dataset(self, block: Block, name: str, identity: str, samples: int | None = None) -> pd.DataFrame:
-        """Read one of the datasets of a finished block; parameters and errors as :meth:`read_block`."""
+    def read_dataset(self, block: Block, name: str, identity: str) -> pd.DataFrame:
+        """Read one of the datasets of a finished block; errors as :meth:`read_block`."""
         table = next(table for table in DATASETS if table.name == name)
         path = self._path(table, block)
         try:
@@ -363,8 +355,6 @@ class RunFolder:
             raise FormatError(f"{path}: this file of a finished block is missing; {_AGAIN}") from None
         if whose != identity:
             raise FormatError(f"{path}: this block belongs to another run; {_AGAIN}")
-        if samples is not None and block.first + block.count > samples:
-            frame = frame[frame["sample"] < samples].reset_index(drop=True)
         return frame
 
     def read_forces(self, block: Block, identity: str) -> dict[str, np.ndarray] | None:

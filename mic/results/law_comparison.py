@@ -35,15 +35,16 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     contacts = outcome.model.contacts
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.friction.any():
         return None
-    n = len(outcome.sample_numbers("coulomb"))
+    numbers = outcome.sample_numbers("coulomb")
+    n = len(numbers)
     if not n or not outcome.stages:
         return None
     stage = outcome.stages[0]
-    chosen = np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))
+    chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
     S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
     force, displacement = (
         np.stack(
-            [outcome.contact("coulomb", stage, f"{quantity}_{axis}")[chosen] for axis in ("n", "t1", "t2")], axis=2
+            [outcome.contact("coulomb", stage, f"{quantity}_{axis}", chosen) for axis in ("n", "t1", "t2")], axis=2
         ).reshape(len(chosen), -1)
         for quantity in ("f", "u")
     )

@@ -1,32 +1,38 @@
-"""The outcome of a run: its folder read back, sample by sample.
+"""The outcome of a run: its folder read back, block by block.
 
 Everything is read from the files of the run folder, so that an interrupted run, or one carried here from another
 machine, can be read too. Samples that failed, or are not there yet, enter no statistic; they are counted and named.
+
+One pass over the blocks gathers the statistics and lets the samples go, so that a million of them take no more memory
+than ten thousand. What asks for samples reads them again, those that it names and no others.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mic.compliance.part import Part
-from mic.contact.states import STATES
 from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
 from mic.results import summary
+from mic.results.digest import BlockSamples, Digest
 from mic.results.folder import Block, RunFolder
 from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.schema import DATASETS
 
 __all__ = ["Outcome", "read_outcome"]
+
+ROOM = 96_000_000  # bytes of tables that are kept at hand
 
 
 @dataclass(frozen=True)
@@ -43,30 +49,33 @@ class Outcome:
         ``run.json``: scene, samples and seed asked for, laws, identity, versions, and ``wall_time`` (s by phase) where
         known.
     model : ReducedModel
-    tables : dict of str to dict of str to DataFrame
-        By law, then by name: the datasets of :data:`mic.results.schema.DATASETS`, failed samples included.
     blocks : dict of str to list of Block
         By law, the blocks that were read.
+    digests : dict of str to Digest
+        By law, what the statistics need of them.
     damaged : tuple of str
         One sentence for each block that was left out since it could not be read.
+    kept : dict of Block to dict of str to DataFrame
+        Tables of the first blocks, by name, so that few samples need not be read twice.
     """
 
     folder: Path
     record: dict
     model: ReducedModel
-    tables: Mapping[str, Mapping[str, pd.DataFrame]]
     blocks: Mapping[str, list[Block]]
+    digests: Mapping[str, Digest]
     damaged: tuple[str, ...] = ()
+    kept: Mapping[Block, Mapping[str, pd.DataFrame]] = field(default_factory=dict, repr=False)
 
     @property
     def laws(self) -> list[str]:
         """Laws with at least one finished sample, in the order in which they were asked for."""
-        return [law for law in self.record["laws"] if len(self.tables[law]["samples"])]
+        return [law for law in self.record["laws"] if self.digests[law].found]
 
     @cached_property
     def stages(self) -> list[str]:
         """Stages that resolve contact, in their order in the process."""
-        found = {stage for law in self.laws for stage in self.tables[law]["resolutions"]["stage"].cat.categories}
+        found = {stage for law in self.laws for stage in self.digests[law].stages}
         return [name for stage in self.model.scene.stages if (name := str(stage.name)) in found]
 
     @property
@@ -82,13 +91,12 @@ class Outcome:
     @property
     def failed(self) -> dict[str, list[int]]:
         """Numbers of the failed samples, by law."""
-        tables = {law: found["samples"] for law, found in self.tables.items()}
-        return {law: [int(i) for i in table["sample"][table["failed"]]] for law, table in tables.items()}
+        return {law: digest.failed for law, digest in self.digests.items()}
 
     @property
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
-        return {law: self.record["samples"] - len(found["samples"]) for law, found in self.tables.items()}
+        return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -96,30 +104,32 @@ class Outcome:
         return RunFolder(self.folder).parts(self.model.scene)
 
     # ---------------------------------------------------------------------------------------------- samples
+    # Each takes the numbers of the valid samples that are wanted, in ascending order; by default all of them, which
+    # takes memory in proportion.
 
     def sample_numbers(self, law: str) -> np.ndarray:
         """(n,) numbers of the valid samples."""
-        return self.tables[law]["samples"]["sample"].to_numpy()[self._valid[law]]
+        return self._numbers[law]
 
-    def deviation(self, law: str, name: str) -> np.ndarray:
+    def deviation(self, law: str, name: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) drawn values of a deviation, N or mm."""
-        return self._column(law, "deviations", "value", deviation=name)[self._valid[law]]
+        return self._gathered(law, samples, lambda block: block.column("deviations", "value", deviation=name))
 
-    def residual(self, law: str, stage: str) -> np.ndarray:
+    def residual(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) certificate residuals of a stage."""
-        return self._column(law, "resolutions", "residual", stage=stage)[self._valid[law]]
+        return self._gathered(law, samples, lambda block: block.column("resolutions", "residual", stage=stage))
 
-    def slip(self, law: str, stage: str, zone: str) -> np.ndarray:
+    def slip(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) RMS slip of a zone since the stage before, mm; NaN where no tangential motion was modelled."""
         if not self.has_slip:
-            return np.full(len(self.sample_numbers(law)), np.nan)
-        return self._column(law, "slips", "rms_slip", stage=stage, zone=zone)[self._valid[law]]
+            return self._gathered(law, samples, lambda block: np.full(len(block.numbers), np.nan))
+        return self._gathered(law, samples, lambda block: block.column("slips", "rms_slip", stage=stage, zone=zone))
 
-    def measured(self, law: str, name: str) -> np.ndarray:
+    def measured(self, law: str, name: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) values of a measurement, mm from nominal."""
-        return self._column(law, "measurements", "value", measurement=name)[self._valid[law]]
+        return self._gathered(law, samples, lambda block: block.column("measurements", "value", measurement=name))
 
-    def contact(self, law: str, stage: str, column: str) -> np.ndarray:
+    def contact(self, law: str, stage: str, column: str, samples: ArrayLike | None = None) -> np.ndarray:
         """One quantity of all m contact pairs, (n, m).
 
         Parameters
@@ -128,19 +138,15 @@ class Outcome:
             ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.contact.states.STATES``), or
             the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts.
         """
-        if column in ("f_t", "u_t"):
-            return np.hypot(self.contact(law, stage, f"{column}1"), self.contact(law, stage, f"{column}2"))
-        return self._contacts(law, stage, column)[self._valid[law]]
+        width = len(self.model.contacts)
+        return self._gathered(law, samples, lambda block: block.contact(stage, column), (width,))
 
     def failures(self, law: str) -> pd.DataFrame:
         """Why samples failed: ``sample, stage, residual, status``.
 
         One row per failed sample and stage that did not converge.
         """
-        table = self.tables[law]["resolutions"]
-        table = table[table["sample"].isin(self.failed[law]) & ~table["converged"]]
-        table = table[["sample", "stage", "residual", "status"]].astype({"stage": str, "status": str})
-        return table.sort_values("sample", kind="stable", ignore_index=True)
+        return self.digests[law].failures
 
     def worst_residual(self, law: str) -> float:
         """Largest certificate residual of the valid samples over all stages.
@@ -149,38 +155,37 @@ class Outcome:
         """
         if not len(self.sample_numbers(law)):
             return float("nan")
-        return max((float(self.residual(law, stage).max()) for stage in self.stages), default=0.0)
+        return max((float(self.digests[law].moments["residual", stage].high) for stage in self.stages), default=0.0)
 
     @cached_property
-    def _valid(self) -> dict[str, np.ndarray]:
-        """By law, which of the samples that are there did not fail."""
-        return {law: ~found["samples"]["failed"].to_numpy() for law, found in self.tables.items()}
+    def _numbers(self) -> dict[str, np.ndarray]:
+        return {law: digest.numbers for law, digest in self.digests.items()}
 
-    def _column(self, law: str, table: str, column: str, **keys: str) -> np.ndarray:
-        """One column of the rows with the given keys, one value per finished sample."""
-        frame = self.tables[law][table]
-        chosen = np.ones(len(frame), dtype=bool)
-        for key, name in keys.items():
-            if name not in frame[key].cat.categories:
-                raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(frame[key].cat.categories)}")
-            chosen &= (frame[key] == name).to_numpy()
-        return frame[column].to_numpy()[chosen]
+    def _gathered(
+        self,
+        law: str,
+        samples: ArrayLike | None,
+        read: Callable[[BlockSamples], np.ndarray],
+        shape: tuple[int, ...] = (),
+    ) -> np.ndarray:
+        """What `read` makes of the blocks, for the samples wanted."""
+        wanted = None if samples is None else np.unique(samples)
+        found = []
+        for block in self.blocks[law]:
+            if wanted is None:
+                found.append(read(self._block(block)))
+            elif np.searchsorted(wanted, block.first) < np.searchsorted(wanted, block.first + block.count):
+                samples_of = self._block(block)
+                found.append(read(samples_of)[np.isin(samples_of.numbers, wanted)])
+        values = np.concatenate(found) if found else np.zeros((0, *shape))
+        if wanted is not None and len(values) != len(wanted):
+            raise KeyError(f"law {law!r}: some of the samples asked for are not among its valid ones")
+        return values
 
-    def _contacts(self, law: str, stage: str, column: str) -> np.ndarray:
-        """One quantity of the contact pairs of all finished samples, (samples, m)."""
-        key = (law, stage, column)
-        if key not in self._arrays:
-            frame = self.tables[law]["contacts"]
-            values = frame[column][(frame["stage"] == stage).to_numpy()]
-            if column == "state":
-                values = values.cat.set_categories(STATES).cat.codes
-            shape = (len(self.tables[law]["samples"]), len(self.model.contacts))
-            self._arrays[key] = values.to_numpy().reshape(shape)
-        return self._arrays[key]
-
-    @cached_property
-    def _arrays(self) -> dict[tuple[str, str, str], np.ndarray]:
-        return {}
+    def _block(self, block: Block) -> BlockSamples:
+        folder, whose = RunFolder(self.folder), self.record["identity"]
+        tables = _Tables(lambda name: folder.read_dataset(block, name, whose), self.kept.get(block, {}))
+        return BlockSamples(tables, len(self.model.contacts), self.record["samples"])
 
     # ---------------------------------------------------------------------------------------------- statistics
 
@@ -211,15 +216,46 @@ class Outcome:
     # ---------------------------------------------------------------------------------------------- old names
 
     @property
+    def tables(self) -> dict[str, dict[str, pd.DataFrame]]:
+        """Deprecated: all datasets of :data:`mic.results.schema.DATASETS` by law, failed samples included."""
+        warnings.warn("Outcome.tables is deprecated: read the datasets, or use accessors", DeprecationWarning, 2)
+        return {law: self._whole(law) for law in self.blocks}
+
+    @property
     def samples(self) -> dict[str, pd.DataFrame]:
         """Deprecated: one wide table per law, one row per sample, with keys in the names of its columns."""
-        warnings.warn("Outcome.samples is deprecated: use Outcome.tables or its accessors", DeprecationWarning, 2)
-        return {law: _wide(found) for law, found in self.tables.items()}
+        warnings.warn("Outcome.samples is deprecated: use the accessors of Outcome", DeprecationWarning, 2)
+        return {law: _wide(self._whole(law)) for law in self.blocks}
 
     def valid(self, law: str) -> pd.DataFrame:
         """Deprecated: the valid samples of a law as one wide table."""
         warnings.warn("Outcome.valid is deprecated: use Outcome.sample_numbers and its kin", DeprecationWarning, 2)
-        return _wide(self.tables[law])[self._valid[law]]
+        wide = _wide(self._whole(law))
+        return wide[wide["sample"].isin(self.sample_numbers(law))]
+
+    def _whole(self, law):
+        blocks = [self._block(block).tables for block in self.blocks[law]]
+        whole = {}
+        for table in DATASETS:
+            frames = [block[table.name] for block in blocks]
+            frame = pd.concat(frames, ignore_index=True) if frames else table.empty()
+            for column in table.columns:  # blocks in which other names occur
+                if column.dtype == "category":
+                    frame[column.name] = frame[column.name].astype("category")
+            whole[table.name] = frame
+        return whole
+
+
+class _Tables(dict[str, pd.DataFrame]):
+    """The tables of a block, each read when it is first asked for."""
+
+    def __init__(self, read: Callable[[str], pd.DataFrame], kept: Mapping[str, pd.DataFrame]) -> None:
+        super().__init__(kept)
+        self._read = read
+
+    def __missing__(self, name: str) -> pd.DataFrame:
+        self[name] = self._read(name)
+        return self[name]
 
 
 def read_outcome(folder) -> Outcome:
@@ -238,27 +274,26 @@ def read_outcome(folder) -> Outcome:
     """
     store = RunFolder(Path(folder))
     record = store.record()
-    tables: dict[str, dict[str, pd.DataFrame]] = {}
-    blocks: dict[str, list[Block]] = {}
-    damaged = []
+    model = _model(store, record)
+    blocks: dict[str, list[Block]] = {law: [] for law in record["laws"]}
+    digests = {law: Digest() for law in record["laws"]}
+    damaged, room = [], ROOM
+    kept: dict[Block, dict[str, pd.DataFrame]] = {}
     for law in record["laws"]:
-        found, blocks[law] = [], []
         for block in store.blocks(law, record["samples"]):
             try:
-                found.append(store.read_block(block, record["identity"], record["samples"]))
-                blocks[law].append(block)
+                tables = store.read_block(block, record["identity"])
             except FormatError as problem:
                 damaged.append(f"{problem}.")
-        tables[law] = {
-            table.name: pd.concat([block[table.name] for block in found], ignore_index=True) if found else table.empty()
-            for table in DATASETS
-        }
-        for table in DATASETS:  # blocks in which other names occur
-            for column in table.columns:
-                if column.dtype == "category":
-                    tables[law][table.name][column.name] = tables[law][table.name][column.name].astype("category")
-    model = _model(store, record)
-    return Outcome(store.path, record, model, tables, blocks, tuple(damaged))
+                continue
+            digests[law].add(BlockSamples(tables, len(model.contacts), record["samples"]), model)
+            blocks[law].append(block)
+            kept[block] = {}
+            for name, frame in tables.items():
+                size = int(frame.memory_usage(index=False).sum())
+                if size <= (room - ROOM // 2 if name == "contacts" else room):  # the others are small, and asked often
+                    kept[block][name], room = frame, room - size
+    return Outcome(store.path, record, model, blocks, digests, tuple(damaged), kept)
 
 
 def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:

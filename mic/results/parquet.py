@@ -14,7 +14,7 @@ from mic.store import Format, replacing
 __all__ = ["read_identity", "read_table", "write_table"]
 
 _AGAIN = "run the scene again into this folder"
-_FORMATS = {table.name: Format(f"block of {table.name}", 1, _AGAIN) for table in DATASETS}
+_FORMATS = {table.name: Format(f"block of {table.name}", table.version, _AGAIN) for table in DATASETS}
 _ARROW = {"bool": pa.bool_(), "int32": pa.int32(), "int64": pa.int64(), "float64": pa.float64()}
 _NAMES = pa.dictionary(pa.int32(), pa.string())
 
@@ -41,8 +41,9 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str) ->
     kind = _FORMATS[table.name]
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
     content = content.replace_schema_metadata(header)
+    repeating = [column.name for column in table.columns if column.dtype != "float64"]  # numbers hardly ever are
     with replacing(path) as temporary:
-        pq.write_table(content, temporary, write_page_checksum=True)
+        pq.write_table(content, temporary, write_page_checksum=True, use_dictionary=repeating)
 
 
 def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:

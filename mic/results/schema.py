@@ -84,6 +84,8 @@ class Table:
     description : str
     place : str
         The file, from the run folder.
+    version : int
+        Of its columns and what they mean; files of another version are refused in words.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Table:
     columns: tuple[Column, ...]
     description: str
     place: str
+    version: int = 1
 
     @property
     def names(self) -> list[str]:
@@ -138,8 +141,8 @@ class Table:
         )
 
 
-def _dataset(name, rows, columns, description):
-    return Table(name, rows, columns, description, f"{name}/law=LAW/FIRST-LAST.parquet")
+def _dataset(name, rows, columns, description, version=1):
+    return Table(name, rows, columns, description, f"{name}/law=LAW/FIRST-LAST.parquet", version)
 
 
 def _statistic(name, rows, columns, description):
@@ -174,10 +177,12 @@ RESOLUTIONS = _dataset(
         _STAGE,
         Column("residual", "float64", "1", "scale-free residual of the contact law, the largest of the increments"),
         Column("status", "category", "", "outcome of the last increment, or why the sample could not be computed"),
+        Column("rung", "category", "", "rung of the ladder that found the forces of the last increment"),
         Column("iterations", "int64", "", "iterations of the solver, over all increments"),
         Column("converged", "bool", "", "whether every increment met its tolerance"),
     ),
     "How contact was resolved.",
+    version=2,
 )
 SLIPS = _dataset(
     "slips",

@@ -1,8 +1,9 @@
 """Statistics of Monte Carlo samples, each with the uncertainty that a finite number of samples leaves.
 
-Samples run along the first axis of ``x``, (n,) or (n, k); values that are not finite (failed samples) are left out of
-every estimate and counted. Where an estimate does not exist it is NaN: no interval can be had from one sample, nor from
-samples without spread, which would otherwise pass for certainty.
+Every estimate takes samples or their :class:`Moments`. Samples run along the first axis of ``x``, (n,) or (n, k);
+values that are not finite (failed samples) are left out of every estimate and counted. Where an estimate does not exist
+it is NaN: no interval can be had from one sample, nor from samples without spread, which would otherwise pass for
+certainty.
 
 References
 ----------
@@ -13,11 +14,13 @@ References
 .. [4] D. W. Scott: Multivariate Density Estimation, 2nd ed., 2015, section 6.2.
 .. [5] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat.
        Data Anal. 50 (2006) 775-782.
+.. [6] P. Pébay: Formulas for robust, one-pass parallel computation of covariances and arbitrary-order statistical
+       moments, Sandia report SAND2008-6212, 2008.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.optimize import brentq
@@ -26,6 +29,7 @@ from scipy.special import betaincinv, chdtri, ndtri, stdtrit
 __all__ = [
     "LEVEL",
     "Estimate",
+    "Moments",
     "covered_share",
     "density",
     "maximum",
@@ -38,6 +42,7 @@ __all__ = [
 ]
 
 LEVEL = 0.95
+EPS = np.finfo(float).eps
 
 
 @dataclass(frozen=True)
@@ -61,15 +66,105 @@ class Estimate:
     @classmethod
     def of(cls, x, value, low, high) -> Estimate:
         """The estimate from samples `x`, of which those that are not finite were left out."""
-        finite = np.isfinite(np.asarray(x, dtype=float))
-        return cls(*(_plain(np.asarray(a)) for a in (value, low, high, finite.sum(axis=0), (~finite).sum(axis=0))))
+        found = Moments.of(x)
+        return cls(*(_plain(np.asarray(a)) for a in (value, low, high, found.n, found.excluded)))
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What every estimate rests on: number, mean, central moments and extremes of samples that need not be kept.
+
+    Attributes
+    ----------
+    n, excluded : int array
+        Finite values, and others, which are left out.
+    mean, rest : array
+        The mean, NaN without values; and what rounding left of it, so that means far from 0 are told apart.
+    m2, m3, m4 : array
+        ``Σ (x - mean)^p``, p = 2, 3, 4.
+    low, high : array
+        Smallest and largest value; ∞ and -∞ without values.
+    """
+
+    n: np.ndarray
+    excluded: np.ndarray
+    mean: np.ndarray
+    rest: np.ndarray
+    m2: np.ndarray
+    m3: np.ndarray
+    m4: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def of(cls, x) -> Moments:
+        """Those of samples along the first axis; moments pass as they are."""
+        if isinstance(x, Moments):
+            return x
+        x = np.asarray(x, dtype=float)
+        finite = np.isfinite(x)
+        n = finite.sum(axis=0)
+        if not finite.all():
+            low = np.where(finite, x, np.inf).min(axis=0, initial=np.inf)
+            high = np.where(finite, x, -np.inf).max(axis=0, initial=-np.inf)
+            x = np.where(finite, x, 0.0)
+        else:
+            low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+        mean = x.sum(axis=0) / np.maximum(n, 1)
+        off = np.where(finite, x - mean, 0.0)
+        rest = off.sum(axis=0) / np.maximum(n, 1)
+        off = np.where(finite, off - rest, 0.0)
+        square = off**2
+        m2, m3, m4 = square.sum(axis=0), (square * off).sum(axis=0), (square**2).sum(axis=0)
+        return cls(n, len(x) - n, np.where(n > 0, mean, np.nan), rest, m2, m3, m4, low, high)
+
+    def merged(self, other: Moments) -> Moments:
+        """Those of both sets of samples together [6]_."""
+        a, b = self, other
+        n = a.n + b.n
+        # As floats: n³ leaves the integers behind at two million samples.
+        p, q = np.asarray(a.n / np.maximum(n, 1)), np.asarray(b.n / np.maximum(n, 1))
+        start = np.where(a.n > 0, a.mean, np.where(b.n > 0, b.mean, 0.0))
+        d = np.where(b.n > 0, b.mean - start, 0.0) + (b.rest - a.rest)
+        weight = n * p * q  # n_a n_b / n; 0 where either has no samples
+        step = a.rest + d * q
+        mean = start + step
+        rest = (start - mean) + step
+        m2 = a.m2 + b.m2 + d**2 * weight
+        m3 = a.m3 + b.m3 + d**3 * weight * (p - q) + 3 * d * (p * b.m2 - q * a.m2)
+        m4 = (
+            a.m4
+            + b.m4
+            + d**4 * weight * (p**2 - p * q + q**2)
+            + 6 * d**2 * (p**2 * b.m2 + q**2 * a.m2)
+            + 4 * d * (p * b.m3 - q * a.m3)
+        )
+        low, high = np.minimum(a.low, b.low), np.maximum(a.high, b.high)
+        mean = np.where(n > 0, mean, np.nan)
+        return Moments(n, a.excluded + b.excluded, mean, rest, m2, m3, m4, low, high)
+
+    def at(self, place) -> Moments:
+        """Those of some of the quantities, by an index into the arrays."""
+        return Moments(*(getattr(self, field.name)[place] for field in fields(self)))
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard deviation (n - 1 in the denominator), NaN for fewer than two values.
+
+        A spread within rounding of the values counts as none.
+        """
+        known = self.n > 1
+        size = np.maximum(np.abs(self.low), np.abs(self.high))
+        none = known & (np.where(known, self.high, 0.0) - np.where(known, self.low, 0.0) <= 8 * EPS * size)
+        return np.where(none, 0.0, np.where(known, np.sqrt(self.m2 / np.maximum(self.n - 1, 1)), np.nan))
 
 
 def mean(x, level: float = LEVEL) -> Estimate:
     """Mean, with the interval of Student's t [1]_; NaN without samples."""
-    n, m, s = _moments(x)
+    found = Moments.of(x)
+    n, m, s = found.n, found.mean, found.deviation
     half = _t_quantile(n, level) * np.where(s > 0, s, np.nan) / np.sqrt(np.maximum(n, 1))
-    return Estimate.of(x, m, m - half, m + half)
+    return Estimate.of(found, m, m - half, m + half)
 
 
 def sigma(x, level: float = LEVEL) -> Estimate:
@@ -78,10 +173,11 @@ def sigma(x, level: float = LEVEL) -> Estimate:
     Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that;
     such an interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [5]_.
     """
-    n, _, s = _moments(x)
-    low, high = _sigma_factors(x, level)
+    found = Moments.of(x)
+    s = found.deviation
+    low, high = _sigma_factors(found, level)
     spread = np.where(s > 0, s, np.nan)
-    return Estimate.of(x, s, low * spread, high * spread)
+    return Estimate.of(found, s, low * spread, high * spread)
 
 
 def six_sigma(x, level: float = LEVEL) -> Estimate:
@@ -95,8 +191,9 @@ def minimum(x) -> Estimate:
 
     The population's minimum is no larger; nothing bounds it from below, see :func:`covered_share`.
     """
-    value = _extreme(x, np.minimum)
-    return Estimate.of(x, value, np.where(np.isnan(value), np.nan, -np.inf), value)
+    found = Moments.of(x)
+    value = np.where(found.n > 0, found.low, np.nan)
+    return Estimate.of(found, value, np.where(found.n > 0, -np.inf, np.nan), value)
 
 
 def maximum(x) -> Estimate:
@@ -104,8 +201,9 @@ def maximum(x) -> Estimate:
 
     The population's maximum is no smaller; nothing bounds it from above, see :func:`covered_share`.
     """
-    value = _extreme(x, np.maximum)
-    return Estimate.of(x, value, value, np.where(np.isnan(value), np.nan, np.inf))
+    found = Moments.of(x)
+    value = np.where(found.n > 0, found.high, np.nan)
+    return Estimate.of(found, value, value, np.where(found.n > 0, np.inf, np.nan))
 
 
 def covered_share(n: int, level: float = LEVEL) -> float:
@@ -156,7 +254,8 @@ def density(x, points) -> np.ndarray:
         In 1 / unit of `x`; NaN where the samples have no spread, and so no density.
     """
     x, points = np.asarray(x, dtype=float), np.asarray(points, dtype=float)
-    n, _, s = _moments(x)
+    found = Moments.of(x)
+    n, s = found.n, found.deviation
     if not s > 0:
         return np.full(points.shape, np.nan)
     width = s * n ** (-0.2)
@@ -175,31 +274,13 @@ def tails(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         0 and 1 without spread.
     heavy : (k,) bool array
     """
-    x = np.asarray(x, dtype=float)
-    n, m, s = _moments(x)
-    z = np.where(np.isfinite(x), x - m, 0.0) / np.where(s > 0, s, 1.0)
-    second = (z**2).sum(axis=0) / np.maximum(n, 1)
-    second = np.where(second > 0, second, 1.0)
-    skewness = (z**3).sum(axis=0) / np.maximum(n, 1) / second**1.5
-    kurtosis = (z**4).sum(axis=0) / np.maximum(n, 1) / second**2
-    return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / np.maximum(n, 1))
-
-
-def _moments(x):
-    """Number of finite values, their mean and standard deviation, along the first axis.
-
-    A spread within rounding of the values counts as none.
-    """
-    x = np.asarray(x, dtype=float)
-    finite = np.isfinite(x)
-    n = finite.sum(axis=0)
-    values = np.where(finite, x, 0.0)
-    m = np.where(n > 0, values.sum(axis=0) / np.maximum(n, 1), np.nan)
-    off = np.where(finite, x - np.where(np.isnan(m), 0.0, m), 0.0) if len(x) else x
-    s = np.sqrt((off**2).sum(axis=0) / np.maximum(n - 1, 1))
-    size = np.abs(values).max(axis=0, initial=0.0)
-    s = np.where(np.abs(off).max(axis=0, initial=0.0) <= 8 * np.finfo(float).eps * size, 0.0, s)
-    return n, m, np.where(n > 1, s, np.nan)
+    found = Moments.of(x)
+    n = np.maximum(found.n, 1)
+    spread = found.deviation > 0
+    second = np.where(spread, found.m2, 1.0) / n
+    skewness = np.where(spread, found.m3 / n / second**1.5, 0.0)
+    kurtosis = np.where(spread, found.m4 / n / second**2, 1.0)
+    return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / n)
 
 
 def _t_quantile(n, level):
@@ -208,7 +289,7 @@ def _t_quantile(n, level):
 
 def _sigma_factors(x, level):
     """Ends of the interval of σ, as multiples of the estimate."""
-    n, _, _ = _moments(x)
+    n = x.n
     freedom = np.maximum(n - 1, 1)
     known = np.where(n > 1, 1.0, np.nan)
     _, kurtosis, heavy = tails(x)
@@ -219,13 +300,6 @@ def _sigma_factors(x, level):
         known * np.where(heavy, np.sqrt(c) * np.exp(sign * spread / 2), np.sqrt(freedom / chdtri(freedom, tail)))
         for sign, tail in ((-1, (1 - level) / 2), (1, (1 + level) / 2))
     )
-
-
-def _extreme(x, choose):
-    x = np.asarray(x, dtype=float)
-    worst = np.inf if choose is np.minimum else -np.inf
-    value = choose.reduce(np.where(np.isfinite(x), x, worst), axis=0, initial=worst)
-    return np.where(np.isfinite(value), value, np.nan)
 
 
 def _plain(array):

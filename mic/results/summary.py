@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from mic.contact.laws import LAWS
 from mic.contact.states import STATES
 from mic.results import capability, statistics
 from mic.results.law_comparison import study_friction
 from mic.results.schema import CONTACT_STATISTICS, FRICTION, MEASUREMENT_STATISTICS, STATISTICS, ZONE_STATISTICS, Table
-from mic.results.statistics import Estimate
+from mic.results.statistics import Estimate, Moments
 from mic.store import Format, replacing, save_json
 
 if TYPE_CHECKING:
@@ -37,17 +38,20 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
     rows = []
     pairs = np.bincount(outcome.model.contacts.zone, minlength=len(outcome.zones))
     for law in outcome.laws:
+        samples = len(outcome.sample_numbers(law))
+        unknown = Moments.of(np.full((samples, len(outcome.zones)), np.nan))  # no tangential motion was modelled
         for stage in outcome.stages:
-            for zone, count in zip(outcome.model.scene.zones, pairs):
-                slip = outcome.slip(law, stage, zone.name)
+            slips = outcome.digests[law].moments.get(("slips", stage), unknown)
+            for z, (zone, count) in enumerate(zip(outcome.model.scene.zones, pairs)):
+                slip = slips.at(z)
                 rows.append(
                     {
                         "law": law,
                         "stage": stage,
                         "zone": zone.name,
                         "contacts": int(count),
-                        "friction": 0.0 if law == "frictionless" else zone.friction,
-                        "samples": len(slip),
+                        "friction": zone.friction if LAWS[law].frictional else 0.0,
+                        "samples": samples,
                     }
                     | _spread("mean_rms_slip", statistics.mean(slip))
                     | _spread("six_sigma_rms_slip", statistics.six_sigma(slip))
@@ -61,18 +65,19 @@ def contact_statistics(outcome: Outcome) -> pd.DataFrame:
     m = len(outcome.model.contacts)
     zone = np.array(outcome.zones, dtype=object)[outcome.model.contacts.zone] if m else np.zeros(0, dtype=object)
     for law in outcome.laws:
+        digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
         for stage in outcome.stages:
-            f_n, state = outcome.contact(law, stage, "f_n"), outcome.contact(law, stage, "state")
-            columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": len(f_n)}
+            f_n, u_n = (digest.moments["contacts", stage, column] for column in ("f_n", "u_n"))
+            columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": samples}
             columns |= _spread("mean_f_n", statistics.mean(f_n)) | _spread("six_sigma_f_n", statistics.six_sigma(f_n))
-            columns["mean_gap"] = statistics.mean(outcome.contact(law, stage, "u_n")).value
+            columns["mean_gap"] = statistics.mean(u_n).value
             if outcome.has_slip:
-                force, slip = outcome.contact(law, stage, "f_t"), outcome.contact(law, stage, "u_t")
+                force, slip = (digest.moments["contacts", stage, column] for column in ("f_t", "u_t"))
                 columns |= _spread("mean_slip_force", statistics.mean(force))
                 columns |= _spread("six_sigma_slip_force", statistics.six_sigma(force))
                 columns |= _spread("mean_slip", statistics.mean(slip))
-            for code, name in enumerate(STATES):
-                columns |= _spread(name, statistics.share((state == code).sum(axis=0), len(state)))
+            for name, count in zip(STATES, digest.counts["states", stage]):
+                columns |= _spread(name, statistics.share(count, samples))
             frames.append(pd.DataFrame(columns, index=np.arange(m)))
     return _frame(CONTACT_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
 
@@ -81,8 +86,9 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
     """Key characteristics against their limits, :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
     rows = []
     for law in outcome.laws:
-        for item in outcome.model.scene.measurements:
-            x = outcome.measured(law, item.name)
+        digest = outcome.digests[law]
+        for k, item in enumerate(outcome.model.scene.measurements):
+            x = digest.moments["measurements",].at(k)
             estimates = (
                 statistics.mean(x),
                 statistics.sigma(x),
@@ -91,7 +97,7 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
                 statistics.maximum(x),
                 capability.capability(x, item.lower, item.upper),
                 capability.centred_capability(x, item.lower, item.upper),
-                capability.share_outside(x, item.lower, item.upper),
+                statistics.share(digest.counts["outside",][k], x.n),
             )
             row = {
                 "law": law,

@@ -51,6 +51,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "stage": _named(np.repeat(np.arange(len(stages)), n), stages),
             "residual": _joined([r.residual for r in resolutions], float),
             "status": pd.Categorical(status),
+            "rung": pd.Categorical(np.array([name for r in resolutions for name in r.rung], dtype=object)),
             "iterations": _joined([r.iterations for r in resolutions], np.int64),
             "converged": _joined([r.converged for r in resolutions], bool),
         },

@@ -15,14 +15,35 @@ from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
 from mic.sampling.ranks import communicator, on_first, wait
 
-__all__ = ["BLOCK", "blocks", "monte_carlo"]
+__all__ = ["BLOCK", "ROOM", "SIZES", "blocks", "monte_carlo"]
 
-BLOCK = 50
+BLOCK = 50  # samples in each of the first blocks
+SIZES = (BLOCK, 100, 250, 500, 1000, 2500, 5000)
+SHARE = 20  # a block is at most this part of what stands before it: little is lost, and processes finish together
+ROOM = 200_000  # samples × contact pairs that a block may hold: some hundred megabytes while it is evaluated or read
 
 
-def blocks(laws: Sequence[str], samples: int) -> list[tuple[str, int, int]]:
-    """(law, first, count) of every block, in the order in which they are evaluated."""
-    return [(law, first, min(BLOCK, samples - first)) for law in laws for first in range(0, samples, BLOCK)]
+def blocks(laws: Sequence[str], samples: int, pairs: int) -> list[tuple[str, int, int]]:
+    """(law, first, count) of every block, in the order in which they are evaluated.
+
+    Blocks grow with their place, from :data:`BLOCK` samples to thousands: short runs are shown and saved often, long
+    ones leave few files. Where a block begins does not depend on the number of samples, so that a run with more of
+    them uses what a shorter one left.
+
+    Parameters
+    ----------
+    laws : sequence of str
+    samples : int
+    pairs : int
+        Contact pairs of the model.
+    """
+    found, first = [], 0
+    while first < samples:
+        most = min(first // SHARE, ROOM // max(pairs, 1))
+        size = max((size for size in SIZES if size <= most), default=BLOCK)
+        found.append((first, min(size, samples - first)))
+        first += size
+    return [(law, *block) for law in laws for block in found]
 
 
 def monte_carlo(
@@ -57,7 +78,7 @@ def monte_carlo(
     """
     world = communicator()
     rank, size = (world.rank, world.size) if world else (0, 1)
-    every = blocks(laws, samples)
+    every = blocks(laws, samples, len(model.contacts))
     missing = on_first(world, lambda: [block for block in every if done is None or not done(*block)])
     left = set(missing)
     reused = dict.fromkeys(laws, 0)

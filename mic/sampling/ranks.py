@@ -63,9 +63,10 @@ def communicator() -> Any:
     if MPI.COMM_WORLD.size == 1:
         if count is None:
             return None
+        library = " ".join(MPI.Get_library_version().replace(",", " ").split()[:3])
         raise LaunchError(
             f"{launcher} started {count} processes, and each sees itself alone: the launcher is not that of the MPI "
-            f"that mpi4py uses ({MPI.Get_library_version().split(',')[0].strip()}); use its own mpirun, or start one "
+            f"that mpi4py uses ({library}); use its own mpirun, or start one "
             "process"
         )
     provider.installed()  # their libraries start up collectively: later, a process alone would wait for ever

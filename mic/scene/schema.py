@@ -342,8 +342,10 @@ class Scene(_Table):
     setting: Literal["draft", "standard", "reference"] | None = Field(
         None, description="fills in what the scene leaves open, and only that"
     )
-    element: Literal["dkt-opt", "p2-cr"] = Field(
-        "dkt-opt", description="`dkt-opt`, the production shell, or `p2-cr`, the independent check"
+    element: Name = Field(
+        "dkt-opt",
+        description="shell element, of those that the installed provider of compliance knows: `dkt-opt`, the "
+        "production shell, `p2-cr`, the independent check, …",
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []

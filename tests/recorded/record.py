@@ -1,6 +1,7 @@
 """The outcome of the shipped scenes, as ``test_recorded`` compares it and as it is recorded.
 
-``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder. README.md says when that is allowed.
+``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder; with ``--add`` only what is not recorded
+yet, a new law or scene. README.md says when that is allowed.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 import mic
+from mic.contact import laws
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
-LAWS = ("coulomb", "associated", "frictionless")
+LAWS = tuple(laws.LAWS)
 INCREMENTS = (1, 3)
 SAMPLES = 5
 PAIRS = ("gap", "area", "point", "frame")
@@ -65,16 +67,20 @@ def platform() -> str:
     return f"dolfinx {elements}; numpy {np.__version__}; " + ", ".join(libraries)
 
 
-def main() -> None:
+def main(add: bool) -> None:
     for name in SCENES:
+        file = FOLDER / f"{name}.npz"
         arrays = {"platform": np.array(platform()), "deviations": drawn(name)}
         with TemporaryDirectory() as cache:
             model = reduced(name, Path(cache))
         for increments in INCREMENTS:
             arrays |= outcome(model, increments, arrays["deviations"])
-        np.savez_compressed(FOLDER / f"{name}.npz", **arrays)
+        if add and file.is_file():
+            with np.load(file) as recorded:
+                arrays |= dict(recorded)
+        np.savez_compressed(file, **arrays)
         print(f"recorded {len(arrays)} arrays of {name}", file=sys.stderr)
 
 
 if __name__ == "__main__":
-    main()
+    main("--add" in sys.argv[1:])

@@ -55,6 +55,11 @@ class Shipped:
     def __init__(self):
         self.files = [load_arrays(DATA / f"{scene}.npz", SHIPPED) for scene in SCENES]
 
+    @property
+    def elements(self) -> set[str]:
+        """Elements of the shipped parts."""
+        return {body["sheet"][-1] for header, _ in self.files for body in header.values() if "sheet" in body}
+
     def accepts(self, part) -> bool:
         """Whether the part is a shipped one, and its functionals are among those that were shipped."""
         return self._rows(part) is not None

@@ -1,4 +1,4 @@
-"""Formats in which further programs exchange meshes: Ansys, Salome, Medit, SU2, XDMF. Salome needs the package h5py."""
+"""Formats in which further programs exchange meshes: Ansys, Salome, Medit, SU2, XDMF. Salome and XDMF need h5py."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ def read_su2(path: Path) -> RawMesh:
 
 
 def read_xdmf(path: Path) -> RawMesh:
-    """XDMF; with HDF5 beside it, needs h5py."""
+    """XDMF; needs h5py, even where no HDF5 stands beside it."""
     return from_meshlane(meshlane.xdmf.read(path))

@@ -34,9 +34,9 @@ class Source:
         """Add the rows that the source needs to :class:`mic.model.rows.Rows`."""
 
     def load(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> csr_matrix | None:
-        """Force (1, F) that shapes a part per unit amplitude, N, or None.
+        """Force (1, F) that shapes one part, or several, per unit amplitude, N and N mm, or None.
 
-        The part is held on its datum locators while the force acts; the deformed shape is then its stress-free shape.
+        Each part is held on its datum locators while the force acts; the deformed shape is then its stress-free shape.
         """
         return None
 

@@ -362,7 +362,7 @@ def _page(summary, per_sample, table, truth) -> str:
         loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["number"] = number
-    return environment.get_template("scene.html").render(
+    return environment.get_template("own_scene.html").render(
         summary=summary,
         image=image,
         level=statistics.LEVEL,

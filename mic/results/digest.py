@@ -1,0 +1,176 @@
+"""What the statistics need of the samples of one law, gathered block by block, so that no block need be kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from mic.contact.states import STATES
+from mic.results.capability import outside
+from mic.results.statistics import Moments
+
+__all__ = ["BlockSamples", "Digest"]
+
+
+@dataclass(frozen=True)
+class BlockSamples:
+    """The valid samples of one block: those that did not fail, and are among the samples asked for.
+
+    Attributes
+    ----------
+    tables : dict of str to DataFrame
+        By name, the datasets of :data:`mic.results.schema.DATASETS`.
+    contacts : int
+        Number of contact pairs, m.
+    samples : int
+        How many samples were asked for: later ones, of a longer run before, do not count.
+    """
+
+    tables: Mapping[str, pd.DataFrame]
+    contacts: int
+    samples: int
+
+    @property
+    def found(self) -> int:
+        """Samples that are there, failed ones included."""
+        return int(self._wanted.sum())
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(n,) numbers of the valid samples."""
+        return self.tables["samples"]["sample"].to_numpy()[self.valid]
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Numbers of the failed samples."""
+        return self.tables["samples"]["sample"].to_numpy()[self._wanted & ~self.valid]
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Which of the block's samples are valid."""
+        return self._wanted & ~self.tables["samples"]["failed"].to_numpy()
+
+    @property
+    def _wanted(self) -> np.ndarray:
+        return self.tables["samples"]["sample"].to_numpy() < self.samples
+
+    @property
+    def stages(self) -> list[str]:
+        """Stages that resolve contact."""
+        return list(self.tables["resolutions"]["stage"].cat.categories)
+
+    def column(self, table: str, column: str, **keys: str) -> np.ndarray:
+        """(n,) one column of the rows with the given keys.
+
+        Raises
+        ------
+        KeyError
+            If no row has one of the keys.
+        """
+        frame = self.tables[table]
+        chosen = np.ones(len(frame), dtype=bool)
+        for key, name in keys.items():
+            if name not in frame[key].cat.categories:
+                raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(frame[key].cat.categories)}")
+            chosen &= (frame[key] == name).to_numpy()
+        return frame[column].to_numpy()[chosen][self.valid]
+
+    def contact(self, stage: str, column: str) -> np.ndarray:
+        """(n, m) one quantity of all contact pairs, see :meth:`mic.results.outcome.Outcome.contact`."""
+        if column in ("f_t", "u_t"):
+            return np.hypot(self.contact(stage, f"{column}1"), self.contact(stage, f"{column}2"))
+        frame = self.tables["contacts"]
+        values = frame[column][(frame["stage"] == stage).to_numpy()]
+        if column == "state":
+            values = values.cat.set_categories(STATES).cat.codes
+        return values.to_numpy().reshape(len(self.valid), self.contacts)[self.valid]
+
+    def failures(self) -> pd.DataFrame:
+        """See :meth:`mic.results.outcome.Outcome.failures`."""
+        table = self.tables["resolutions"]
+        table = table[table["sample"].isin(self.failed) & ~table["converged"]]
+        return table[["sample", "stage", "residual", "status"]].astype({"stage": str, "status": str})
+
+
+@dataclass
+class Digest:
+    """Statistics in the making of the samples of one law, over the blocks that were added.
+
+    Attributes
+    ----------
+    found : int
+        Samples that are there, failed ones included.
+    stages : set of str
+        Stages that resolve contact.
+    moments : dict of tuple to Moments
+        Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("slips", stage)``, one per zone;
+        ``("contacts", stage, column)``, (m,) with the columns of :meth:`BlockSamples.contact`;
+        ``("residual", stage)``, scalar.
+    counts : dict of tuple to int array
+        Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("states", stage)``, (3, m) by state.
+    """
+
+    found: int = 0
+    stages: set[str] = field(default_factory=set)
+    moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
+    counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
+    _numbers: list[np.ndarray] = field(default_factory=list)
+    _failed: list[np.ndarray] = field(default_factory=list)
+    _failures: list[pd.DataFrame] = field(default_factory=list)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(n,) numbers of the valid samples."""
+        return np.concatenate(self._numbers) if self._numbers else np.zeros(0, dtype=np.int32)
+
+    @property
+    def failed(self) -> list[int]:
+        """Numbers of the failed samples."""
+        return [int(number) for block in self._failed for number in block]
+
+    @property
+    def failures(self) -> pd.DataFrame:
+        """See :meth:`mic.results.outcome.Outcome.failures`."""
+        table = pd.concat(self._failures, ignore_index=True)
+        return table.sort_values("sample", kind="stable", ignore_index=True)
+
+    def add(self, block: BlockSamples, model) -> None:
+        """Take a block in; the blocks of a law come in ascending order.
+
+        Parameters
+        ----------
+        block : BlockSamples
+        model : mic.model.reduction.Reduction
+        """
+        self.found += block.found
+        self.stages |= set(block.stages)
+        self._numbers.append(block.numbers)
+        self._failed.append(block.failed)
+        if len(block.failed) or not self._failures:
+            self._failures.append(block.failures())
+        items = model.scene.measurements
+        if items:
+            x = np.column_stack([block.column("measurements", "value", measurement=item.name) for item in items])
+            self._join(("measurements",), x)
+            limits = np.array([(item.lower, item.upper) for item in items])
+            self._count(("outside",), outside(x, *limits.T))
+        slip = len(model.contacts) > 0 and model.contacts.dimension == 3
+        for stage in block.stages:
+            self._join(("residual", stage), block.column("resolutions", "residual", stage=stage))
+            if slip:
+                zones = [block.column("slips", "rms_slip", stage=stage, zone=zone.name) for zone in model.scene.zones]
+                self._join(("slips", stage), np.column_stack(zones))
+            for column in ("f_n", "u_n", "f_t", "u_t") if slip else ("f_n", "u_n"):
+                self._join(("contacts", stage, column), block.contact(stage, column))
+            state = block.contact(stage, "state")
+            self._count(("states", stage), np.stack([(state == code).sum(axis=0) for code in range(len(STATES))]))
+
+    def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:
+        moments = Moments.of(x)
+        self.moments[key] = self.moments[key].merged(moments) if key in self.moments else moments
+
+    def _count(self, key: tuple[str, ...], count: np.ndarray) -> None:
+        self.counts[key] = self.counts[key] + count if key in self.counts else count

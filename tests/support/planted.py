@@ -1,0 +1,50 @@
+"""``mic`` with an error planted in one process: ``python -m support.planted RANK WHAT ARGUMENTS-OF-MIC …``."""
+
+import os
+import signal
+import sys
+
+from mic import cli
+from mic.errors import RunError
+from mic.process.process import Process
+from mic.results.folder import RunFolder
+
+evaluate = Process.evaluate
+
+
+def second_block(action):
+    """Do something instead of the second block that a process evaluates."""
+    calls = []
+
+    def broken(self, *arguments):
+        calls.append(0)
+        if len(calls) == 2:
+            action()
+        return evaluate(self, *arguments)
+
+    Process.evaluate = broken
+
+
+def fail(error):
+    raise error
+
+
+def refuse(*arguments):
+    raise RunError("planted sentence")
+
+
+PLANTS = {
+    "bug": lambda: second_block(lambda: fail(RuntimeError("planted bug"))),
+    "sentence": lambda: second_block(lambda: fail(RunError("planted sentence"))),
+    "interrupt": lambda: second_block(lambda: os.kill(os.getpid(), signal.SIGINT)),
+    "death": lambda: second_block(lambda: os.kill(os.getpid(), signal.SIGKILL)),
+    "folder": lambda: setattr(RunFolder, "write_record", refuse),
+    "cache": lambda: os.environ.update(MIC_CACHE=os.environ["MIC_CACHE"] + "-of-another-machine"),
+}
+
+if __name__ == "__main__":
+    rank, what = sys.argv[1], sys.argv[2]
+    sys.argv[:] = ["mic", *sys.argv[3:]]
+    if rank == os.environ.get("OMPI_COMM_WORLD_RANK", "0"):
+        PLANTS[what]()
+    cli.main()
