@@ -111,8 +111,15 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def set_aside(path: Path, mark: str = DAMAGED) -> Path | None:
+def set_aside(path: Path, mark: str = DAMAGED, prefix: str = "") -> Path | None:
     """Give a file a name of its own, `mark` and where that is taken a number behind it; nothing is ever overwritten.
+
+    Parameters
+    ----------
+    path : Path
+    mark : str
+    prefix : str
+        Stands before the name: readers of a whole dataset pass over files whose names begin with ``_``.
 
     Returns
     -------
@@ -121,10 +128,10 @@ def set_aside(path: Path, mark: str = DAMAGED) -> Path | None:
     """
     if not path.is_file():
         return None
-    number, aside = 1, path.with_name(path.name + mark)
+    number, aside = 1, path.with_name(f"{prefix}{path.name}{mark}")
     while os.path.lexists(aside):
         number += 1
-        aside = path.with_name(f"{path.name}{mark}-{number}")
+        aside = path.with_name(f"{prefix}{path.name}{mark}-{number}")
     try:
         path.rename(aside)
     except OSError as problem:

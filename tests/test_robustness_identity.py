@@ -172,7 +172,9 @@ def test_more_samples_extend_a_run_to_what_they_would_have_been(lap_model, tmp_p
     assert sample_into(tmp_path / "run", lap_model, ["coulomb"], 120, 4) == {"coulomb": 50}
     sample_into(tmp_path / "whole", lap_model, ["coulomb"], 120, 4)
     found, whole = read_outcome(tmp_path / "run"), read_outcome(tmp_path / "whole")
-    assert found.sample_numbers("coulomb").tolist() == list(range(120))  # the last block of sixty lies in another now
+    assert found.sample_numbers("coulomb").tolist() == list(range(120))
+    stored = pd.read_parquet(tmp_path / "run" / "samples")["sample"]
+    assert stored.tolist() == list(range(120))  # the last block of sixty lies in another, and is no more
     np.testing.assert_array_equal(found.measured("coulomb", "M1"), whole.measured("coulomb", "M1"))
     np.testing.assert_array_equal(found.contact("coulomb", "clamp", "f_n"), whole.contact("coulomb", "clamp", "f_n"))
 

@@ -91,6 +91,10 @@ class Block:
         """Stem of the block's files."""
         return f"{self.first:06d}-{self.first + self.count - 1:06d}"
 
+    def contains(self, other: Block) -> bool:
+        """Whether all samples of another block of the same law are among this one's."""
+        return self.first <= other.first and other.first + other.count <= self.first + self.count
+
 
 @dataclass(frozen=True)
 class RunFolder:
@@ -306,11 +310,14 @@ class RunFolder:
             save_arrays(self._path(FORCES, block), _FORCES, {"identity": identity}, forces)
         for table in DATASETS:  # the samples last: they mark the block done
             write_table(self._path(table, block), table, tables[table.name], identity)
+        for other in self._found(block.law):  # the last block of a shorter run: its samples stand in this one now
+            if other != block and block.contains(other) and self._identity(other) == identity:
+                self._remove(other)
 
     def blocks(self, law: str, samples: int | None = None) -> list[Block]:
         """The finished blocks of a law, in ascending order, each sample in one of them only.
 
-        Blocks of earlier calls may overlap, for the last block of a run ends where its samples do; the larger counts.
+        Where blocks overlap, since a longer run was stopped right after it wrote one, the larger counts.
 
         Parameters
         ----------
@@ -318,10 +325,9 @@ class RunFolder:
         samples : int, optional
             Only blocks with samples below this number.
         """
-        found = (_parsed(law, name) for other, name in self._files(SAMPLES) if other == law)
         chosen: list[Block] = []
         taken: set[int] = set()
-        for block in sorted(found, key=lambda block: (-block.count, block.first)):
+        for block in sorted(self._found(law), key=lambda block: (-block.count, block.first)):
             if samples is not None and block.first >= samples:
                 continue
             numbers = range(block.first, block.first + block.count)
@@ -441,6 +447,10 @@ class RunFolder:
             if _BLOCK_NAME.fullmatch(path.stem)
         ]
 
+    def _found(self, law: str) -> list[Block]:
+        """All finished blocks of a law, also where they overlap."""
+        return [_parsed(law, name) for other, name in self._files(SAMPLES) if other == law]
+
     def _identity(self, block: Block) -> str | None:
         """Identity of the run that a block belongs to; None where it is not finished or cannot be read."""
         try:
@@ -455,7 +465,7 @@ class RunFolder:
 
     def _set_block_aside(self, block: Block, mark: str = DAMAGED) -> None:
         for table in (*reversed(DATASETS), FORCES):
-            set_aside(self._path(table, block), mark)
+            set_aside(self._path(table, block), mark, prefix="_")
 
 
 _PATCH = ("triangle", "barycentric", "weight")
