@@ -369,7 +369,7 @@ def reference() -> str:
         "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
         "Parquet, partitioned by law: `pandas.read_parquet(folder / 'slips')` reads all laws at once and adds the "
         "column `law`. Units stand in the metadata of each Parquet column too. A file whose name ends in `.damaged` "
-        "could not be read; it was set aside and computed anew. `.other-run` marks a block of another run that was found "
+        "could not be read; it was set aside and computed anew. `.other-run` marks a block of another run that stood "
         "here. `.lock` names the process that writes here now. [What is promised](promises.md) says what a "
         "second call, or another scene, does to a folder.",
     ]
