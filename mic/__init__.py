@@ -8,20 +8,17 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platformdirs import user_cache_path
-
-from mic.compliance.cache import influence_coefficients
-from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError
-from mic.model.assembly import assemble
-from mic.process.model import ReducedModel
-from mic.scene import Scene, load_scene
+from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError, StorageError
 
 if TYPE_CHECKING:
+    from mic.process.model import ReducedModel
     from mic.runs import read_run, run
+    from mic.scene import Scene, load_scene
 
 __all__ = [
     "FormatError",
@@ -31,6 +28,7 @@ __all__ = [
     "RunError",
     "Scene",
     "SceneError",
+    "StorageError",
     "cache_folder",
     "load_scene",
     "read_run",
@@ -42,8 +40,21 @@ __version__ = "0.2.0"
 
 
 def cache_folder() -> Path:
-    """Where meshes and influence coefficients are kept: ``$MIC_CACHE``, or the user's cache folder."""
-    return Path(os.environ["MIC_CACHE"]) if "MIC_CACHE" in os.environ else user_cache_path("mic")
+    """Where meshes and influence coefficients are kept: ``$MIC_CACHE``, or the user's cache folder.
+
+    Raises
+    ------
+    StorageError
+        If the user has no home.
+    """
+    if os.environ.get("MIC_CACHE"):
+        return Path(os.environ["MIC_CACHE"])
+    from platformdirs import user_cache_path  # as all libraries, only where it is used: see __getattr__
+
+    found = user_cache_path("mic")
+    if not found.is_absolute():  # "~" as it stands
+        raise StorageError("there is no home folder to keep meshes in; let MIC_CACHE name a folder that can be written")
+    return found
 
 
 def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
@@ -62,15 +73,36 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     MissingProvider
         If influence coefficients must be computed and nothing that can is installed.
     """
+    from mic.compliance.cache import influence_coefficients
+    from mic.model.assembly import assemble
+    from mic.process.model import ReducedModel
+
     cache = cache or cache_folder()
     assembly = assemble(scene, cache)
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
 
 
-def __getattr__(name: str) -> Any:
-    """``mic.run`` and ``mic.read_run``: tables and statistics are slow to import, and evaluating a model needs none."""
-    if name in ("read_run", "run"):
-        from mic import runs
+_HOMES = {
+    "ReducedModel": "mic.process.model",
+    "Scene": "mic.scene",
+    "load_scene": "mic.scene",
+    "read_run": "mic.runs",
+    "run": "mic.runs",
+}
 
-        return getattr(runs, name)
+
+def __getattr__(name: str) -> Any:
+    """Public names and rooms (``mic.contact``), imported when they are first asked for.
+
+    Numerics and tables take a second to import. A program that is stopped meanwhile must be able to say so, and one
+    that evaluates a model needs no tables.
+    """
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    if not name.startswith("_"):
+        try:
+            return importlib.import_module(f"mic.{name}")
+        except ModuleNotFoundError as error:
+            if error.name != f"mic.{name}":
+                raise
     raise AttributeError(f"module 'mic' has no attribute {name!r}")

@@ -1,329 +1,63 @@
-"""Command line: ``mic run``, ``mic check``, ``mic report``, ``mic init``."""
+"""Entry point of ``mic``: how a command ends. What the commands are, :mod:`mic.commands` says.
+
+Nothing slow is imported here before the signals have their answer: whoever stops the program while it starts up is told
+so in one line too.
+"""
 
 from __future__ import annotations
 
 import logging
+import os
+import signal
+import sys
 import traceback
-from contextlib import contextmanager
-from enum import Enum
-from functools import wraps
-from pathlib import Path
-from typing import Annotated, get_args
+from typing import NoReturn
 
-import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
-
-from mic import cache_folder, examples
-from mic.compliance.cache import is_cached
-from mic.compliance.provider import check_element
-from mic.contact.laws import LAWS
-from mic.errors import MicError
-from mic.runs import Listener, conclude
-from mic.runs import run as run_scene
-from mic.sampling.ranks import communicator, leave, on_first, others_silent
-from mic.scene import load_scene
-from mic.scene.schema import MonteCarlo
+from mic.errors import MicError, Stopped
 
 __all__ = ["main"]
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
-    help="""
-Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
 
-A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
-measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
-report.
+def main() -> NoReturn:
+    """One clear line for what a user can mend, a traceback for what only we can."""
+    _on_signals(_leave_at_once)
+    from mic import commands  # slow to import, and stopped as any other moment is
+    from mic.sampling.ranks import communicator, leave, others_silent
 
-Start with:  mic init --example lap_joint  and then  mic check lap_joint  and  mic run lap_joint --samples 50
-""",
-)
-
-
-#: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
-Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
-Backend = Enum(  # type: ignore[misc]
-    "Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str
-)
-
-SceneArgument = Annotated[
-    Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
-]
-LawOption = Annotated[
-    list[Law] | None,
-    typer.Option(
-        "--law",
-        help="Contact law; repeat for several. "
-        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
-        + " Default: the scene's.",
-        show_default=False,
-    ),
-]
-
-
-def _on_first(command):
-    """A command that takes one process; under ``mpirun`` the others leave it to the first."""
-
-    @wraps(command)
-    def alone(*args, **options):
-        world = communicator()
-        if world is None or world.rank == 0:
-            command(*args, **options)
-
-    return alone
-
-
-def _requested(scene, laws, samples=None, seed=None, backend=None):
-    """The scene with what the command line asks for instead."""
-    changes = {}
-    if laws:
-        changes["report"] = scene.report.model_copy(update={"laws": list(dict.fromkeys(law.value for law in laws))})
-    updates = {
-        key: value for key, value in (("samples", samples), ("seed", seed), ("backend", backend)) if value is not None
-    }
-    if updates:
-        changes["monte_carlo"] = scene.monte_carlo.model_copy(update=updates)
-    return scene.model_copy(update=changes)
-
-
-@app.command()
-def run(
-    scene: SceneArgument,
-    samples: Annotated[
-        int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the deviations. Default: the scene's.", show_default=False)
-    ] = None,
-    law: LawOption = None,
-    backend: Annotated[
-        Backend | None,
-        typer.Option(
-            help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
-            "hundred times slower. Default: the scene's.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
-    ] = None,
-):
-    """Run the Monte Carlo of a scene and write tables, fields and a report.
-
-    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished blocks of
-    samples are kept: call again to complete an interrupted run. Under `mpirun -n N` the samples are shared out over N
-    processes.
-    """
-    world = communicator()
-    console = Console(quiet=world is not None and world.rank > 0)
-    asked = on_first(world, lambda: _requested(load_scene(scene), law, samples, seed, backend and backend.value))
-    folder = out or Path("results") / asked.name
-    try:
-        outcome = run_scene(asked, folder, cache_folder(), _Listener(console))
-        if outcome is not None:
-            _report(console, outcome)
-    except KeyboardInterrupt:
-        console.print(f"Interrupted. What is finished stands in {folder}; run the same command again to complete it.")
-        raise typer.Exit(130) from None
-
-
-@app.command()
-@_on_first
-def report(
-    folder: Annotated[
-        Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
-    ],
-):
-    """Write the statistics, fields and report of a results folder again."""
-    console = Console()
-    _report(console, conclude(folder, listener=_Listener(console)))
-
-
-def _report(console, outcome):
-    """The page, and on the console the least that a user wants to know."""
-    from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
-
-    page = write_report(outcome.folder, outcome)
-    _print_zones(console, outcome)
-    console.print(f"report: [bold]{page}[/]   tables: {outcome.folder / 'summary.json'}")
-
-
-class _Listener(Listener):
-    """Shows a run on the console."""
-
-    def __init__(self, console):
-        self.console = console
-
-    def say(self, sentence):
-        self.console.print(sentence, markup=False, highlight=False, soft_wrap=True)
-
-    @contextmanager
-    def sampling(self, laws, samples):
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-        with Progress(*columns, TimeRemainingColumn(), console=self.console, disable=self.console.quiet) as progress:
-            bars = {law: progress.add_task(f"{law} samples", total=samples) for law in laws}
-            yield lambda law, count: progress.advance(bars[law], count)
-
-
-def _print_zones(console, outcome):
-    """The paper's Table 1, and how many samples failed."""
-    from mic.report.style import number
-
-    summary = outcome.summary()
-    zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))
-    if zones:
-        table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
-        for zone in zones:
-            found = [law["zones"][zone] for law in summary["laws"].values()]
-            figures = [(number(z["mean_rms_slip"], 4), number(z["six_sigma_rms_slip"], 4)) for z in found]
-            table.add_row(zone, *(f"{mean} / {spread}" for mean, spread in figures))
-        console.print(table)
-    for name, law in summary["laws"].items():
-        console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
-
-
-@app.command()
-@_on_first
-def check(scene: SceneArgument, law: LawOption = None):
-    """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
-    from mic.model.assembly import assemble
-    from mic.process.plan import plan_stages
-
-    console = Console()
-    asked = _requested(load_scene(scene), law)
-    assembly = assemble(asked, cache_folder())
-    console.print(f"[bold]{asked.name}[/] {asked.description}")
-    _print_parts(console, assembly)
-    _print_contacts(console, assembly)
-    plans = plan_stages(asked, assembly.weld_size)
-    table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
-    for plan in plans:
-        resolves = plan.resolves and len(assembly.contacts) > 0
-        table.add_row(
-            plan.name,
-            plan.kind,
-            str(len(plan.bilateral)),
-            str(len(plan.loads)),
-            str(len(plan.closing)),
-            (f"yes, {plan.increments} increments" if plan.increments > 1 else "yes") if resolves else "no",
-        )
-    console.print(table)
-    _print_cost(console, assembly, plans)
-    console.print("[green]The scene is valid.[/]")
-
-
-def _print_parts(console, assembly):
-    table = Table(
-        "part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients", title="Parts"
-    )
-    for part in assembly.parts:
-        table.add_row(
-            part.name,
-            str(len(part.surface.points)),
-            str(len(part.surface.triangles)),
-            f"{part.thickness:g}",
-            f"{part.young:g}",
-            f"{part.poisson:g}",
-            str(len(part.functionals)),
-            _coefficients(part),
-        )
-    console.print(table)
-
-
-def _coefficients(part):
-    """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
-    if is_cached(part, cache_folder()):
-        return "cached"
-    check_element(part.element)
-    return "to be computed"
-
-
-def _print_contacts(console, assembly):
-    scene, contacts = assembly.scene, assembly.contacts
-    if not len(contacts):
-        console.print("No contact zones: nothing to resolve.")
-        return
-    table = Table("zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", title="Contact zones")
-    for i, zone in enumerate(scene.zones):
-        own = contacts.zone == i
-        table.add_row(
-            zone.name,
-            " – ".join(zone.parts),
-            str(own.sum()),
-            f"{zone.friction:g}",
-            f"{contacts.area[own].sum():.0f}",
-            f"{contacts.gap[own].min():.3f} … {contacts.gap[own].max():.3f}",
-        )
-    console.print(table)
-    if contacts.dimension == 1:
-        console.print(
-            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "
-            f"{3 * len(contacts)}."
-        )
-
-
-def _print_cost(console, assembly, plans):
-    scene, contacts = assembly.scene, assembly.contacts
-    solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
-    sizes = [len(part.functionals) for part in assembly.parts]
-    nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
-    samples, laws = scene.monte_carlo.samples, scene.report.laws
-    console.print(f"• one factorisation per part not cached: {nodes}")
-    console.print(
-        f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
-        "coefficients"
-    )
-    if solved:
-        console.print(
-            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {solved} contact resolutions "
-            f"= {samples * len(laws) * solved} contact solves of {contacts.dimension * len(contacts)} unknowns"
-        )
-    else:
-        console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
-    fields = "mean and 6σ fields: a few further solves per part and law"
-    console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
-
-
-@app.command()
-@_on_first
-def init(
-    example: Annotated[str, typer.Option(help=f"One of {', '.join(examples.names())}.", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
-):
-    """Copy an example scene into a new folder, to start from."""
-    folder = examples.copy(example, out)
-    print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
-
-
-def main():
-    """Entry point: one clear line for what a user can mend, a traceback for what only we can."""
     logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
     world, status, words = None, 0, ""
     try:
+        _on_signals(_stop)
         world = communicator()
         with others_silent(world):
-            app()
+            commands.app()
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except MicError as error:
-        status, words = 2, _sentence(error)
+        status, words = 2, commands.sentence(error)
+    except Stopped as stop:
+        status, words = stop.status, commands.sentence("interrupted, and nothing was lost; call again")
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        status = 2
+        words = commands.sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays, call again")
     except Exception:
         status, words = 1, traceback.format_exc()
     leave(world, status, words)
 
 
-def _sentence(error):
-    """An error as the console shows it."""
-    console = Console(stderr=True)
-    with console.capture() as capture:
-        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
-    return capture.get()
+def _on_signals(answer) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, answer)
+
+
+def _leave_at_once(number, frame):
+    print("interrupted before anything was begun; call again", file=sys.stderr, flush=True)
+    os._exit(128 + number)
+
+
+def _stop(number, frame):
+    raise Stopped(number)
 
 
 if __name__ == "__main__":

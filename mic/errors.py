@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
 
-__all__ = ["FormatError", "FreeMotion", "MicError", "MissingProvider", "RunError", "SceneError"]
+if TYPE_CHECKING:
+    import numpy as np
+
+__all__ = [
+    "FormatError",
+    "FreeMotion",
+    "MicError",
+    "MissingProvider",
+    "RunError",
+    "SceneError",
+    "Stopped",
+    "StorageError",
+]
 
 
 class MicError(Exception):
@@ -23,8 +35,26 @@ class RunError(MicError):
     """A results folder that cannot be used as asked; the message says why and what to do instead."""
 
 
+class StorageError(MicError):
+    """A file or folder that cannot be written or read: disk full, no permission; the message names it and says why."""
+
+
 class MissingProvider(MicError, ImportError):
     """Something must be computed by finite elements, and no provider of them is installed."""
+
+
+class Stopped(BaseException):
+    """The program was told to stop, by SIGINT or SIGTERM. No error, and not to be swallowed as one.
+
+    Attributes
+    ----------
+    status : int
+        Exit status of a program that this signal ends: 130 or 143.
+    """
+
+    def __init__(self, signal: int):
+        super().__init__(f"stopped by signal {signal}")
+        self.status = 128 + signal
 
 
 class FreeMotion(MicError, ValueError):

@@ -5,28 +5,35 @@ The report is drawn afterwards from the folder alone, see :mod:`mic.report.page`
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mic.compliance.cache import influence_coefficients
-from mic.compliance.part import Part
-from mic.model.assembly import assemble
+from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.fields import write_fields
-from mic.results.folder import Block, RunFolder, identity, versions
+from mic.results.folder import Block, RunFolder, versions
+from mic.results.forecast import forecast
+from mic.results.identity import identity, inputs
+from mic.results.lock import locked
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.summary import write_summary, write_tables
 from mic.results.tables import tables
-from mic.sampling.montecarlo import blocks, monte_carlo
+from mic.sampling.montecarlo import monte_carlo
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import Scene
+from mic.store import clean
 
-__all__ = ["Listener", "conclude", "read_run", "run", "sample_into"]
+__all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into"]
+
+LONG = 3600.0  # s; a run that takes longer says so before it begins
 
 
 class Listener:
@@ -40,11 +47,13 @@ class Listener:
         return nullcontext(lambda law, count: None)
 
 
-def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = None) -> Outcome | None:
+def run(
+    scene: Scene, folder: Path, cache: Path, listener: Listener | None = None, replace: bool = False
+) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
-    Influence coefficients and meshes are computed once and cached. Finished blocks of samples of the same run are kept.
-    Under MPI a collective call that shares the samples out.
+    Influence coefficients and meshes are computed once and cached. Finished samples of the same run are kept, see
+    :func:`sample_into`. Under MPI a collective call that shares the samples out.
 
     Parameters
     ----------
@@ -53,6 +62,8 @@ def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = Non
     cache : Path
         Folder of generated meshes and influence coefficients.
     listener : Listener, optional
+    replace : bool
+        Whether results of another run in the folder may be removed.
 
     Returns
     -------
@@ -61,34 +72,45 @@ def run(scene: Scene, folder: Path, cache: Path, listener: Listener | None = Non
 
     Raises
     ------
-    SceneError, MissingProvider, FormatError
+    SceneError, MissingProvider, RunError, FormatError, StorageError
     """
     world, clock, folder = communicator(), _Clock(), Path(folder)
     listener = listener or Listener()
-    with clock("meshes and pairs"):
-        listener.say(f"{scene.name}: meshing and pairing …")
-        assembly = on_first(world, lambda: assemble(scene, cache))
-        scene = assembly.scene  # the first process's, should the file have changed meanwhile
-    with clock("influence coefficients"):
-        influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"), world)
-        reused = [name for name, hit in cached.items() if hit]
-        if reused:
-            listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
-    with clock("reduced model"):
-        with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process and for any number of them
-            model = ReducedModel.build(assembly, influence)
-        for sentence in model.process().redundant:
-            listener.say(f"note: {sentence}")
-    on_first(world, lambda: RunFolder(folder).keep_inputs(assembly))
-    laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
-    with clock("Monte Carlo"):
-        found = sample_into(folder, model, laws, samples, seed, assembly.parts, listener)
-    if world is not None and world.rank > 0:
-        return None
-    for law, count in found.items():
-        if count:
-            listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
-    return conclude(folder, clock.seconds, listener)
+    with hold(folder, listener):
+        clean([Path(cache) / "meshes", Path(cache) / "influence"])
+        with clock("meshes and pairs"):
+            listener.say(f"{scene.name}: meshing and pairing …")
+            assembly = on_first(world, lambda: assemble(scene, cache))
+            scene = assembly.scene  # the first process's, should the file have changed meanwhile
+        laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
+
+        def prepare() -> None:
+            expected = forecast(assembly, laws, samples, cores=len(os.sched_getaffinity(0)))
+            expected.check(folder)
+            if expected.seconds > LONG:
+                listener.say(f"{samples} samples under {len(laws)} laws: {expected}")
+            _prepare(folder, assembly, laws, samples, seed, listener, replace)
+            RunFolder(folder).keep_inputs(assembly)
+
+        on_first(world, prepare)  # a folder that cannot be used is refused before anything is computed
+        with clock("influence coefficients"):
+            influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"), world)
+            reused = [name for name, hit in cached.items() if hit]
+            if reused:
+                listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
+        with clock("reduced model"):
+            with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
+                model = ReducedModel.build(assembly, influence)
+            for sentence in model.process().redundant:
+                listener.say(f"note: {sentence}")
+        with clock("Monte Carlo"):
+            found = _sample(folder, model, laws, samples, seed, listener)
+        if world is not None and world.rank > 0:
+            return None
+        for law, count in found.items():
+            if count:
+                listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
+        return conclude(folder, clock.seconds, listener)
 
 
 def sample_into(
@@ -97,58 +119,102 @@ def sample_into(
     laws: Sequence[str],
     samples: int,
     seed: int,
-    parts: Sequence[Part] = (),
     listener: Listener | None = None,
+    replace: bool = False,
 ) -> dict[str, int]:
     """The Monte Carlo of a reduced model into a results folder, without statistics; under MPI a collective call.
+
+    Finished samples of the same run (:mod:`mic.results.identity`) that the folder holds already are kept, also those
+    that lie beyond the samples asked for or under other laws; a folder of another run is refused.
 
     Parameters
     ----------
     folder : Path
-        Finished blocks of the same run that it holds already are kept; those of another are removed.
     model : ReducedModel
     laws : sequence of str
     samples, seed : int
-    parts : sequence of Part, optional
-        The parts that the model was reduced from, see :func:`mic.results.folder.identity`.
     listener : Listener, optional
+    replace : bool
+        Whether results of another run in the folder may be removed.
 
     Returns
     -------
     dict of str to int
         Samples per law that were found finished.
+
+    Raises
+    ------
+    RunError, StorageError
     """
-    store, world, listener = RunFolder(Path(folder)), communicator(), listener or Listener()
-    fields = model.scene.report.fields
+    folder, listener = Path(folder), listener or Listener()
+    with hold(folder, listener):
+        on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, listener, replace))
+        return _sample(folder, model, laws, samples, seed, listener)
 
-    def prepare() -> str:
-        whose = identity(model, seed, parts)
-        record = {
-            "scene": model.scene.name,
-            "samples": samples,
-            "seed": seed,
-            "laws": list(laws),
-            "identity": whose,
-            "versions": versions(),
-        }
-        wanted = [Block(*block) for block in blocks(laws, samples, len(model.contacts))]
-        for sentence in store.prepare(record, wanted, fields):
-            listener.say(sentence)
+
+def _prepare(folder, source: Assembly | ReducedModel, laws, samples, seed, listener, replace) -> None:
+    """The folder made ready for a run, or refused."""
+    record = {
+        "scene": source.scene.name,
+        "samples": samples,
+        "seed": seed,
+        "laws": list(laws),
+        "identity": identity(source, seed),
+        "inputs": inputs(source, seed),
+        "versions": versions(),
+    }
+    for sentence in RunFolder(folder).prepare(record, source.scene.report.fields, replace):
+        listener.say(sentence)
+
+
+def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:
+    """The samples that a folder lacks; it was made ready by the first process."""
+    store, world = RunFolder(folder), communicator()
+    whose, fields = identity(model, seed), model.scene.report.fields
+    there: dict[str, np.ndarray] = {}
+
+    def start() -> None:
         model.save(store.path / "model.npz")
-        return whose
+        there.update({law: store.finished(law) for law in laws})
 
-    whose = on_first(world, prepare)
+    on_first(world, start)
+
+    def done(law: str, first: int, count: int) -> bool:
+        start, stop = np.searchsorted(there[law], (first, first + count))
+        return bool(stop - start == count)
 
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if fields else None
         block = Block(law, first, len(evaluation.deviations))
         store.write_block(block, whose, tables(model, evaluation, first), forces)
 
-    def done(law: str, first: int, count: int) -> bool:
-        return store.has_block(Block(law, first, count))
-
     with listener.sampling(laws, samples) as advance:
         return monte_carlo(model, laws, samples, seed, sink, done, advance)
+
+
+@contextmanager
+def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
+    """Hold the lock of a results folder (:mod:`mic.results.lock`); under MPI the first process does, for all.
+
+    Raises
+    ------
+    RunError, StorageError
+        On all processes.
+    """
+    with ExitStack() as stack:
+
+        def take() -> None:
+            if stack.enter_context(locked(folder)):
+                (listener or Listener()).say(f"{folder}: an earlier run had ended without letting go; taken over.")
+
+        on_first(communicator(), take)
+        yield
+
+
+def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
+    """How many of the samples that were asked for are finished in a results folder, over all laws."""
+    store = RunFolder(Path(folder))
+    return sum(int((store.finished(law) < samples).sum()) for law in laws)
 
 
 def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: Listener | None = None) -> Outcome:
@@ -163,18 +229,24 @@ def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: 
 
     Raises
     ------
-    RunError, FormatError
+    RunError, FormatError, StorageError
     """
     clock, folder = _Clock(), Path(folder)
+    RunFolder(folder).record()  # a folder that holds no run is left as it is
+    with locked(folder):
+        return _conclude(folder, clock, wall_time or {}, listener or Listener())
+
+
+def _conclude(folder: Path, clock: _Clock, wall_time: dict[str, float], listener: Listener) -> Outcome:
     with clock("statistics"):
         outcome = read_outcome(folder)
         for sentence in outcome.damaged:
-            (listener or Listener()).say(sentence)
+            listener.say(sentence)
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
             write_fields(folder, outcome)
-    outcome.record.update(RunFolder(folder).add_wall_time((wall_time or {}) | clock.seconds))
+    outcome.record.update(RunFolder(folder).add_wall_time(wall_time | clock.seconds))
     write_summary(outcome)
     return outcome
 

@@ -10,21 +10,41 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
+import socket
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mic.errors import FormatError
+from mic.errors import FormatError, StorageError
 
-__all__ = ["PARTIAL", "Format", "load_arrays", "load_json", "replacing", "save_arrays", "save_json", "write_text"]
+__all__ = [
+    "DAMAGED",
+    "PARTIAL",
+    "Format",
+    "arrays_header",
+    "clean",
+    "fingerprint",
+    "load_arrays",
+    "load_json",
+    "replacing",
+    "save_arrays",
+    "save_json",
+    "set_aside",
+    "write_text",
+]
 
 PARTIAL = ".partial"  # stands in the name of every file that is being written, and of none that is finished
+DAMAGED = ".damaged"  # stands behind the name of a file that could not be read and was set aside
+
+_HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
+_PARTIAL_NAME = re.compile(rf"\..+\.([0-9a-f]{{8}})-(\d+){re.escape(PARTIAL)}(\.\w+)?")
 
 
 @dataclass(frozen=True)
@@ -65,19 +85,108 @@ class Format:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, of the same suffix, that takes its place once the block has ended well.
 
-    The content is on disk before the name changes; after an error the old file stands untouched and nothing is left
-    behind.
+    The content is on disk before the name changes, and the new name is on disk when this ends; after an error the old
+    file stands untouched and nothing is left behind.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{PARTIAL}{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{_HOST}-{os.getpid()}{PARTIAL}{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
+        _to_disk(temporary)
         temporary.replace(path)
+        _to_disk(path.parent)
+    except OSError as problem:
+        raise StorageError(
+            f"{path}: cannot be written ({_reason(problem)}); what is finished stays, make room or give permission and "
+            "call again"
+        ) from problem
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def set_aside(path: Path, mark: str = DAMAGED, prefix: str = "") -> Path | None:
+    """Give a file a name of its own, `mark` and where that is taken a number behind it; nothing is ever overwritten.
+
+    Parameters
+    ----------
+    path : Path
+    mark : str
+    prefix : str
+        Stands before the name: readers of a whole dataset pass over files whose names begin with ``_``.
+
+    Returns
+    -------
+    Path or None
+        The new name; None where there is no file.
+    """
+    if not path.is_file():
+        return None
+    number, aside = 1, path.with_name(f"{prefix}{path.name}{mark}")
+    while os.path.lexists(aside):
+        number += 1
+        aside = path.with_name(f"{prefix}{path.name}{mark}-{number}")
+    try:
+        path.rename(aside)
+    except OSError as problem:
+        raise StorageError(f"{path}: cannot be set aside ({_reason(problem)}); remove it and call again") from problem
+    return aside
+
+
+def clean(folders: Iterable[Path], alone: bool = False) -> None:
+    """Remove the partial files that programs which were killed have left in some folders.
+
+    Parameters
+    ----------
+    folders : iterable of Path
+        Looked through one by one, not below. A folder that does not exist, or is a link, is passed over.
+    alone : bool
+        Whether nobody else writes there now. Else only files of processes of this machine that are gone are removed.
+    """
+    for folder in folders:
+        if folder.is_symlink() or not folder.is_dir():
+            continue
+        for path in folder.iterdir():
+            name = _PARTIAL_NAME.fullmatch(path.name)
+            if name and (alone or (name[1] == _HOST and not _alive(int(name[2])))):
+                with suppress(OSError):
+                    path.unlink()
+
+
+def fingerprint(content: bytes | Any) -> str:
+    """Hash of bytes, or of anything that JSON can hold, 32 hexadecimal digits."""
+    if not isinstance(content, bytes):
+        content = json.dumps(content, sort_keys=True).encode()
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _reason(problem: OSError) -> str:
+    """Why, without the path that the message names already."""
+    return (problem.strerror or str(problem)).lower()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -102,7 +211,11 @@ def load_json(path: Path, format: Format) -> dict[str, Any]:
     """
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except ValueError:
+    except FileNotFoundError:
+        raise
+    except PermissionError as problem:
+        raise StorageError(f"{path}: cannot be read ({_reason(problem)}); give permission") from problem
+    except (ValueError, OSError, RecursionError):
         raise format.damaged(path) from None
     format.check(path, document)
     return {key: value for key, value in document.items() if key not in ("kind", "format")}
@@ -126,18 +239,42 @@ def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, n
     FormatError
     """
     try:
-        with np.load(Path(path), allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-        document = json.loads(str(arrays.pop("header")))
+        document, arrays, whole = _read_arrays(path)
     except FileNotFoundError:
         raise
-    except (ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile, zlib.error):
+    except PermissionError as problem:
+        raise StorageError(f"{path}: cannot be read ({_reason(problem)}); give permission") from problem
+    except _UNREADABLE:
         raise format.damaged(path) from None
     format.check(path, document)
-    checksum = document.pop("checksum", None)
-    if checksum != _checksum(document, arrays):
+    if not whole:
         raise format.damaged(path)
-    return {key: value for key, value in document.items() if key not in ("kind", "format")}, arrays
+    return {key: value for key, value in document.items() if key not in ("kind", "format", "checksum")}, arrays
+
+
+def arrays_header(path: Path) -> dict[str, Any]:
+    """Header of what :func:`save_arrays` wrote, of whatever kind and version; empty where nothing whole can be read."""
+    try:
+        document, _, whole = _read_arrays(path)
+    except _UNREADABLE:
+        return {}
+    return document if whole else {}
+
+
+_UNREADABLE = (
+    ValueError, KeyError, OSError, EOFError, TypeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+def _read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], bool]:
+    """Document, arrays, and whether they are what the checksum was taken over; no object is ever unpickled."""
+    with np.load(Path(path), allow_pickle=False) as data:
+        arrays = {name: data[name] for name in data.files}
+    document = json.loads(str(arrays.pop("header")))
+    if not isinstance(document, dict):
+        raise ValueError("the header is no table")
+    checked = {key: value for key, value in document.items() if key != "checksum"}
+    return document, arrays, document.get("checksum") == _checksum(checked, arrays)
 
 
 def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from mic.cli import app
+from mic.commands import app
 
 ROOT = Path(__file__).resolve().parents[1]
 LAP = ROOT / "meshes" / "lap_joint"
@@ -97,7 +97,7 @@ def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mic.cli.run_scene", interrupt)
+    monkeypatch.setattr("mic.commands.run_scene", interrupt)
     done = CliRunner().invoke(app, ["run", str(LAP), "--out", str(tmp_path)])
     assert done.exit_code == 130 and "run the same command again" in " ".join(done.output.split())
 
@@ -110,7 +110,7 @@ def test_laws_and_backends_of_the_options_are_those_of_the_program():
 
 def test_production_path_imports_no_finite_elements():
     script = (
-        "import sys, mic, mic.cli, mic.model.assembly, mic.runs, mic.report.page\n"
+        "import sys, mic, mic.commands, mic.model.assembly, mic.runs, mic.report.page\n"
         "fem = ('dolfinx', 'petsc4py', 'ufl', 'fem_reference', 'mpi4py', 'gmsh')\n"
         "bad = [name for name in sys.modules if name.split('.')[0] in fem]\n"
         "assert not bad, bad"

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import mic
 from mic import examples
-from mic.cli import app
+from mic.commands import app
 from mic.errors import RunError, SceneError
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from mic.compliance.blocks import Blocks
+from mic.errors import RunError
 from mic.model.assembly import assemble
-from mic.results.folder import identity
+from mic.results.identity import identity
 from mic.results.schema import DATASETS
 from mic.runs import Listener, conclude, read_run, run, sample_into
 
@@ -71,19 +72,26 @@ def test_interrupted_run_keeps_what_was_finished(lap_model, tmp_path):
     pd.testing.assert_frame_equal(read(tmp_path, "measurements"), read(tmp_path / "whole", "measurements"))
 
 
-def test_another_seed_replaces_old_blocks(lap_model, tmp_path):
+def test_another_seed_is_refused_and_replaces_only_when_told(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, LAWS, 60, 4)
-    assert sample_into(tmp_path, lap_model, LAWS, 60, 5) == dict.fromkeys(LAWS, 0)
-    fewer = sample_into(tmp_path, lap_model, ["coulomb"], 20, 5)
-    assert fewer == {"coulomb": 0} and len(pd.read_parquet(tmp_path / "samples")) == 20
+    with pytest.raises(RunError, match=r"another run \(seed \(4 there, 5 asked for\)\).*--out.*--replace"):
+        sample_into(tmp_path, lap_model, LAWS, 60, 5)
+    assert read_run(tmp_path).record["seed"] == 4 and read_run(tmp_path).missing == dict.fromkeys(LAWS, 0)
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 5, replace=True) == {"coulomb": 0}
+    assert len(pd.read_parquet(tmp_path / "samples")) == 20 and read_run(tmp_path).record["seed"] == 5
 
 
 def test_blocks_without_their_record_are_believed_by_their_own_identity_only(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 20, 4)
     (tmp_path / "run.json").unlink()
     assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
-    (tmp_path / "run.json").write_text("")
-    assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 5) == {"coulomb": 0}
+    for wound in ("", "gone"):
+        (tmp_path / "run.json").unlink(missing_ok=True)
+        if wound != "gone":
+            (tmp_path / "run.json").write_text(wound)
+        with pytest.raises(RunError, match="another run .*not those asked for"):
+            sample_into(tmp_path, lap_model, ["coulomb"], 20, 5)
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
 
 
 def test_a_block_of_another_run_that_appears_later_is_left_out(lap_model, tmp_path):
@@ -125,26 +133,24 @@ def test_files_that_no_run_wrote_stay(lap_model, tmp_path):
     for path in foreign:
         path.parent.mkdir(exist_ok=True)
         path.write_text("mine")
-    sample_into(tmp_path, lap_model, ["frictionless"], 5, 6)
+    sample_into(tmp_path, lap_model, ["frictionless"], 5, 6, replace=True)
     assert all(path.read_text() == "mine" for path in foreign)
     assert read_run(tmp_path).missing == {"frictionless": 0}
 
 
-def scaled(model, factor):
-    compliance = model.compliance
-    return replace(model, compliance=Blocks(tuple(factor * H for H in compliance.H), compliance.G))
-
-
-def test_identity_depends_on_inputs_and_not_on_the_last_digits_of_what_was_computed(lap_model, lap_scene, cache):
-    parts = assemble(lap_scene, cache).parts
-    own = identity(lap_model, 4, parts)
-    assert identity(scaled(lap_model, 1 + 1e-15), 4, parts) == own
-    assert identity(lap_model, 5, parts) != own
+def test_identity_depends_on_inputs_and_not_on_what_was_computed(lap_model, lap_scene, cache):
+    own = identity(lap_model, 4)
+    assert identity(assemble(lap_scene, cache), 4) == own  # known before anything is reduced
+    compliance = lap_model.compliance
+    computed = Blocks(tuple((1 + 1e-15) * H for H in compliance.H), compliance.G)
+    assert identity(replace(lap_model, compliance=computed), 4) == own
+    assert identity(lap_model, 5) != own
     thicker = [part.model_copy(update={"thickness": 1.1}) for part in lap_scene.parts]
-    changed = replace(lap_model, scene=lap_scene.model_copy(update={"parts": thicker}))
-    assert identity(changed, 4, parts) != own
-    assert identity(lap_model, 4, [replace(parts[0], young=1.0), *parts[1:]]) != own
-    assert identity(lap_model, 4) != identity(scaled(lap_model, 2), 4)
+    for changes in ({"parts": thicker}, {"element": "p2-cr"}, {"zones": []}):
+        assert identity(replace(lap_model, scene=lap_scene.model_copy(update=changes)), 4) != own
+    assert identity(replace(lap_model, inputs={**lap_model.inputs, "geometry.py": "0"}), 4) != own
+    titles = {"description": "other words", "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 3})}
+    assert identity(replace(lap_model, scene=lap_scene.model_copy(update=titles)), 4) == own
 
 
 def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):

@@ -1,13 +1,15 @@
 """Surfaces of a scene's parts and fixtures: read from mesh files, built by geometry scripts, or round pads.
 
 A geometry script is a Python file that defines ``build(part, size) -> (points, triangles)``: the mid-surface of one
-part as points (n, 3) in mm and triangles (k, 3). ``SIZES``, a dict, may give names to sizes in mm.
+part as points (n, 3) in mm and triangles (k, 3). ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``, a list,
+names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import sys
 import traceback
 from pathlib import Path
@@ -19,10 +21,11 @@ import numpy as np
 from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
 from mic.geometry import structured
+from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.surface import Surface
-from mic.store import Format
+from mic.store import Format, fingerprint
 
-__all__ = ["fixture_surface", "load_script", "part_surface"]
+__all__ = ["fixture_surface", "load_fixture", "load_part", "load_script", "part_surface"]
 
 GENERATED = Format("generated mesh", 2, ABSENT)
 
@@ -30,10 +33,16 @@ PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module tha
 
 
 def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
-    """Surface of a part, from its mesh file or its geometry script.
+    """Surface of a part, see :func:`load_part`."""
+    return load_part(part, folder, cache)[0]
+
+
+def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, str | None]]:
+    """Surface of a part, from its mesh file or its geometry script, and the content of the files that it was made from.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
-    script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it.
+    script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it. It is
+    used again only while every file that the script read, or declares, holds what it held.
 
     Parameters
     ----------
@@ -41,6 +50,13 @@ def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
     folder : Path
         Of the scene file; the part's paths are relative to it.
     cache : Path
+
+    Returns
+    -------
+    surface : Surface
+    inputs : dict of str to str
+        Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
+        generated mesh.
 
     Raises
     ------
@@ -54,19 +70,28 @@ def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
             f"part {part.name!r}: {key}: there is no file {path}; correct the name (it is relative to the scene file)"
         )
     if part.mesh is not None:
-        return _read(f"part {part.name!r}", path)
-    meshes, identity = Cache(cache, "meshes", GENERATED), _identity(part, path)
-    kept = meshes.find(identity)
-    if kept is not None:
-        _, arrays = kept
-        return Surface(arrays["points"], arrays["triangles"])
-    surface = _generate(part, path)
-    meshes.keep(identity, {}, {"points": surface.points, "triangles": surface.triangles})
-    return surface
+        return _read(f"part {part.name!r}", path, part.mesh)
+    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path)
+    found = meshes.find(key)
+    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
+    if found is not None and read is not None and read.unchanged(path):
+        surface = Surface(found[1]["points"], found[1]["triangles"])
+    else:
+        surface, read = _generate(part, path)
+        meshes.keep(key, read.header(), {"points": surface.points, "triangles": surface.triangles})
+    # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
+    inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
+    where = os.path.dirname(part.geometry)
+    return surface, inputs | {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
-    """Surface of a rigid fixture: its mesh, or a flat round pad with its normal outwards.
+    """Surface of a rigid fixture, see :func:`load_fixture`."""
+    return load_fixture(fixture, folder)[0]
+
+
+def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | None]]:
+    """Surface of a rigid fixture: its mesh, or a flat round pad with its normal outwards; and the content of its file.
 
     The pad's triangles reach around its circle; pairing cuts them at its radius.
 
@@ -85,14 +110,14 @@ def fixture_surface(fixture: Any, folder: Path) -> Surface:
         path = folder / fixture.mesh
         if not path.is_file():
             raise SceneError(f"fixture {fixture.name!r}: mesh: there is no file {path}; correct the name")
-        return _read(f"fixture {fixture.name!r}", path)
+        return _read(f"fixture {fixture.name!r}", path, fixture.mesh)
     n = np.array(fixture.normal)
     t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
     t /= np.linalg.norm(t)
     angle = np.linspace(0, 2 * np.pi, 37)[:-1]
     rim = fixture.radius / np.cos(np.pi / 36) * (np.cos(angle)[:, None] * t + np.sin(angle)[:, None] * np.cross(n, t))
     triangles = np.column_stack([np.zeros(36, int), 1 + np.arange(36), 1 + (np.arange(36) + 1) % 36])
-    return Surface(np.vstack([np.zeros(3), rim]) + fixture.point, triangles)
+    return Surface(np.vstack([np.zeros(3), rim]) + fixture.point, triangles), {}
 
 
 def load_script(path: Path) -> ModuleType:
@@ -119,30 +144,34 @@ def load_script(path: Path) -> ModuleType:
     return module
 
 
-def _read(owner, path):
+def _read(owner, path, name):
     from mic.geometry.readers import read_mesh  # the libraries behind it are slow to import; scripts do not need them
 
     try:
-        points, triangles, _ = read_mesh(path)
-        return Surface(points, triangles)
+        with opened_files() as heard:  # a mesh file may include others
+            points, triangles, _ = read_mesh(path)
+        read = Dependencies.of(path, [path.name], heard)
+        surface = Surface(points, triangles)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem
+    others = {other: content for other, content in read.files.items() if other != path.name and content is not None}
+    return surface, {name: fingerprint(path.read_bytes())} | others
 
 
-def _identity(part, path):
-    """Hash of what a generated mesh depends on."""
-    digest = hashlib.sha256(repr((part.name, part.size, path.name)).encode())
+def _key(part, path):
+    """Name of a generated mesh in the cache: hash of what it depends on and is known before the script has run."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
-    for source in [Path(structured.__file__), *sources]:
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:32]
+    contents = [source.read_bytes().hex() for source in (Path(structured.__file__), *sources) if source.is_file()]
+    return fingerprint([part.name, part.size, path.name, contents])
 
 
 def _generate(part, path):
-    """Run a geometry script; whatever goes wrong in it ends in one sentence."""
+    """Run a geometry script; whatever goes wrong in it ends in one sentence. Surface, and what the script read."""
     try:
-        script = load_script(path)
-        return _surface(script.build(part.name, _size(script, part.size)))
+        with opened_files() as heard:
+            script = load_script(path)
+            surface = _surface(script.build(part.name, _size(script, part.size)))
+        return surface, Dependencies.of(path, _declared(script), heard)
     except ImportError as problem:
         missing = (problem.name or "").split(".")[0]
         if (path.parent / f"{missing}.py").is_file():
@@ -179,6 +208,17 @@ def _size(script, size):
     if size not in sizes:
         raise ValueError(f"there is no size called {size!r}; known: {', '.join(map(str, sizes)) or 'none, give mm'}")
     return sizes[size]
+
+
+def _declared(script):
+    """The files that a script declares to read."""
+    names = getattr(script, "DEPENDS", [])
+    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
+        raise ValueError("DEPENDS must be a list of file names, relative to the script")
+    for name in names:
+        if not (Path(script.__file__).parent / name).is_file():
+            raise ValueError(f"DEPENDS names {name}, and there is no such file beside the script")
+    return list(names)
 
 
 def _surface(built):

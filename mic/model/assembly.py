@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from mic.compliance.part import Part
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
-from mic.geometry.load import fixture_surface, part_surface
+from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
@@ -71,6 +71,8 @@ class Assembly:
         Rows of each weld (six, or three without moment); the first is normal to the sheets, towards the second part.
     weld_gap : (w,) array
         Nominal gap at each weld, mm.
+    inputs : dict of str to str
+        Hashes of the files that the meshes of parts and fixtures were made from.
     """
 
     scene: Scene
@@ -80,6 +82,7 @@ class Assembly:
     contacts: Contacts
     weld_size: tuple[int, ...]
     weld_gap: np.ndarray
+    inputs: dict[str, str | None]
 
     @property
     def offsets(self) -> np.ndarray:
@@ -104,8 +107,14 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     SceneError
         Naming the key: a missing mesh, a point off its part, an empty zone.
     """
-    surfaces = {part.name: part_surface(part, scene.folder, cache) for part in scene.parts}
-    fixtures = {fixture.name: fixture_surface(fixture, scene.folder) for fixture in scene.fixtures}
+    inputs: dict[str, str | None] = {}
+    surfaces, fixtures = {}, {}
+    for part in scene.parts:
+        surfaces[part.name], read = load_part(part, scene.folder, cache)
+        inputs |= read
+    for fixture in scene.fixtures:
+        fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
+        inputs |= read
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
@@ -136,7 +145,7 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
         for part in scene.parts
     )
     weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
-    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap))
+    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap), inputs)
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> float:

@@ -23,7 +23,7 @@ from mic.scene import Scene
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 2, "build the model again")
+FORMAT = store.Format("reduced model", 3, "build the model again")
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,8 @@ class Reduction:
         those that give no shape).
     shape_forces : (F, p) array
         Forces that make these shapes, reactions included, N and N mm.
+    inputs : dict of str to str
+        As in :class:`mic.model.assembly.Assembly`: with the scene, all that the model was made from.
     """
 
     scene: Scene
@@ -53,6 +55,7 @@ class Reduction:
     weld_gap: np.ndarray
     shape: np.ndarray
     shape_forces: np.ndarray
+    inputs: dict[str, str | None]
 
     @classmethod
     def build(cls, assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> Self:
@@ -88,6 +91,7 @@ class Reduction:
             assembly.weld_gap,
             shape,
             forces,
+            assembly.inputs,
         )
 
     @property
@@ -143,6 +147,7 @@ class Reduction:
             "scene": json.loads(self.scene.model_dump_json()),
             "labels": self.labels,
             "weld_size": self.weld_size,
+            "inputs": self.inputs,
         }
         store.save_arrays(Path(path), FORMAT, header, arrays)
 
@@ -177,4 +182,5 @@ class Reduction:
             data["weld_gap"],
             data["shape"],
             data["shape_forces"],
+            header["inputs"],
         )

@@ -11,7 +11,7 @@ import numpy as np
 from mic.model.reduction import Reduction
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
-from mic.process.process import Process
+from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStage, eliminate_stages
 
 __all__ = ["ReducedModel"]
@@ -37,7 +37,9 @@ class ReducedModel(Reduction):
     def _processes(self) -> dict[tuple, Process]:
         return {}
 
-    def process(self, law: str | None = None, tol: float = 1e-10, backend: str = "native", threads: int = 1) -> Process:
+    def process(
+        self, law: str | None = None, tol: float = TOLERANCE, backend: str = "native", threads: int = 1
+    ) -> Process:
         """The prepared process under a contact law (default: the first that the scene's report names).
 
         The other arguments are those of :class:`mic.process.process.Process`.

@@ -13,10 +13,12 @@ from mic.process.evaluation import Evaluation, Resolution
 from mic.process.stage import OUTPUTS, PreparedStage
 from mic.process.state import ProcessState
 
-__all__ = ["Process"]
+__all__ = ["TOLERANCE", "Process"]
 
 #: The paper's solvers reach this residual.
 PAPER_TOLERANCE = 1e-5
+#: What the contact certificate of a run reaches, unless another is asked for.
+TOLERANCE = 1e-10
 
 
 class Process:
@@ -45,7 +47,7 @@ class Process:
         If a stage leaves a part free to move.
     """
 
-    def __init__(self, model, law: str, tol: float = 1e-10, backend: str = "native", threads: int = 1):
+    def __init__(self, model, law: str, tol: float = TOLERANCE, backend: str = "native", threads: int = 1):
         self.model, self.law = model, law
         contacts = model.contacts
         # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.

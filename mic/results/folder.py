@@ -1,10 +1,12 @@
 """The folder of a run: what it is called, how it is written, and what it takes to be believed when it is read.
 
 Readable at any moment. An interrupted run is completed by a second call; a file that cannot be read counts as absent.
-Every block names the identity of the run that it belongs to, and is used by no other.
+Every block names the identity of the run that it belongs to (:mod:`mic.results.identity`), and is used by no other.
+What another run or anybody else has left here is never removed, unless the user says so and the program wrote it.
 
 ========================================= ==============================================================================
-``run.json``                              the record: scene, samples, seed, laws, identity, versions, wall time
+``.lock``                                 who writes here now
+``run.json``                              the record: scene, samples, seed, laws, identity, inputs, versions, wall time
 ``model.npz``                             the reduced model
 ``parts.npz``, ``paper.toml``             what fields and report need beside the results
 ``TABLE/law=LAW/FIRST-LAST.parquet``      the datasets of :data:`mic.results.schema.DATASETS`, one file per block
@@ -18,11 +20,12 @@ A block is finished once its file under ``samples`` stands: that one is written 
 
 from __future__ import annotations
 
-import hashlib
+import json
 import platform
 import re
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -35,17 +38,34 @@ from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.geometry.surface import Patch, Surface
-from mic.results.parquet import read_table, write_table
-from mic.results.schema import DATASETS, FORCES, SAMPLES, Table
-from mic.store import Format, load_arrays, load_json, replacing, save_arrays, save_json
+from mic.results.identity import differences
+from mic.results.parquet import read_identity, read_table, write_table
+from mic.results.schema import DATASETS, FORCES, SAMPLES, STATISTICS, Table
+from mic.store import (
+    DAMAGED,
+    Format,
+    arrays_header,
+    clean,
+    fingerprint,
+    load_arrays,
+    load_json,
+    replacing,
+    save_arrays,
+    save_json,
+    set_aside,
+)
 
-__all__ = ["DAMAGED", "PUBLISHED", "Block", "RunFolder", "identity", "versions"]
+__all__ = ["FOREIGN", "PUBLISHED", "Block", "RunFolder", "versions"]
 
 PUBLISHED = "paper.toml"  # published figures beside a scene, to set beside its results
-DAMAGED = ".damaged"  # stands behind the name of a file that could not be read and was set aside
+FOREIGN = ".other-run"  # stands behind the name of a block that belongs to another run and was set aside
 
 _AGAIN = "run the scene again into this folder"
-_RUN = Format("record of a run", 2, _AGAIN)
+_REPLACE = "name another folder with --out, or remove the old results with --replace"
+_RUN = Format("record of a run", 3, _AGAIN)
+_SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", PUBLISHED)
+_TABLES = tuple(table.place for table in STATISTICS)
+_FIELDS = "fields/fields.npz"
 _PARTS = Format("set of parts", 1, _AGAIN)
 _FORCES = Format("block of forces", 1, _AGAIN)
 _BLOCK_NAME = re.compile(r"(\d{6,})-(\d{6,})")
@@ -70,6 +90,10 @@ class Block:
     def name(self) -> str:
         """Stem of the block's files."""
         return f"{self.first:06d}-{self.first + self.count - 1:06d}"
+
+    def contains(self, other: Block) -> bool:
+        """Whether all samples of another block of the same law are among this one's."""
+        return self.first <= other.first and other.first + other.count <= self.first + self.count
 
 
 @dataclass(frozen=True)
@@ -96,12 +120,21 @@ class RunFolder:
             If the record cannot be read.
         """
         try:
-            return load_json(self.path / "run.json", _RUN)
+            record = load_json(self.path / "run.json", _RUN)
         except FileNotFoundError:
             raise RunError(
                 f"{self.path}: holds no run (run.json is missing); name the folder that `mic run` wrote, such as "
                 "results/wheelhouse"
             ) from None
+        inputs = record.get("inputs")
+        if (
+            not isinstance(inputs, dict)
+            or not {"scene", "samples", "laws", "versions"} <= set(record)
+            or record.get("identity") != fingerprint(inputs)
+            or record.get("seed") != inputs.get("seed")
+        ):
+            raise _RUN.damaged(self.path / "run.json")
+        return record
 
     def write_record(self, record: Mapping[str, Any]) -> None:
         """Write ``run.json``."""
@@ -116,42 +149,147 @@ class RunFolder:
 
     # ---------------------------------------------------------------------------------------------- blocks of samples
 
-    def prepare(self, record: Mapping[str, Any], blocks: Iterable[Block], forces: bool) -> list[str]:
-        """Make the folder ready for a run: what it holds of other runs goes, what cannot be read is set aside.
+    def prepare(self, record: Mapping[str, Any], forces: bool, replace: bool = False) -> list[str]:
+        """Make the folder ready for a run, or refuse it; to be called under its lock, before anything else is written.
 
-        Only files that a run writes are touched, by their names. A block is of another run if it has another identity,
-        or if it is none of those that the run consists of.
+        Finished samples of the same run stay, however many are asked for and under which laws. What cannot be read is
+        set aside. A folder of another run is refused, or with `replace` freed of the files that a run writes.
 
         Parameters
         ----------
         record : dict
-            The new ``run.json``, with its ``"identity"``.
-        blocks : iterable of Block
-            All blocks of the run.
+            The new ``run.json``, with its ``"identity"`` and ``"inputs"``.
         forces : bool
-            Whether its blocks keep forces.
+            Whether the run's blocks keep forces.
+        replace : bool
+            Whether results of another run may be removed.
 
         Returns
         -------
         list of str
-            One sentence for each block that could not be read.
+            One sentence for each file that could not be read or was removed.
+
+        Raises
+        ------
+        RunError
+            If the folder holds another run, or files that no run wrote under names that this one would.
         """
-        wanted, sentences = set(blocks), []
+        self._refuse_links()
+        clean(self._folders(), alone=True)
+        old, sentences = self._old_record(replace)
+        if old is not None and old.get("identity") != record["identity"]:
+            if not replace:
+                raise RunError(self._another(differences(old.get("inputs") or {}, record["inputs"])))
+            sentences += self._clear()
+        elif old is None:
+            sentences += self._without_record(record["identity"], replace)
+        for name in ("model.npz", "parts.npz", _FIELDS):
+            path = self.path / name
+            if path.is_file() and not arrays_header(path):
+                sentences.append(_aside(path))
+        sentences += self._check_blocks(record, forces)
+        kept = (
+            {"wall_time": old["wall_time"]}
+            if old and "wall_time" in old and old.get("identity") == record["identity"]
+            else {}
+        )
+        self.write_record(kept | dict(record))
+        return sentences
+
+    def _old_record(self, replace: bool) -> tuple[dict[str, Any] | None, list[str]]:
+        """The record that stands here, None where there is none or it is cut; and what is to be said of it."""
+        path = self.path / "run.json"
+        if not path.is_file():
+            return None, []
+        try:
+            return self.record(), []
+        except FormatError as problem:
+            told = _told(path)
+            if told is not None and told[0] != _RUN.kind:
+                raise RunError(
+                    f"{path}: was written by something else than a run; name another folder with --out"
+                ) from None
+            if told is None or told[1] == _RUN.version:
+                return None, [_aside(path)]
+            if not replace:
+                raise RunError(f"{str(problem).partition(';')[0]}; {_REPLACE}") from None
+            return {}, []
+
+    def _without_record(self, identity: str, replace: bool) -> list[str]:
+        """What is to be said of a folder without a record: its blocks must all be of the run that is asked for."""
+        finished = [_parsed(law, name) for law, name in self._files(SAMPLES)]
+        whose = {self._identity(block) for block in finished} - {None}
+        if whose - {identity}:
+            if not replace:
+                raise RunError(self._another(["its run.json is missing, and its samples are not those asked for"]))
+            return self._clear()
+        if whose:
+            return [f"{self.path}: run.json was missing; rebuilt, for the finished samples are those asked for."]
+        known = [name for name in (*_SINGLE, *_TABLES) if (self.path / name).exists()]
+        own = any(arrays_header(self.path / name) for name in ("model.npz", "parts.npz"))
+        if known and not finished and not own:
+            raise RunError(
+                f"{self.path / known[0]}: stands where the run would write, and no run wrote it; name another folder "
+                "with --out"
+            )
+        return []
+
+    def _another(self, what: Sequence[str]) -> str:
+        return f"{self.path}: holds another run ({'; '.join(what) or 'of another identity'}); {_REPLACE}"
+
+    def _check_blocks(self, record: Mapping[str, Any], forces: bool) -> list[str]:
+        """Set aside what is not whole, or not of this run, among the blocks that the run would use."""
+        sentences = []
         for law, name in sorted({key for table in (*DATASETS, FORCES) for key in self._files(table)}):
             block = _parsed(law, name)
+            if law not in record["laws"] or block.first >= record["samples"]:
+                continue
+            path = self._path(SAMPLES, block)
+            if not path.is_file():
+                continue  # it was never finished
             try:
-                keep = block in wanted and self._identity(block) == record["identity"]
-                if keep:
-                    self.read_block(block, record["identity"])
-                    if forces and self.read_forces(block, record["identity"]) is None:
-                        raise FormatError(f"{self._path(FORCES, block)}: this file of a finished block is missing")
+                if read_identity(path, SAMPLES) != record["identity"]:
+                    self._set_block_aside(block, FOREIGN)
+                    sentences.append(f"{path}: belongs to another run; set aside ({FOREIGN}).")
+                    continue
+                self.read_block(block, record["identity"])
+                if forces and self.read_forces(block, record["identity"]) is None:
+                    raise FormatError(f"{self._path(FORCES, block)}: this file of a finished block is missing")
             except FormatError as problem:
-                sentences += self._set_aside(block, problem)
-            else:
-                if not keep:
-                    self._remove(block)
-        self.write_record(record)
+                self._set_block_aside(block)
+                sentences.append(f"{problem}. The block is set aside and computed anew.")
         return sentences
+
+    def _refuse_links(self) -> None:
+        """A link below the folder could lead out of it."""
+        places = [self.path / name for name in ("run.json", *_SINGLE, "tables", "fields")]
+        for table in (*DATASETS, FORCES):
+            places += [self.path / table.name, *(self.path / table.name).glob("law=*")]
+        for place in places:
+            if place.is_symlink():
+                raise RunError(f"{place}: is a link, and a run follows none out of its folder; remove the link")
+
+    def _folders(self) -> list[Path]:
+        below = [path for table in (*DATASETS, FORCES) for path in (self.path / table.name).glob("law=*")]
+        return [self.path, self.path / "tables", self.path / "fields", *below]
+
+    def _clear(self) -> list[str]:
+        """Remove the files that a run writes, by their names, and the folders that are empty then; the record last."""
+        for name in arrays_header(self.path / _FIELDS).get("files", []):
+            if Path(name).name == name and name.endswith(".vtu"):
+                (self.path / "fields" / name).unlink(missing_ok=True)
+        blocks = sorted({key for table in (*DATASETS, FORCES) for key in self._files(table)})
+        for law, name in blocks:
+            self._remove(_parsed(law, name))
+        for name in (*_SINGLE, *_TABLES, _FIELDS, "run.json"):
+            (self.path / name).unlink(missing_ok=True)
+        for folder in sorted(
+            {*self._folders(), *(self.path / table.name for table in (*DATASETS, FORCES))}, reverse=True
+        ):
+            if folder != self.path:
+                with suppress(OSError):  # what is not empty holds files of somebody else
+                    folder.rmdir()
+        return [f"{self.path}: the results of another run were removed."]
 
     def write_block(
         self, block: Block, identity: str, tables: Mapping[str, pd.DataFrame], forces: Mapping[str, np.ndarray] | None
@@ -172,14 +310,36 @@ class RunFolder:
             save_arrays(self._path(FORCES, block), _FORCES, {"identity": identity}, forces)
         for table in DATASETS:  # the samples last: they mark the block done
             write_table(self._path(table, block), table, tables[table.name], identity)
+        for other in self._found(block.law):  # the last block of a shorter run: its samples stand in this one now
+            if other != block and block.contains(other) and self._identity(other) == identity:
+                self._remove(other)
 
-    def has_block(self, block: Block) -> bool:
-        """Whether a block is finished."""
-        return self._path(SAMPLES, block).is_file()
+    def blocks(self, law: str, samples: int | None = None) -> list[Block]:
+        """The finished blocks of a law, in ascending order, each sample in one of them only.
 
-    def blocks(self, law: str) -> list[Block]:
-        """The finished blocks of a law, in ascending order."""
-        return sorted(_parsed(law, name) for found, name in self._files(SAMPLES) if found == law)
+        Where blocks overlap, since a longer run was stopped right after it wrote one, the larger counts.
+
+        Parameters
+        ----------
+        law : str
+        samples : int, optional
+            Only blocks with samples below this number.
+        """
+        chosen: list[Block] = []
+        taken: set[int] = set()
+        for block in sorted(self._found(law), key=lambda block: (-block.count, block.first)):
+            if samples is not None and block.first >= samples:
+                continue
+            numbers = range(block.first, block.first + block.count)
+            if taken.isdisjoint(numbers):
+                taken.update(numbers)
+                chosen.append(block)
+        return sorted(chosen)
+
+    def finished(self, law: str) -> np.ndarray:
+        """Numbers of the finished samples of a law, ascending."""
+        runs = [np.arange(block.first, block.first + block.count) for block in self.blocks(law)]
+        return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
     def read_block(self, block: Block, identity: str) -> dict[str, pd.DataFrame]:
         """Read a finished block by table.
@@ -245,8 +405,6 @@ class RunFolder:
         if published.is_file():
             with replacing(self.path / PUBLISHED) as temporary:
                 shutil.copyfile(published, temporary)
-        else:
-            (self.path / PUBLISHED).unlink(missing_ok=True)
 
     def parts(self, scene) -> tuple[Part, ...]:
         """The parts as :meth:`keep_inputs` left them; none if it was not called.
@@ -289,50 +447,28 @@ class RunFolder:
             if _BLOCK_NAME.fullmatch(path.stem)
         ]
 
+    def _found(self, law: str) -> list[Block]:
+        """All finished blocks of a law, also where they overlap."""
+        return [_parsed(law, name) for other, name in self._files(SAMPLES) if other == law]
+
     def _identity(self, block: Block) -> str | None:
-        """Identity of the run that a block belongs to; None where it is not finished."""
-        path = self._path(SAMPLES, block)
-        return read_table(path, SAMPLES)[1] if path.is_file() else None
+        """Identity of the run that a block belongs to; None where it is not finished or cannot be read."""
+        try:
+            return read_identity(self._path(SAMPLES, block), SAMPLES)
+        except (FileNotFoundError, FormatError):
+            return None
 
     def _remove(self, block: Block) -> None:
         for table in reversed(DATASETS):  # the samples first: half a block never looks finished
             self._path(table, block).unlink(missing_ok=True)
         self._path(FORCES, block).unlink(missing_ok=True)
 
-    def _set_aside(self, block: Block, problem: Exception) -> list[str]:
+    def _set_block_aside(self, block: Block, mark: str = DAMAGED) -> None:
         for table in (*reversed(DATASETS), FORCES):
-            path = self._path(table, block)
-            if path.is_file():
-                path.replace(path.with_name(path.name + DAMAGED))
-        return [f"{problem}. The block is set aside ({DAMAGED}) and computed anew."]
+            set_aside(self._path(table, block), mark, prefix="_")
 
 
 _PATCH = ("triangle", "barycentric", "weight")
-
-
-def identity(model, seed: int, parts: Sequence[Part] = ()) -> str:
-    """Hash of all that the numbers of a run depend on, except how many samples there are and under which law.
-
-    Parameters
-    ----------
-    model : mic.process.model.ReducedModel
-    seed : int
-    parts : sequence of Part
-        The parts that the model was reduced from. They stand for its influence coefficients, whose last digits may
-        change with the number of threads that computed them; without parts the coefficients themselves are taken.
-    """
-    scene, contacts = model.scene, model.contacts
-    digest = hashlib.sha256(repr((seed, versions()["mic-contact"])).encode())
-    digest.update(scene.model_dump_json(exclude={"monte_carlo", "report", "description"}).encode())
-    digest.update(repr((scene.report.fields, contacts.dimension, scene.monte_carlo.backend)).encode())
-    arrays = [contacts.gap, contacts.friction, contacts.frame, contacts.point]
-    if parts:
-        digest.update(repr([part.fingerprint() for part in parts]).encode())
-    else:
-        arrays += [*model.compliance.H, *model.compliance.G, model.shape]
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:32]
 
 
 def versions() -> dict[str, str]:
@@ -344,6 +480,20 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+def _aside(path: Path) -> str:
+    aside = set_aside(path)
+    return f"{path}: cut short or damaged; set aside as {aside.name if aside else path.name} and written anew."
+
+
+def _told(path: Path) -> tuple[Any, Any] | None:
+    """Kind and format that a JSON file states, None where it states none; None for all where it cannot be read."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
 
 
 def _parsed(law: str, name: str) -> Block:

@@ -14,17 +14,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from mic.compliance.part import Part
-from mic.errors import FormatError
+from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
 from mic.results import summary
 from mic.results.digest import BlockSamples, Digest
 from mic.results.folder import Block, RunFolder
+from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.schema import DATASETS
 
@@ -272,13 +274,13 @@ def read_outcome(folder) -> Outcome:
     """
     store = RunFolder(Path(folder))
     record = store.record()
-    model = ReducedModel.load(store.path / "model.npz")
+    model = _model(store, record)
     blocks: dict[str, list[Block]] = {law: [] for law in record["laws"]}
     digests = {law: Digest() for law in record["laws"]}
     damaged, room = [], ROOM
     kept: dict[Block, dict[str, pd.DataFrame]] = {}
     for law in record["laws"]:
-        for block in store.blocks(law):
+        for block in store.blocks(law, record["samples"]):
             try:
                 tables = store.read_block(block, record["identity"])
             except FormatError as problem:
@@ -292,6 +294,19 @@ def read_outcome(folder) -> Outcome:
                 if size <= (room - ROOM // 2 if name == "contacts" else room):  # the others are small, and asked often
                     kept[block][name], room = frame, room - size
     return Outcome(store.path, record, model, blocks, digests, tuple(damaged), kept)
+
+
+def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:
+    """The model of a run folder; it must be the one that the record speaks of."""
+    path = store.path / "model.npz"
+    try:
+        model = ReducedModel.load(path)
+    except FileNotFoundError:
+        raise RunError(f"{path}: is missing; run the scene again into this folder") from None
+    differing = differences(record["inputs"], inputs(model, record["seed"]), program=False)
+    if differing:
+        raise RunError(f"{path}: belongs to another run ({'; '.join(differing)}); run the scene again into this folder")
+    return model
 
 
 def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from mic.results.schema import DATASETS, Table
 from mic.store import Format, replacing
 
-__all__ = ["read_table", "write_table"]
+__all__ = ["read_identity", "read_table", "write_table"]
 
 _AGAIN = "run the scene again into this folder"
 _FORMATS = {table.name: Format(f"block of {table.name}", table.version, _AGAIN) for table in DATASETS}
@@ -59,13 +59,43 @@ def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             content = file.read()
-        header = {key.decode(): value.decode() for key, value in (content.schema.metadata or {}).items()}
+        header = _header(content.schema)
         frame = content.to_pandas()
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, ValueError):
         raise kind.damaged(path) from None
-    number = header.get("format", "")
-    kind.check(path, {"kind": header.get("kind"), "format": int(number) if number.isdigit() else None})
+    kind.check(path, header)
     table.check(frame, path, _AGAIN)
-    return frame, header.get("identity", "")
+    return frame, str(header["identity"])
+
+
+def read_identity(path: Path, table: Table) -> str:
+    """Identity of the run that a table belongs to, from its metadata alone.
+
+    Raises
+    ------
+    FileNotFoundError
+    FormatError
+        If the file is something else, or is cut short.
+    """
+    kind = _FORMATS[table.name]
+    try:
+        header = _header(pq.read_schema(path))
+    except FileNotFoundError:
+        raise
+    except (pa.ArrowException, OSError, ValueError):
+        raise kind.damaged(path) from None
+    kind.check(path, header)
+    return str(header["identity"])
+
+
+def _header(schema: pa.Schema) -> dict[str, object]:
+    """What the metadata says of kind, format and identity."""
+    found = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
+    number = found.get("format", "")
+    return {
+        "kind": found.get("kind"),
+        "format": int(number) if number.isdigit() else None,
+        "identity": found.get("identity", ""),
+    }

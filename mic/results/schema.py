@@ -355,7 +355,7 @@ def reference() -> str:
         "",
         "| file | holds |",
         "| --- | --- |",
-        "| `run.json` | scene, samples and seed asked for, laws, identity, versions, wall time by phase |",
+        "| `run.json` | scene, samples and seed asked for, laws, identity, the inputs behind it, versions, wall time |",
         "| `model.npz` | the reduced model; `mic.ReducedModel.load` reads it, no finite elements needed |",
         "| `parts.npz` | meshes and functionals of the parts |",
         "| `paper.toml` | published figures to compare with, where the scene has any |",
@@ -369,7 +369,9 @@ def reference() -> str:
         "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
         "Parquet, partitioned by law: `pandas.read_parquet(folder / 'slips')` reads all laws at once and adds the "
         "column `law`. Units stand in the metadata of each Parquet column too. A file whose name ends in `.damaged` "
-        "belongs to a block that could not be read; it was set aside and the block computed anew.",
+        "could not be read; it was set aside and computed anew. `.other-run` marks a block of another run that stood "
+        "here. `.lock` names the process that writes here now. [What is promised](promises.md) says what a "
+        "second call, or another scene, does to a folder.",
     ]
     for title, tables in (
         ("Datasets", _samples_first(DATASETS)),

@@ -36,6 +36,12 @@ def load_scene(path) -> Scene:
         raise SceneError(f"{path}: there is no such scene file; check the path") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: not valid TOML: {error}; mend the syntax there") from None
+    except RecursionError:
+        raise SceneError(
+            f"{path}: tables or lists are nested too deeply; a scene needs no more than three levels"
+        ) from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
     if "folder" in table:
         raise SceneError(f"{path}: folder: unknown key; remove it")
     try:

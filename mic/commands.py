@@ -1,0 +1,351 @@
+"""The commands: ``mic run``, ``mic check``, ``mic report``, ``mic init``."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+from contextlib import contextmanager
+from enum import Enum
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from mic import cache_folder, examples
+from mic.compliance.cache import is_cached
+from mic.compliance.provider import check_element
+from mic.contact.laws import LAWS
+from mic.errors import RunError, Stopped
+from mic.results.forecast import forecast
+from mic.runs import Listener, conclude, finished, hold
+from mic.runs import run as run_scene
+from mic.sampling.ranks import communicator, on_first
+from mic.scene import load_scene
+from mic.scene.schema import MonteCarlo
+
+__all__ = ["app", "plain", "sentence"]
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="""
+Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
+
+A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
+measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
+report.
+
+Start with:  mic init --example lap_joint  and then  mic check lap_joint  and  mic run lap_joint --samples 50
+""",
+)
+
+
+#: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
+Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
+Backend = Enum(  # type: ignore[misc]
+    "Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str
+)
+
+SceneArgument = Annotated[
+    Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
+]
+LawOption = Annotated[
+    list[Law] | None,
+    typer.Option(
+        "--law",
+        help="Contact law; repeat for several. "
+        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
+        + " Default: the scene's.",
+        show_default=False,
+    ),
+]
+
+
+def _on_first(command):
+    """A command that takes one process; under ``mpirun`` the others leave it to the first."""
+
+    @wraps(command)
+    def alone(*args, **options):
+        world = communicator()
+        if world is None or world.rank == 0:
+            command(*args, **options)
+
+    return alone
+
+
+def _requested(scene, laws, samples=None, seed=None, backend=None):
+    """The scene with what the command line asks for instead."""
+    changes = {}
+    if laws:
+        changes["report"] = scene.report.model_copy(update={"laws": list(dict.fromkeys(law.value for law in laws))})
+    updates = {
+        key: value for key, value in (("samples", samples), ("seed", seed), ("backend", backend)) if value is not None
+    }
+    if updates:
+        changes["monte_carlo"] = scene.monte_carlo.model_copy(update=updates)
+    return scene.model_copy(update=changes)
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
+    ] = None,
+    law: LawOption = None,
+    backend: Annotated[
+        Backend | None,
+        typer.Option(
+            help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
+            "hundred times slower. Default: the scene's.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
+    ] = None,
+    replace: Annotated[
+        bool,
+        typer.Option(
+            "--replace",
+            help="Remove the results of another run from the folder, the files that a run writes and no others. "
+            "Without it, such a folder is refused.",
+        ),
+    ] = False,
+):
+    """Run the Monte Carlo of a scene and write tables, fields and a report.
+
+    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished samples
+    are kept: call again to complete an interrupted run, or with more samples to extend one. Under `mpirun -n N` the
+    samples are shared out over N processes.
+    """
+    world = communicator()
+    console = Console(quiet=world is not None and world.rank > 0)
+    asked = on_first(world, lambda: _requested(load_scene(scene), law, samples, seed, backend and backend.value))
+    if out is None and asked.name.strip(".") == "":
+        raise RunError(f"scene name {asked.name!r}: cannot name a results folder; name the folder with --out")
+    folder = out or Path("results") / asked.name
+    try:
+        with hold(folder, _Listener(console)):
+            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace)
+            if outcome is not None:
+                _report(console, outcome)
+    except (KeyboardInterrupt, Stopped) as stop:
+        laws, samples = asked.report.laws, asked.monte_carlo.samples
+        console.print(
+            f"Interrupted: {finished(folder, laws, samples)} of {len(laws) * samples} samples are finished and kept in "
+            f"{plain(folder)}; run the same command again to complete it: {plain(shlex.join(['mic', *sys.argv[1:]]))}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        raise typer.Exit(_status(stop)) from None
+
+
+@app.command()
+@_on_first
+def report(
+    folder: Annotated[
+        Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
+    ],
+):
+    """Write the statistics, fields and report of a results folder again."""
+    console = Console()
+    try:
+        _report(console, conclude(folder, listener=_Listener(console)))
+    except (KeyboardInterrupt, Stopped) as stop:
+        console.print(f"Interrupted: the samples in {plain(folder)} stand untouched; call mic report again.")
+        raise typer.Exit(_status(stop)) from None
+
+
+def _report(console, outcome):
+    """The page, and on the console the least that a user wants to know."""
+    from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
+
+    page = write_report(outcome.folder, outcome)
+    _print_zones(console, outcome)
+    console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(outcome.folder / 'summary.json')}")
+
+
+class _Listener(Listener):
+    """Shows a run on the console."""
+
+    def __init__(self, console):
+        self.console = console
+
+    def say(self, sentence):
+        self.console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+    @contextmanager
+    def sampling(self, laws, samples):
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+        with Progress(*columns, TimeRemainingColumn(), console=self.console, disable=self.console.quiet) as progress:
+            bars = {law: progress.add_task(f"{law} samples", total=samples) for law in laws}
+            yield lambda law, count: progress.advance(bars[law], count)
+
+
+def _print_zones(console, outcome):
+    """The paper's Table 1, and how many samples failed."""
+    from mic.report.style import number
+
+    summary = outcome.summary()
+    zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))
+    if zones:
+        table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
+        for zone in zones:
+            found = [law["zones"][zone] for law in summary["laws"].values()]
+            figures = [(number(z["mean_rms_slip"], 4), number(z["six_sigma_rms_slip"], 4)) for z in found]
+            table.add_row(zone, *(f"{mean} / {spread}" for mean, spread in figures))
+        console.print(table)
+    for name, law in summary["laws"].items():
+        console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
+
+
+@app.command()
+@_on_first
+def check(scene: SceneArgument, law: LawOption = None):
+    """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
+    from mic.model.assembly import assemble
+    from mic.process.plan import plan_stages
+
+    console = Console()
+    asked = _requested(load_scene(scene), law)
+    for script in dict.fromkeys(part.geometry for part in asked.parts if part.geometry is not None):
+        console.print(
+            f"This scene is a program: {plain(asked.folder / script)} is executed to make its meshes.",
+            highlight=False,
+            soft_wrap=True,
+        )
+    assembly = assemble(asked, cache_folder())
+    console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
+    _print_parts(console, assembly)
+    _print_contacts(console, assembly)
+    plans = plan_stages(asked, assembly.weld_size)
+    table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
+    for plan in plans:
+        resolves = plan.resolves and len(assembly.contacts) > 0
+        table.add_row(
+            plan.name,
+            plan.kind,
+            str(len(plan.bilateral)),
+            str(len(plan.loads)),
+            str(len(plan.closing)),
+            (f"yes, {plan.increments} increments" if plan.increments > 1 else "yes") if resolves else "no",
+        )
+    console.print(table)
+    _print_cost(console, assembly, plans)
+    console.print("[green]The scene is valid.[/]")
+
+
+def _print_parts(console, assembly):
+    table = Table(
+        "part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients", title="Parts"
+    )
+    for part in assembly.parts:
+        table.add_row(
+            part.name,
+            str(len(part.surface.points)),
+            str(len(part.surface.triangles)),
+            f"{part.thickness:g}",
+            f"{part.young:g}",
+            f"{part.poisson:g}",
+            str(len(part.functionals)),
+            _coefficients(part),
+        )
+    console.print(table)
+
+
+def _coefficients(part):
+    """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
+    if is_cached(part, cache_folder()):
+        return "cached"
+    check_element(part.element)
+    return "to be computed"
+
+
+def _print_contacts(console, assembly):
+    scene, contacts = assembly.scene, assembly.contacts
+    if not len(contacts):
+        console.print("No contact zones: nothing to resolve.")
+        return
+    table = Table("zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", title="Contact zones")
+    for i, zone in enumerate(scene.zones):
+        own = contacts.zone == i
+        table.add_row(
+            zone.name,
+            " – ".join(zone.parts),
+            str(own.sum()),
+            f"{zone.friction:g}",
+            f"{contacts.area[own].sum():.0f}",
+            f"{contacts.gap[own].min():.3f} … {contacts.gap[own].max():.3f}",
+        )
+    console.print(table)
+    if contacts.dimension == 1:
+        console.print(
+            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "
+            f"{3 * len(contacts)}."
+        )
+
+
+def _print_cost(console, assembly, plans):
+    scene, contacts = assembly.scene, assembly.contacts
+    solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
+    sizes = [len(part.functionals) for part in assembly.parts]
+    nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
+    samples, laws = scene.monte_carlo.samples, scene.report.laws
+    console.print(f"• one factorisation per part not cached: {nodes}")
+    console.print(
+        f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
+        "coefficients"
+    )
+    if solved:
+        console.print(
+            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {solved} contact resolutions "
+            f"= {samples * len(laws) * solved} contact solves of {contacts.dimension * len(contacts)} unknowns"
+        )
+    else:
+        console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
+    console.print(f"• {forecast(assembly, laws, samples, len(os.sched_getaffinity(0)))}")
+    fields = "mean and 6σ fields: a few further solves per part and law"
+    console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
+
+
+@app.command()
+@_on_first
+def init(
+    example: Annotated[str, typer.Option(help=f"One of {', '.join(examples.names())}.", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
+):
+    """Copy an example scene into a new folder, to start from."""
+    folder = examples.copy(example, out)
+    print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
+
+
+def plain(text):
+    """Text of a user's as it stands: no markup, and none of the characters by which a terminal is controlled."""
+    return escape(re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", str(text)))
+
+
+def _status(stop):
+    """Exit status of a program that was interrupted."""
+    return stop.status if isinstance(stop, Stopped) else 130
+
+
+def sentence(error):
+    """An error as the console shows it."""
+    console = Console(stderr=True)
+    with console.capture() as capture:
+        console.print(f"[bold red]error:[/] {plain(error)}", highlight=False, soft_wrap=True)
+    return capture.get()

@@ -1,0 +1,94 @@
+"""What a run will take, foretold before anything is computed: so that one that cannot end is not begun."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mic.errors import RunError
+from mic.process.plan import plan_stages
+
+__all__ = ["Forecast", "forecast"]
+
+# Least figures: dense assemblies and hard contact problems take several times as long.
+SECONDS = 1e-5  # one contact pair in one increment of one sample, on one core
+BYTES = 40  # one contact pair of one sample in one stage
+PER_SAMPLE = 300  # bytes, whatever the scene
+LONGEST = 365.25 * 86400  # s
+LARGEST = 2**31 - 1  # the results number samples in 32 bits
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Least time and disk space that a run takes.
+
+    Attributes
+    ----------
+    samples : int
+    seconds : float
+        With all cores at work.
+    size : float
+        Bytes.
+    """
+
+    samples: int
+    seconds: float
+    size: float
+
+    def __str__(self) -> str:
+        return f"at least {_time(self.seconds)} and {_size(self.size)} on disk"
+
+    def check(self, folder: Path) -> None:
+        """Raise :class:`RunError` for a run that would never end, or whose results do not fit on the disk."""
+        folder = Path(folder).absolute()
+        free = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.is_dir())).free
+        takes = f"{self.samples} samples would take {self}"
+        if self.samples > LARGEST:
+            raise RunError(f"{takes}, and results number no more than {LARGEST}; ask for fewer samples")
+        if self.size > free:
+            raise RunError(f"{takes}, and {folder} has room for {_size(free)}; ask for fewer samples, or make room")
+        if self.seconds > LONGEST:
+            raise RunError(f"{takes}; ask for fewer samples or increments")
+
+
+def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecast:
+    """Forecast of a Monte Carlo.
+
+    Parameters
+    ----------
+    assembly : mic.model.assembly.Assembly
+    laws : sequence of str
+    samples : int
+        Under each law.
+    cores : int
+        That share the work.
+    """
+    contacts = assembly.contacts
+    resolved = [plan for plan in plan_stages(assembly.scene, assembly.weld_size) if plan.resolves and len(contacts)]
+    solves = len(contacts) * sum(plan.increments for plan in resolved)
+    stored = BYTES * len(contacts) * len(resolved) + PER_SAMPLE
+    if assembly.scene.report.fields:
+        stored += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))
+    count = samples * len(laws)
+    return Forecast(samples, count * (1e-5 + SECONDS * solves) / cores, float(count * stored))
+
+
+def _time(seconds: float) -> str:
+    for unit, name in ((365.25 * 86400, "years"), (86400, "days"), (3600, "hours"), (60, "minutes")):
+        if seconds >= 2 * unit:
+            return f"{_rounded(seconds / unit)} {name}"
+    return f"{max(1, math.ceil(seconds))} s"
+
+
+def _size(count: float) -> str:
+    for unit, name in ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB")):
+        if count >= unit:
+            return f"{_rounded(count / unit)} {name}"
+    return f"{math.ceil(count / 1e3)} kB"
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"

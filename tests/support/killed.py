@@ -1,0 +1,113 @@
+"""Runs that are killed at a given file operation, for `tests/test_robustness_kill.py`.
+
+``python -m support.killed MODEL FOLDER`` runs a saved model into new folders below FOLDER and prints one JSON document:
+how many file operations a run makes, and for each of them what the resumed run is not the uninterrupted one in.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+import traceback
+from pathlib import Path
+
+import numpy as np
+
+from mic.compliance import provider
+from mic.errors import MissingProvider
+from mic.process.model import ReducedModel
+from mic.results.lock import LOCK
+from mic.runs import conclude, sample_into
+from mic.store import PARTIAL
+
+LAWS, SAMPLES, SEED = ["coulomb"], 60, 4
+EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
+KILLED = 77
+
+
+def no_fields(part):
+    raise MissingProvider("none for this test")
+
+
+def run(folder: Path, model: ReducedModel) -> None:
+    sample_into(folder, model, LAWS, SAMPLES, SEED)
+    conclude(folder)
+
+
+def killing(folder: Path, at: int):
+    """An audit hook that ends the process before the operation number `at` on a file in a folder."""
+    count = 0
+
+    def hook(event, arguments):
+        nonlocal count
+        if event in EVENTS and str(arguments[0]).startswith(str(folder)):
+            if count == at:
+                os._exit(KILLED)
+            count += 1
+
+    return hook
+
+
+def in_child(action) -> int:
+    """Exit status of an action done by a fork of this process."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            action()
+            status = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def content(folder: Path) -> dict[str, str]:
+    """Hash of each file of a results folder; of archives the arrays, of records all but wall times."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            if path.suffix == ".npz":
+                with np.load(path) as data:
+                    body = b"".join(name.encode() + data[name].tobytes() for name in sorted(data.files))
+            elif path.suffix == ".json":
+                body = json.dumps(json.loads(path.read_text()) | {"wall_time": {}}, sort_keys=True).encode()
+            else:
+                body = path.read_bytes()
+            found[str(path.relative_to(folder))] = hashlib.sha256(body).hexdigest()
+    return found
+
+
+def main(model_file: str, where: str) -> None:
+    provider.find = no_fields
+    model, where = ReducedModel.load(model_file), Path(where)
+    model.evaluate({})  # kernels are compiled once, not in each child
+    whole, folder = where / "whole", where / "killed"
+    assert in_child(lambda: run(whole, model)) == 0
+    expected, wrong, at = content(whole), {}, 0
+    while True:
+
+        def killed(at=at):
+            sys.addaudithook(killing(folder, at))
+            run(folder, model)
+
+        status = in_child(killed)
+        if status == 0:
+            break
+        if status != KILLED or in_child(lambda: run(folder, model)) != 0:
+            wrong[at] = [f"ended with {status}, and no run can go on"]
+        else:
+            found = content(folder)
+            wrong[at] = sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
+            wrong[at] += [str(path) for path in folder.rglob("*") if PARTIAL in path.name or path.name == LOCK]
+        shutil.rmtree(folder)
+        at += 1
+    print(json.dumps({"operations": at, "wrong": {at: names for at, names in wrong.items() if names}}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

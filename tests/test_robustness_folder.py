@@ -1,0 +1,286 @@
+"""Locks, cut files, full disks, missing rights, hostile text, endless runs: right numbers or one sentence."""
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import mic
+from mic.commands import app, plain
+from mic.errors import RunError, StorageError
+from mic.model.assembly import assemble
+from mic.results.forecast import LARGEST, forecast
+from mic.results.lock import LOCK, locked
+from mic.results.outcome import read_outcome
+from mic.runs import conclude, sample_into
+from mic.store import PARTIAL, clean, replacing, set_aside
+
+pytestmark = pytest.mark.robustness
+
+ROOT = Path(__file__).resolve().parents[1]
+LAP = ROOT / "meshes" / "lap_joint"
+
+
+def in_python(text, *arguments):
+    command = [sys.executable, "-c", text, *map(str, arguments)]
+    own = dict(os.environ)  # without what MPI, where it has started in this process, has put beside it
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, env=own)
+
+
+# ---------------------------------------------- the lock
+
+
+HOLD = """
+import sys, time; from mic.results.lock import locked
+with locked(sys.argv[1]): print("held", flush=True); time.sleep(60)
+"""
+
+
+def test_a_second_run_in_a_folder_is_refused_in_one_sentence(lap_model, tmp_path):
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as holder:
+        try:
+            assert holder.stdout.readline() == "held\n"
+            for attempt in (
+                lambda: sample_into(tmp_path, lap_model, ["coulomb"], 10, 4),
+                lambda: locked(tmp_path).__enter__(),
+            ):
+                with pytest.raises(
+                    RunError, match=rf"in use by process {holder.pid} on .*wait until it has ended"
+                ) as caught:
+                    attempt()
+                assert "\n" not in str(caught.value)
+            assert [path.name for path in tmp_path.iterdir()] == [LOCK]
+        finally:
+            holder.kill()
+    with locked(tmp_path) as stale:
+        assert stale  # it was killed, and holds up nobody
+    assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.parametrize("change", [{"boot": "another"}, {"started": 1}, {"process": 2**22 + 1}, None])
+def test_a_lock_whose_owner_is_gone_is_taken_over(tmp_path, change):
+    with locked(tmp_path):
+        owner = json.loads((tmp_path / LOCK).read_text())
+    (tmp_path / LOCK).write_text("" if change is None else json.dumps(owner | change))
+    with locked(tmp_path):
+        assert json.loads((tmp_path / LOCK).read_text()) == owner
+
+
+def test_a_lock_of_another_machine_is_believed_and_the_remedy_named(tmp_path):
+    with locked(tmp_path):
+        owner = json.loads((tmp_path / LOCK).read_text())
+    (tmp_path / LOCK).write_text(json.dumps(owner | {"host": "elsewhere"}))
+    with pytest.raises(RunError, match=f"on elsewhere.*should it be dead, remove .*{LOCK}"), locked(tmp_path):
+        pass
+    assert json.loads((tmp_path / LOCK).read_text())["host"] == "elsewhere"
+
+
+def test_one_process_may_hold_a_folder_more_than_once(tmp_path):
+    with locked(tmp_path):
+        with locked(tmp_path):
+            pass
+        assert (tmp_path / LOCK).exists()
+    assert not (tmp_path / LOCK).exists()
+
+
+# ---------------------------------------------- cut files
+
+
+@pytest.fixture(scope="module")
+def finished(lap_model, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("finished")
+    sample_into(folder, lap_model, ["coulomb"], 60, 4)
+    return folder
+
+
+WHOLE = ("run.json", "model.npz")
+
+
+@pytest.mark.parametrize("name", [*WHOLE, "samples", "contacts", "measurements", "forces"])
+def test_files_cut_at_many_lengths_are_set_aside_and_computed_anew(lap_model, finished, tmp_path, name):
+    run = tmp_path / "run"
+    expected = read_outcome(finished).measured("coulomb", "M1")
+    path = Path(name) if name in WHOLE else sorted((finished / name).rglob("0*"))[0].relative_to(finished)
+    whole = (finished / path).read_bytes()
+    for length in [0, 1, 4, 100, *np.linspace(0, len(whole) - 2, 7).astype(int)[1:]]:
+        shutil.copytree(finished, run)
+        (run / path).write_bytes(whole[:length])
+        sample_into(run, lap_model, ["coulomb"], 60, 4)
+        np.testing.assert_array_equal(read_outcome(run).measured("coulomb", "M1"), expected)
+        aside = list((run / path).parent.glob(f"*{path.name}.damaged"))
+        assert [found.read_bytes() for found in aside] == [whole[:length]]
+        assert name in WHOLE or len(pd.read_parquet(run / "samples")) == 60  # nor does it stand in the reader's way
+        shutil.rmtree(run)
+
+
+def test_what_is_set_aside_never_takes_the_place_of_another(tmp_path):
+    for number in range(3):
+        (tmp_path / "a.json").write_text(str(number))
+        set_aside(tmp_path / "a.json")
+    assert sorted(path.read_text() for path in tmp_path.glob("a.json.damaged*")) == ["0", "1", "2"]
+
+
+def test_partial_files_of_killed_programs_are_cleaned_and_others_stay(tmp_path):
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "a.json") as own:
+        raise KeyboardInterrupt
+    dead = in_python("import os; print(os.getpid())").stdout.strip()
+    orphan = tmp_path / own.name.replace(f"-{os.getpid()}", f"-{dead}")
+    others = [own, tmp_path / f"mine{PARTIAL}.json", tmp_path / ".notes.txt"]
+    for path in (orphan, *others):
+        path.write_text("")
+    clean([tmp_path, tmp_path / "none"])
+    assert not orphan.exists() and all(path.exists() for path in others)
+    clean([tmp_path], alone=True)
+    assert [path.exists() for path in others] == [False, True, True]
+
+
+# ---------------------------------------------- disks and rights
+
+
+FULL = """
+import resource, sys; from pathlib import Path
+from mic.process.model import ReducedModel; from mic.runs import sample_into; from mic.errors import StorageError
+model = ReducedModel.load(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), int(sys.argv[3])))
+try: sample_into(Path(sys.argv[2]), model, ["coulomb"], 60, 4)
+except StorageError as error: print(error); sys.exit(2)
+"""
+
+
+def test_a_full_disk_ends_in_one_sentence_and_what_is_finished_stays(lap_model, finished, tmp_path):
+    lap_model.save(tmp_path / "model.npz")
+    for limit in (0, 200, 5_000, 30_000):
+        done = in_python(FULL, tmp_path / "model.npz", tmp_path / "run", limit)
+        assert done.returncode == 2, done.stderr
+        assert len(done.stdout.splitlines()) == 1 and "file too large" in done.stdout and not done.stderr
+    sample_into(tmp_path / "run", lap_model, ["coulomb"], 60, 4)
+    expected = read_outcome(finished).measured("coulomb", "M1")
+    np.testing.assert_array_equal(read_outcome(tmp_path / "run").measured("coulomb", "M1"), expected)
+    assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name]
+
+
+def test_an_error_of_the_disk_leaves_the_old_file(tmp_path):
+    (tmp_path / "a").write_text("old")
+    with pytest.raises(StorageError, match="a: cannot be written .no space left"), replacing(tmp_path / "a") as new:
+        new.write_text("half")
+        raise OSError(28, "No space left on device")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"] and (tmp_path / "a").read_text() == "old"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_is_one_sentence(lap_model, tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(StorageError, match="permission denied.*--out"):
+        sample_into(tmp_path / "run", lap_model, ["coulomb"], 10, 4)
+
+
+def test_no_folder_of_results_can_be_a_file_or_lie_in_one(lap_model, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for folder, words in (("file", "is a file; name a folder"), ("file/run", "not a directory")):
+        with pytest.raises(mic.MicError, match=words):
+            sample_into(tmp_path / folder, lap_model, ["coulomb"], 10, 4)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_without_a_home_the_cache_must_be_named(monkeypatch):
+    monkeypatch.delenv("MIC_CACHE", raising=False)
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda name: Path("~/.cache") / name)
+    with pytest.raises(StorageError, match="no home folder.*MIC_CACHE"):
+        mic.cache_folder()
+
+
+# ---------------------------------------------- what a user writes
+
+
+def test_text_of_a_user_reaches_the_terminal_as_text(tmp_path, cache, monkeypatch):
+    monkeypatch.setenv("MIC_CACHE", str(cache))
+    for name in ("scene.toml", "geometry.py"):
+        shutil.copy(LAP / name, tmp_path / name)
+    text = (tmp_path / "scene.toml").read_text()
+    hostile = r"Gap [mm] [/red] [link=x] \u001b[2J \u0007 end"
+    (tmp_path / "scene.toml").write_text(text.replace("Two flat strips, clamped and welded in their overlap.", hostile))
+    found = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"})
+    assert found.exit_code == 0 and "Gap [mm] [/red] [link=x]" in found.output
+    assert "\x1b[2J" not in found.output and "\x07" not in found.output
+
+
+def test_plain_text_keeps_lines_and_letters():
+    assert plain("ä 6σ\n\t[mm]") == "ä 6σ\n\t\\[mm]" and plain("\x1b[31m\x9b2J") == "�[31m�2J"
+
+
+def test_a_scene_with_a_script_is_said_to_be_a_program_before_it_runs(tmp_path, cache, monkeypatch):
+    monkeypatch.setenv("MIC_CACHE", str(cache))
+    shutil.copy(LAP / "scene.toml", tmp_path / "scene.toml")
+    (tmp_path / "geometry.py").write_text("raise SystemExit")
+    found = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"})
+    assert "is executed" in found.output and str(tmp_path / "geometry.py") in found.output.replace("\n", "")
+
+
+@pytest.mark.parametrize("name", ["..", "."])
+def test_a_scene_cannot_lead_out_of_the_results(tmp_path, monkeypatch, name):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for file in ("scene.toml", "geometry.py"):
+        shutil.copy(LAP / file, file)
+    Path("scene.toml").write_text(Path("scene.toml").read_text().replace('"lap-joint"', f'"{name}"'))
+    found = CliRunner().invoke(app, ["run", "."])
+    assert isinstance(found.exception, mic.MicError) and "--out" in str(found.exception)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["geometry.py", "here", "scene.toml"]
+
+
+@pytest.mark.parametrize(
+    "key, words",
+    [
+        (f"seed = {2**63}", "monte_carlo.seed: .*less than"),
+        ("samples = " + "[" * 5000 + "]" * 5000, "nested too deeply|not valid TOML"),
+        ("samples = 1e400", "monte_carlo.samples"),
+    ],
+)
+def test_numbers_and_nesting_beyond_all_bounds_are_one_sentence(tmp_path, key, words):
+    text = (LAP / "scene.toml").read_text().replace("samples = 200\nseed = 1", key)
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(mic.SceneError, match=words):
+        mic.load_scene(tmp_path)
+
+
+def test_a_seed_beyond_the_generator_is_refused_by_the_command():
+    assert CliRunner().invoke(app, ["run", str(LAP), "--seed", str(2**63)]).exit_code == 2
+
+
+@pytest.mark.parametrize("samples, increments", [(10**12, 1), (10**30, 1), (LARGEST + 1, 1), (500, 10**9)])
+def test_a_run_that_would_never_end_is_refused_with_the_time_it_would_take(
+    lap_scene, cache, tmp_path, samples, increments
+):
+    stages = [stage.model_copy(update={"increments": increments}) for stage in lap_scene.stages]
+    assembly = assemble(lap_scene.model_copy(update={"stages": stages}), cache)
+    foretold = forecast(assembly, ["coulomb"], samples, cores=2)
+    with pytest.raises(RunError, match=f"{samples} samples would take at least .* (years|days|hours) and .* on disk"):
+        foretold.check(tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_of_a_day_is_foretold_and_not_refused(lap_scene, cache, tmp_path):
+    foretold = forecast(assemble(lap_scene, cache), ["coulomb"], 10**6, cores=2)
+    foretold.check(tmp_path)
+    assert 60 < foretold.seconds < 86400 and 1e8 < foretold.size < 1e11
+
+
+def test_a_report_of_a_folder_without_a_run_leaves_it_as_it_is(tmp_path):
+    with pytest.raises(RunError, match="holds no run"):
+        conclude(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_that_no_limit_stops_are_written(tmp_path):
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 0  # the limits above were of other processes
+    with replacing(tmp_path / "a" / "b") as new:
+        new.write_text("x")
+    assert (tmp_path / "a" / "b").read_text() == "x"

@@ -1,0 +1,268 @@
+"""Changed inputs of every kind: never yesterday's numbers, and nothing lost for asking otherwise."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import mic
+from mic.errors import RunError
+from mic.geometry.load import load_part
+from mic.model.assembly import assemble
+from mic.results.identity import identity, inputs
+from mic.results.outcome import read_outcome
+from mic.runs import Listener, conclude, read_run, sample_into
+from mic.scene.schema import Part
+from mic.store import save_json
+
+pytestmark = pytest.mark.robustness
+
+ROOT = Path(__file__).resolve().parents[1]
+LAWS = ["coulomb", "frictionless"]
+SCRIPT = """
+from pathlib import Path
+import numpy as np
+HERE = Path(__file__).parent
+def build(part, size):
+    length = {read}
+    return np.array([[0, 0, 0], [length, 0, 0], [length, 1, 0], [0, 1, 0.0]]), [[0, 1, 2], [0, 2, 3]]
+"""
+#: Ways in which a script may read a file beside it.
+READERS = {
+    "open": "float(open(HERE / 'length.txt').read())",
+    "pathlib": "float((HERE / 'length.txt').read_text())",
+    "numpy": "float(np.loadtxt(HERE / 'length.txt'))",
+    "optional": "float((HERE / 'better.txt').read_text() if (HERE / 'better.txt').exists() else 2) * "
+    "float((HERE / 'length.txt').read_text())",
+    "declared": "float(np.fromfile(HERE / 'length.txt', sep=' ')[0])\nDEPENDS = ['length.txt']\n",
+}
+
+
+class Heard(Listener):
+    def __init__(self):
+        self.sentences = []
+
+    def say(self, sentence):
+        self.sentences.append(sentence)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A copy of the lap joint, to be changed."""
+    shutil.copytree(ROOT / "meshes" / "lap_joint", tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def part(**keys):
+    return Part(name="sheet", thickness=1.0, size=2.0, **keys)
+
+
+def built(folder, cache):
+    return load_part(part(geometry="geometry.py"), folder, cache)
+
+
+@pytest.mark.parametrize("way", READERS)
+def test_a_mesh_is_made_anew_when_a_file_that_its_script_read_has_changed(tmp_path, way):
+    text = SCRIPT.format(read=READERS[way])
+    if way == "declared":  # the last line of the text belongs to the script, not to build
+        text = SCRIPT.format(read=READERS[way].splitlines()[0]) + READERS[way].splitlines()[1] + "\n"
+    (tmp_path / "geometry.py").write_text(text)
+    (tmp_path / "length.txt").write_text("3")
+    first, read = built(tmp_path, tmp_path / "cache")
+    assert "length.txt" in read and built(tmp_path, tmp_path / "cache")[1] == read
+    (tmp_path / "length.txt").write_text("5")
+    second, changed = built(tmp_path, tmp_path / "cache")
+    assert second.points[:, 0].max() == pytest.approx(5 / 3 * first.points[:, 0].max()) and changed != read
+
+
+def test_a_file_that_a_script_looked_for_in_vain_counts_once_it_is_there(tmp_path):
+    read = "3.0\n    try: length = float(open(HERE / 'better.txt').read())\n    except FileNotFoundError: pass"
+    (tmp_path / "geometry.py").write_text(SCRIPT.format(read=read))
+    assert built(tmp_path, tmp_path / "cache")[0].points[:, 0].max() == 3
+    (tmp_path / "better.txt").write_text("7")
+    assert built(tmp_path, tmp_path / "cache")[0].points[:, 0].max() == 7
+
+
+def test_a_copy_of_a_scene_beside_other_data_has_meshes_of_its_own(tmp_path):
+    for name, length in (("one", "3"), ("two", "5")):
+        (tmp_path / name / "scene").mkdir(parents=True)
+        (tmp_path / name / "length.txt").write_text(length)
+        (tmp_path / name / "scene" / "geometry.py").write_text(
+            SCRIPT.format(read="float((HERE.parent / 'length.txt').read_text())")
+        )
+        assert built(tmp_path / name / "scene", tmp_path / "cache")[0].points[:, 0].max() == float(length)
+
+
+def test_a_script_called_from_another_folder_reads_the_file_there(tmp_path, monkeypatch):
+    (tmp_path / "geometry.py").write_text(SCRIPT.format(read="float(open('length.txt').read())"))
+    for name, length in (("one", "3"), ("two", "5")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "length.txt").write_text(length)
+        monkeypatch.chdir(tmp_path / name)
+        assert built(tmp_path, tmp_path / "cache")[0].points[:, 0].max() == float(length)
+
+
+def changes(folder):
+    """What may be changed in a scene's folder, by name; each returns nothing."""
+    toml = folder / "scene.toml"
+
+    def replaced(old, new):
+        assert old in toml.read_text()
+        return lambda: toml.write_text(toml.read_text().replace(old, new, 1))
+
+    return {
+        "thickness": replaced("thickness = 1", "thickness = 1.01"),
+        "friction": replaced("friction = 0.27", "friction = 0.28"),
+        "clamp force": replaced("force = 60", "force = 61"),
+        "deviation": replaced("sigma = 1.5", "sigma = 1.6"),
+        "path": replaced('kind = "clamp"', 'kind = "clamp"\nincrements = 2'),
+        "measurement": replaced("point = [157, 12.5, 1]", "point = [156, 12.5, 1]"),
+        "mesh size": replaced('size = "medium"', "size = 2.4"),
+        "script": lambda: (folder / "geometry.py").write_text((folder / "geometry.py").read_text() + "\n# changed\n"),
+    }
+
+
+@pytest.mark.parametrize("what", changes(ROOT / "meshes" / "lap_joint"))
+def test_every_change_of_the_inputs_changes_the_identity(scene, cache, what):
+    before = identity(assemble(mic.load_scene(scene), cache), 1)
+    changes(scene)[what]()
+    assert identity(assemble(mic.load_scene(scene), cache), 1) != before
+
+
+def test_texts_samples_and_laws_do_not_change_the_identity(scene, cache):
+    before = identity(assemble(mic.load_scene(scene), cache), 1)
+    toml = scene / "scene.toml"
+    text = toml.read_text().replace("samples = 200", "samples = 300").replace("Two flat strips", "Strips")
+    toml.write_text(text.replace('laws = ["coulomb", "associated", "frictionless"]', 'laws = ["coulomb"]'))
+    assert identity(assemble(mic.load_scene(scene), cache), 1) == before
+    moved = scene.rename(scene.with_name("moved"))
+    assert identity(assemble(mic.load_scene(moved), cache), 1) == before
+
+
+def test_the_mesh_of_a_fixture_belongs_to_the_identity(scene, cache):
+    toml = scene / "scene.toml"
+    toml.write_text(toml.read_text() + '\n[[fixtures]]\nname = "rest"\nmesh = "rest.stl"\n')
+    corners = "vertex 0 0 {z}\nvertex 9 0 {z}\nvertex 0 9 {z}\n"
+    stl = f"solid s\nfacet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\nendsolid s\n"
+    found = []
+    for z in (-5, -5.3):
+        (scene / "rest.stl").write_text(stl.format(z=z))
+        found.append(inputs(assemble(mic.load_scene(scene), cache), 1))
+    assert found[0]["files"]["rest.stl"] != found[1]["files"]["rest.stl"] and found[0]["scene"] == found[1]["scene"]
+
+
+def test_fewer_samples_and_laws_reuse_what_is_there_and_lose_nothing(lap_model, tmp_path):
+    sample_into(tmp_path / "run", lap_model, LAWS, 120, 4)
+    whole = read_outcome(tmp_path / "run").measured("coulomb", "M1")
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*.parquet")}
+    assert sample_into(tmp_path / "run", lap_model, ["coulomb"], 70, 4) == {"coulomb": 70}
+    outcome = conclude(tmp_path / "run")
+    np.testing.assert_array_equal(outcome.measured("coulomb", "M1"), whole[:70])
+    assert outcome.summary()["samples"] == 70 and outcome.missing == {"coulomb": 0} and outcome.laws == ["coulomb"]
+    assert sample_into(tmp_path / "run", lap_model, LAWS, 120, 4) == dict.fromkeys(LAWS, 120)
+    assert files == {path: path.stat().st_mtime_ns for path in files}
+    np.testing.assert_array_equal(read_outcome(tmp_path / "run").measured("coulomb", "M1"), whole)
+
+
+def test_more_samples_extend_a_run_to_what_they_would_have_been(lap_model, tmp_path):
+    sample_into(tmp_path / "run", lap_model, ["coulomb"], 60, 4)
+    assert sample_into(tmp_path / "run", lap_model, ["coulomb"], 120, 4) == {"coulomb": 50}
+    sample_into(tmp_path / "whole", lap_model, ["coulomb"], 120, 4)
+    found, whole = read_outcome(tmp_path / "run"), read_outcome(tmp_path / "whole")
+    assert found.sample_numbers("coulomb").tolist() == list(range(120))
+    stored = pd.read_parquet(tmp_path / "run" / "samples")["sample"]
+    assert stored.tolist() == list(range(120))  # the last block of sixty lies in another, and is no more
+    np.testing.assert_array_equal(found.measured("coulomb", "M1"), whole.measured("coulomb", "M1"))
+    np.testing.assert_array_equal(found.contact("coulomb", "clamp", "f_n"), whole.contact("coulomb", "clamp", "f_n"))
+
+
+def test_a_block_of_another_run_is_neither_used_nor_lost(lap_model, tmp_path):
+    sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4)
+    sample_into(tmp_path / "other", lap_model, ["coulomb"], 10, 5)
+    expected = read_run(tmp_path / "mine").measured("coulomb", "M1")
+    for path in (tmp_path / "other").glob("*/law=coulomb/*"):
+        shutil.copy(path, tmp_path / "mine" / path.relative_to(tmp_path / "other"))
+    heard = Heard()
+    assert sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4, heard) == {"coulomb": 0}
+    assert "belongs to another run" in heard.sentences[0]
+    np.testing.assert_array_equal(read_run(tmp_path / "mine").measured("coulomb", "M1"), expected)
+    (aside,) = (tmp_path / "mine" / "samples" / "law=coulomb").glob("*.other-run")
+    assert aside.read_bytes() == next((tmp_path / "other" / "samples" / "law=coulomb").glob("*.parquet")).read_bytes()
+
+
+def test_a_record_that_was_edited_relabels_nothing(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+    record = json.loads((tmp_path / "run.json").read_text())
+    (tmp_path / "run.json").write_text(json.dumps(record | {"seed": 9}))
+    with pytest.raises(mic.FormatError, match="run.json.*damaged"):
+        conclude(tmp_path)
+    with pytest.raises(RunError, match="another run"):
+        sample_into(tmp_path, lap_model, ["coulomb"], 10, 9)
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 10, 4) == {"coulomb": 10}
+
+
+def test_a_model_of_another_run_is_not_believed(lap_model, hat_model, tmp_path):
+    sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+    hat_model.save(tmp_path / "model.npz")
+    with pytest.raises(RunError, match="model.npz: belongs to another run"):
+        read_run(tmp_path)
+
+
+def test_results_of_another_version_of_the_program_are_refused(lap_model, tmp_path, monkeypatch):
+    sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+    monkeypatch.setattr("mic.results.identity.program_version", lambda: "9.9")
+    assert len(read_run(tmp_path).measured("coulomb", "M1")) == 10  # they may be read
+    with pytest.raises(RunError, match="version of the program .*9.9 asked for"):
+        sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+
+
+@pytest.mark.parametrize("name", ["run.json", "summary.json", "model.npz", "report.html", "paper.toml"])
+def test_a_file_of_somebody_else_under_a_name_of_ours_stays(lap_model, tmp_path, name):
+    (tmp_path / name).write_text('{"mine": 1}')
+    for replace in (False, True):
+        with pytest.raises(RunError, match=f"{name}.*--out"):
+            sample_into(tmp_path, lap_model, ["coulomb"], 10, 4, replace=replace)
+    assert [path.name for path in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == '{"mine": 1}'
+
+
+def test_replacing_removes_what_a_run_wrote_and_nothing_else(lap_model, tmp_path):
+    sample_into(tmp_path, lap_model, LAWS, 60, 4)
+    conclude(tmp_path)
+    foreign = [
+        tmp_path / "notes.md",
+        tmp_path / "samples" / "law=coulomb" / "mine.parquet",
+        tmp_path / "fields" / "a.vtu",
+    ]
+    for path in foreign:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("mine")
+    sample_into(tmp_path, lap_model, ["frictionless"], 10, 5, replace=True)
+    assert all(path.read_text() == "mine" for path in foreign)
+    assert len(pd.read_parquet(tmp_path / "samples" / "law=frictionless")) == 10
+    assert not (tmp_path / "summary.json").exists() and not (tmp_path / "contacts" / "law=coulomb").exists()
+
+
+@pytest.mark.parametrize("link", ["samples", "samples/law=coulomb", "tables", "run.json"])
+def test_links_are_not_followed_out_of_the_folder(lap_model, tmp_path, link):
+    target, run = tmp_path / "target", tmp_path / "run"
+    sample_into(target, lap_model, ["coulomb"], 10, 4)
+    (target / "tables").mkdir(exist_ok=True)
+    before = {path: path.stat().st_mtime_ns for path in target.rglob("*")}
+    (run / link).parent.mkdir(parents=True)
+    (run / link).symlink_to(target / link)
+    for replace in (False, True):
+        with pytest.raises(RunError, match="is a link.*remove the link"):
+            sample_into(run, lap_model, ["coulomb"], 10, 5, replace=replace)
+    assert before == {path: path.stat().st_mtime_ns for path in target.rglob("*")}
+
+
+def test_a_record_of_an_older_format_is_refused_and_may_be_replaced(lap_model, tmp_path):
+    from mic.store import Format
+
+    save_json(tmp_path / "run.json", Format("record of a run", 1, ""), {"seed": 4})
+    with pytest.raises(RunError, match="older version of the program.*--replace"):
+        sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 10, 4, replace=True) == {"coulomb": 0}

@@ -1,0 +1,46 @@
+"""Interrupted from outside: one line that says what is finished and how to go on."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from mic.results.lock import LOCK
+from mic.store import PARTIAL
+
+pytestmark = [pytest.mark.robustness, pytest.mark.slow]
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+def test_a_signal_keeps_what_is_finished_and_the_same_call_completes_it(tmp_path, cache, number, code):
+    scene = tmp_path / "scene"
+    shutil.copytree(ROOT / "meshes" / "lap_joint", scene)
+    text = (scene / "scene.toml").read_text()
+    (scene / "scene.toml").write_text(text.replace("fields = true", "").replace("pairs = 24", "pairs = 6"))
+    command = [sys.executable, "-m", "mic.cli", "run", str(scene), "--law", "coulomb", "--out", "run", "--samples"]
+    options = {"cwd": tmp_path, "text": True, "env": os.environ | {"MIC_CACHE": str(cache)}}
+    run = subprocess.Popen([*command, "400"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+    blocks = tmp_path / "run" / "samples" / "law=coulomb"
+    while run.poll() is None and not (
+        blocks.is_dir() and any(not path.name.startswith(".") for path in blocks.iterdir())
+    ):
+        os.sched_yield()
+    run.send_signal(number)
+    told, errors = run.communicate(timeout=120)
+    assert run.returncode == code and "Traceback" not in errors
+    done = {path: path.stat().st_mtime_ns for path in blocks.glob("0*.parquet")}
+    assert done
+    if number != signal.SIGKILL:
+        told = " ".join(told.split())
+        assert f"{50 * len(done)} of 400 samples are finished" in told and "run the same command again" in told
+    subprocess.run([*command, "400"], check=True, capture_output=True, timeout=300, **options)
+    assert all(path.stat().st_mtime_ns == written for path, written in done.items())
+    assert pd.read_parquet(tmp_path / "run" / "samples")["sample"].tolist() == list(range(400))
+    assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name or path.name == LOCK]
