@@ -39,8 +39,9 @@ def main() -> NoReturn:
         status, words = stop.status, commands.sentence("interrupted, and nothing was lost; call again")
     except OSError as problem:
         reason = (problem.strerror or str(problem)).lower()
+        remedy = "make room or give permission (HOME must name a folder that can be written), and call again"
         status = 2
-        words = commands.sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays, call again")
+        words = commands.sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays: {remedy}")
     except Exception:
         status, words = 1, traceback.format_exc()
     leave(world, status, words)

@@ -38,14 +38,26 @@ EQUATION = void(_matrix, _vector, _vector, _vector, _blocks, _blocks, _counts, b
 _equation = types.FunctionType(EQUATION)
 
 
+def _kept(decorator):
+    """A decorator of Numba's with its cache; without it where no folder can be written, neither here nor at home."""
+
+    def decorate(function):
+        try:
+            return decorator(cache=True)(function)
+        except RuntimeError:  # compiled anew in each process then, which takes most of a minute
+            return decorator(cache=False)(function)
+
+    return decorate
+
+
 def _jit(signature):
-    return njit(signature, cache=True, nogil=True, error_model="numpy")
+    return _kept(lambda cache: njit(signature, cache=cache, nogil=True, error_model="numpy"))
 
 
 @cache
 def compiled(equation):
     """A law's equation as the kernels take it; a C callback is handed over faster than a jitted function."""
-    return cfunc(EQUATION, cache=True, error_model="numpy")(equation)
+    return _kept(lambda cache: cfunc(EQUATION, cache=cache, error_model="numpy"))(equation)
 
 
 @_jit(_matrix(_matrix))
