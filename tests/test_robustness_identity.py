@@ -96,6 +96,17 @@ def test_a_copy_of_a_scene_beside_other_data_has_meshes_of_its_own(tmp_path):
         assert built(tmp_path / name / "scene", tmp_path / "cache")[0].points[:, 0].max() == float(length)
 
 
+def test_a_copy_of_a_script_that_reads_the_data_of_the_first_follows_them(tmp_path):
+    data = tmp_path / "one" / "length.txt"
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "length.txt").write_text("3")
+        (tmp_path / name / "geometry.py").write_text(SCRIPT.format(read=f"float(open({str(data)!r}).read())"))
+    assert built(tmp_path / "one", tmp_path / "cache")[0].points[:, 0].max() == 3
+    data.write_text("5")
+    assert built(tmp_path / "two", tmp_path / "cache")[0].points[:, 0].max() == 5
+
+
 def test_a_script_called_from_another_folder_reads_the_file_there(tmp_path, monkeypatch):
     (tmp_path / "geometry.py").write_text(SCRIPT.format(read="float(open('length.txt').read())"))
     for name, length in (("one", "3"), ("two", "5")):

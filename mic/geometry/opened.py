@@ -90,8 +90,8 @@ class Dependencies:
             if content is None and not own and not sure:
                 continue  # looked for far away and not found: the search of some library
             files[os.path.relpath(path, folder) if Path(path).is_relative_to(near) else path] = content
-            if not own:
-                place["folder"] = str(folder)
+            if not (own and path.endswith(".py")):
+                place["folder"] = str(folder)  # a copy of the script may read this one's file, or one of its own
             if not os.path.isabs(given):
                 place["called_from"] = here
         return cls(files, place)
