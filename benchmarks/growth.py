@@ -30,7 +30,8 @@ from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.report.page import write_report
-from mic.results.folder import Block, RunFolder, identity, versions
+from mic.results.folder import Block, RunFolder, versions
+from mic.results.identity import identity, inputs
 from mic.results.tables import tables
 from mic.runs import conclude, sample_into
 from mic.sampling.draw import draw
@@ -78,18 +79,18 @@ def main() -> None:
             )
         Console().print(shown)
         start = time.perf_counter()
-        sample_into(place / "run", model, [LAW], MEASURED, 1, assembly.parts)
+        sample_into(place / "run", model, [LAW], MEASURED, 1)
         seconds = time.perf_counter() - start
         print(f"A run of {MEASURED} samples takes {1e3 * seconds / MEASURED:.2f} ms a sample, its files included.")
 
 
 def write(folder: Path, assembly, model: ReducedModel, evaluation: Evaluation, samples: int) -> None:
     """A folder of results as a run leaves it, without statistics."""
-    store, whose = RunFolder(folder), identity(model, 1, assembly.parts)
+    store, whose = RunFolder(folder), identity(model, 1)
     store.keep_inputs(assembly)
     model.save(folder / "model.npz")
     record = {"scene": model.scene.name, "samples": samples, "seed": 1, "laws": [LAW]}
-    store.write_record(record | {"identity": whose, "versions": versions()})
+    store.write_record(record | {"identity": whose, "inputs": inputs(model, 1), "versions": versions()})
     for law, first, count in blocks([LAW], samples, len(model.contacts)):
         block = rows(evaluation, (first + np.arange(count)) % len(evaluation.deviations))
         forces = {"force": block.functional_force, "motion": block.motion} if model.scene.report.fields else None

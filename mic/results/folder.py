@@ -24,6 +24,7 @@ import json
 import platform
 import re
 import shutil
+from bisect import bisect
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -326,15 +327,16 @@ class RunFolder:
             Only blocks with samples below this number.
         """
         chosen: list[Block] = []
-        taken: set[int] = set()
         for block in sorted(self._found(law), key=lambda block: (-block.count, block.first)):
             if samples is not None and block.first >= samples:
                 continue
-            numbers = range(block.first, block.first + block.count)
-            if taken.isdisjoint(numbers):
-                taken.update(numbers)
-                chosen.append(block)
-        return sorted(chosen)
+            place = bisect(chosen, block)
+            before, after = chosen[max(place - 1, 0) : place], chosen[place : place + 1]
+            if all(other.first + other.count <= block.first for other in before) and all(
+                block.first + block.count <= other.first for other in after
+            ):
+                chosen.insert(place, block)
+        return chosen
 
     def finished(self, law: str) -> np.ndarray:
         """Numbers of the finished samples of a law, ascending."""

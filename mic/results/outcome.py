@@ -293,6 +293,7 @@ def read_outcome(folder) -> Outcome:
                 size = int(frame.memory_usage(index=False).sum())
                 if size <= (room - ROOM // 2 if name == "contacts" else room):  # the others are small, and asked often
                     kept[block][name], room = frame, room - size
+            del tables, frame  # before the next are read
     return Outcome(store.path, record, model, blocks, digests, tuple(damaged), kept)
 
 
