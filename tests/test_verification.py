@@ -232,8 +232,8 @@ def frame_sign(monkeypatch):
 
     find = assembly.find_pairs
 
-    def flipped(*arguments):
-        pairs = find(*arguments)
+    def flipped(*arguments, **options):
+        pairs = find(*arguments, **options)
         for pair in pairs:
             pair.frame[:, 0] *= -1
         return pairs
@@ -247,7 +247,9 @@ def surface_side(monkeypatch):
 
     find = assembly.find_pairs
     monkeypatch.setattr(
-        assembly, "find_pairs", lambda *a: [replace(pair, sides=(-pair.sides[0], -pair.sides[1])) for pair in find(*a)]
+        assembly,
+        "find_pairs",
+        lambda *a, **k: [replace(pair, sides=(-pair.sides[0], -pair.sides[1])) for pair in find(*a, **k)],
     )
 
 

@@ -30,7 +30,7 @@ class Case:
     @property
     def has_box(self) -> bool:
         """Whether a zone is bounded by a box, which only right angles turn into a box."""
-        return any("box" in zone for zone in self.table["zones"])
+        return any(zone.get("box") is not None for zone in self.table["zones"])
 
     def scene(self, folder: Path) -> Scene:
         """The scene with its meshes written into `folder`; every coordinate is read back as it is."""
@@ -180,12 +180,13 @@ def turned(case: Case, turn: np.ndarray, shift=(0.0, 0.0, 0.0)) -> Case:
     for item in _items(table):
         if "point" in item:
             item["point"] = at(item["point"])
-        if "direction" in item:
-            item["direction"] = tuple((turn @ np.asarray(item["direction"], float)).tolist())
+        for key in ("direction", "normal"):
+            if item.get(key) is not None:
+                item[key] = tuple((turn @ np.asarray(item[key], float)).tolist())
         for key in ("path", "points"):
-            if key in item:
+            if item.get(key) is not None:
                 item[key] = [at(p) for p in item[key]]
-        if "box" in item:
+        if item.get("box") is not None:
             corners = np.array([at(p) for p in item["box"]])
             item["box"] = (tuple(corners.min(0).tolist()), tuple(corners.max(0).tolist()))
     return replace(case, table=table, meshes={n: (p @ turn.T + shift, t) for n, (p, t) in case.meshes.items()})
@@ -202,7 +203,7 @@ def in_units(case: Case, unit: float) -> Case:
         if "point" in item:
             item["point"] = scale(item["point"])
         for key in ("path", "points", "box"):
-            if key in item:
+            if item.get(key) is not None:
                 item[key] = [scale(p) for p in item[key]]
         if "young" in item:
             item["young"] *= unit**2
