@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -265,6 +266,13 @@ def test_a_run_that_would_never_end_is_refused_with_the_time_it_would_take(
     with pytest.raises(RunError, match=f"{samples} samples would take at least .* (years|days|hours) and .* on disk"):
         foretold.check(tmp_path / "run")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_whose_results_do_not_fit_is_refused_with_the_room_there_is(lap_scene, cache, tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=5 * 10**6))
+    foretold = forecast(assemble(lap_scene, cache), ["coulomb"], 10**5, cores=2)
+    with pytest.raises(RunError, match="100000 samples would take .* has room for 5 MB"):
+        foretold.check(tmp_path)
 
 
 def test_a_run_of_a_day_is_foretold_and_not_refused(lap_scene, cache, tmp_path):

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import os
 import shutil
+import signal
 import sys
-import traceback
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from mic.store import PARTIAL
 
 LAWS, SAMPLES, SEED = ["coulomb"], 60, 4
 EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
-KILLED = 77
+KILLED = -signal.SIGKILL
 
 
 def no_fields(part):
@@ -45,7 +46,7 @@ def killing(folder: Path, at: int):
         nonlocal count
         if event in EVENTS and str(arguments[0]).startswith(str(folder)):
             if count == at:
-                os._exit(KILLED)
+                os.kill(os.getpid(), signal.SIGKILL)
             count += 1
 
     return hook
@@ -53,17 +54,10 @@ def killing(folder: Path, at: int):
 
 def in_child(action) -> int:
     """Exit status of an action done by a fork of this process."""
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            action()
-            status = 0
-        except BaseException:
-            traceback.print_exc()
-        finally:
-            os._exit(status)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    child = multiprocessing.get_context("fork").Process(target=action)
+    child.start()
+    child.join()
+    return child.exitcode
 
 
 def content(folder: Path) -> dict[str, str]:
