@@ -175,7 +175,7 @@ def springs():
         3,
     )
     none = np.zeros((width, 0))
-    return ReducedModel(scene, compliance, rows, labels, contacts, (), np.zeros(0), none, none)
+    return ReducedModel(scene, compliance, rows, labels, contacts, (), np.zeros(0), none, none, {})
 
 
 def test_a_clamp_closes_a_gap_against_two_springs_and_release_opens_it():
