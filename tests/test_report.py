@@ -203,6 +203,7 @@ def test_a_picture_is_the_same_whatever_the_users_style(page, folder):
     assert plain == other
 
 
+@pytest.mark.slow
 def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(folder, monkeypatch):
     outcome = read_outcome(folder)
     context = read_context(outcome)

@@ -105,7 +105,10 @@ def finished(lap_model, tmp_path_factory):
 WHOLE = ("run.json", "model.npz")
 
 
-@pytest.mark.parametrize("name", [*WHOLE, "samples", "contacts", "measurements", "forces"])
+LONG = [pytest.param(name, marks=pytest.mark.slow) for name in ("contacts", "measurements", "forces")]
+
+
+@pytest.mark.parametrize("name", [*WHOLE, "samples", *LONG])
 def test_files_cut_at_many_lengths_are_set_aside_and_computed_anew(lap_model, finished, tmp_path, name):
     run = tmp_path / "run"
     expected = read_outcome(finished).measured("coulomb", "M1")
@@ -156,6 +159,7 @@ except StorageError as error: print(error); sys.exit(2)
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_in_one_sentence_and_what_is_finished_stays(lap_model, finished, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     for limit in (0, 200, 5_000, 30_000):
