@@ -26,7 +26,7 @@ from fem_reference.full.equilibrium import ContactLaw, Iteration, NoConvergence,
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
-from mic.process.actions import Joints, Row
+from mic.process.actions import Joints, Row, Settle
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step
 
@@ -270,8 +270,9 @@ class _Way:
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves: parts that settle overlap nowhere."""
-        return self.step.settles and bool((self.start[2] == self.end[2]).all())
+        """Whether nothing moves: parts settle, and nothing else, and overlap nowhere."""
+        settles = all(isinstance(action, Settle) for action in self.step.move)
+        return settles and bool((self.start[2] == self.end[2]).all())
 
     def start_point(self, solution: State, left: np.ndarray) -> Point:
         """Where the way begins."""
