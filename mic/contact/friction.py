@@ -60,7 +60,8 @@ def _checked(name, value, contacts):
     if not np.isfinite(array).all():
         raise ValueError(f"{name} contains NaN or infinite entries")
     if array.shape not in ((), (contacts,)):
-        raise ValueError(f"{name} must be a number or have one entry per contact, ({contacts},); got shape {array.shape}")
+        one = f"have one entry per contact, ({contacts},)"
+        raise ValueError(f"{name} must be a number or {one}; got shape {array.shape}")
     if (array < 0.0).any():
         raise ValueError(f"{name} must not be negative")
     return np.broadcast_to(array, (contacts,)).copy()

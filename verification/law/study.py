@@ -31,7 +31,7 @@ PUBLISHED = ("wheelhouse", 0.27)  # the paper's friction
 def with_friction(built, mu):
     """Reduced model and assembly with one coefficient of friction everywhere."""
     model, assembly = built
-    contacts = replace(assembly.contacts, friction=np.full(len(assembly.contacts), mu))
+    contacts = replace(assembly.contacts, friction=np.full_like(assembly.contacts.friction, mu))
     return replace(model, contacts=contacts), replace(assembly, contacts=contacts)
 
 
@@ -62,7 +62,7 @@ def compare(model, deviations, law) -> dict:
         )
         if law == "associated":  # what (13) implies where a contact carries load: u_n = μ‖u_t‖
             u, loaded = mine.displacement[ok], g[..., 0] > LOADED * g[..., 0].max(axis=1, keepdims=True)
-            excess = np.abs(u[..., 0] - model.contacts.friction * np.hypot(u[..., 1], u[..., 2]))
+            excess = np.abs(u[..., 0] - model.contacts.friction_in(stage).coefficient * np.hypot(u[..., 1], u[..., 2]))
             sliding = loaded & (mine.state[ok] == 2)
             identity = max(identity, excess[sliding].max(initial=0.0) / max(u[..., 0][loaded].max(initial=0.0), 1e-300))
     slip = {

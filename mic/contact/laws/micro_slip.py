@@ -40,5 +40,6 @@ MICRO_SLIP = Law(
     equation=equation,
     gauss_seidel=True,
     reads="compliance",
+    followed=True,
     compliance=_compliance,
 )

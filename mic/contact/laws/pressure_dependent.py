@@ -107,7 +107,7 @@ def table(points: Sequence[tuple[float, float]]) -> np.ndarray:
     if (np.diff(p) <= 0.0).any():
         raise ValueError("pressures must rise from point to point")
     slope = np.diff(mu) / np.diff(p)
-    for i, one in enumerate(slope):  # (μ p)' = μ + p dμ/dp is linear between two points, least where μ falls, at the end
+    for i, one in enumerate(slope):  # (μ p)' = μ + p dμ/dp is linear between two points, and least at the second
         if mu[i + 1] + p[i + 1] * one < -FALLS * mu[i]:
             raise ValueError(
                 f"the friction bound μ p must not fall with pressure, and does between {p[i]:g} and {p[i + 1]:g} MPa "
@@ -204,6 +204,7 @@ PRESSURE_DEPENDENT = Law(
     equation=equation,
     gauss_seidel=True,
     reads="pressure",
+    followed=True,
     parameters=_parameters,
     scaled=_scaled,
     coefficient=_coefficient,
