@@ -13,6 +13,7 @@ from scipy.sparse import csr_matrix, vstack
 from support.strips import E, bend_leaves, clamped, contact_law, interleave, rest, strip, vertex_rows
 
 from fem_reference.full.equilibrium import SLIP, STICK, Equilibrium, Parts
+from fem_reference.full.friction import ContactFriction
 
 pytestmark = pytest.mark.fem
 
@@ -58,7 +59,8 @@ def test_block_on_an_incline(angle):
     p = shell.gravity(W / (shell.surface.areas.sum() * 5.0) * np.array([-np.sin(α), 0, -np.cos(α)]), 1.0)
     # Nothing but contact carries the block, so all forces follow from its balance, whatever the penalty.
     law = contact_law(μ, np.full(len(feet), -1e-9), E * 5.0, 3, penalty=0.01)
-    state, _ = system.newton(rest(system), p, np.zeros(3), replace(law, friction=np.zeros(len(feet))))
+    smooth = replace(law, friction=ContactFriction.constant(np.zeros(len(feet))))
+    state, _ = system.newton(rest(system), p, np.zeros(3), smooth)
     for x, y, reaction in (
         (1.0, 0.0, W * (np.sin(α) + μ * np.cos(α))),
         (-1.0, 0.0, W * (np.sin(α) - μ * np.cos(α))),
