@@ -20,8 +20,9 @@ with g(f_n) = μ f_n, or g(f_n) = μ(f_n/A) f_n where the coefficient depends on
 f̂ = (0, f_t of the increment before) is the plain penalty method, whose elastic slip f_t/ε is recovered on reversal;
 repeating f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that (3) becomes Coulomb's law proper whatever ε.
 
-A contact that yields before it slips has a true tangential stiffness k_t A. For its tangential rows ε = k_t A, and f̂_t
-stays the force of the increment before: the elastic slip is then no error to be removed, but the contact's own.
+A contact that yields before it slips has a true tangential stiffness k_t A. For its tangential rows ε = k_t A and
+f̂_t = 0, always: the elastic slip −f_t/ε from a, where its slider stands, is then no error to be removed but the
+contact's own. In contact that holds, the slider moves to δ_t + f_t/ε.
 
 Newton's method treats (u, r, f) together. Per contact, multiplied so that each line is a force (k a stiffness of the
 sheets):
@@ -134,9 +135,9 @@ class ContactLaw:
     gap : (m,) array
         g⁰, mm, with the parts' deviations.
     anchor : (m, d) array
-        Where slip is measured from, mm; the normal column is not used.
+        Where slip is measured from, mm, a slider's place where contacts yield; the normal column is not used.
     estimate : (m, d) array
-        f̂, N.
+        f̂, N, but for the tangential rows of contacts that yield.
     penalty : (m,) array
         ε, N/mm, but for the tangential rows of contacts that yield.
     stiffness : (m,) array
@@ -164,15 +165,20 @@ class ContactLaw:
         ε[yields, 1:] = 1 / self.friction.compliance[yields, None]
         return ε
 
+    @property
+    def _held(self):
+        """(m, d) f̂ of every row."""
+        f = self.estimate.copy()
+        f[self.friction.compliance > 0, 1:] = 0.0
+        return f
+
     def augmented(self, force: np.ndarray) -> ContactLaw:
-        """f̂ ← f, but for the tangential rows of contacts that yield."""
-        estimate = force.copy()
-        yields = self.friction.compliance > 0
-        estimate[yields, 1:] = self.estimate[yields, 1:]
-        return replace(self, estimate=estimate)
+        """f̂ ← f."""
+        law = replace(self, estimate=force)
+        return replace(law, estimate=law._held)
 
     def _trial(self, δ):
-        y = self.estimate - self._ε * self.displacement(δ)
+        y = self._held - self._ε * self.displacement(δ)
         return y, np.linalg.norm(y[:, 1:], axis=1)
 
     def force(self, δ: np.ndarray) -> np.ndarray:
@@ -214,7 +220,7 @@ class ContactLaw:
 
         def elastic(which, component):
             soft = k / ε[:, component]
-            residual[which, component] = (k * moved[:, component] + soft * (f - self.estimate)[:, component])[which]
+            residual[which, component] = (k * moved[:, component] + soft * (f - self._held)[:, component])[which]
             by_δ[which, component, component] = k[which]
             by_f[which, component, component] = soft[which]
 

@@ -39,6 +39,11 @@ class ContactFriction:
     def __len__(self):
         return len(self.coefficient)
 
+    def slider(self, δ: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """(m, d - 1) where the sliders of contacts (m, d) stand: ``δ_t + f_t/(k_t A)``, the contacts themselves where
+        nothing yields."""
+        return δ[:, 1:] + self.compliance[:, None] * force[:, 1:]
+
     def bound(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(m,) largest tangential forces g(f_n), N, and g'(f_n), under normal forces ``f_n >= 0``."""
         g, slope = self.coefficient * normal, self.coefficient.copy()
