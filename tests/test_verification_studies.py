@@ -115,6 +115,34 @@ def test_law_is_judged_by_finite_elements_with_the_same_friction(lap):
     assert law.against_full((scaled(model, 1.01), assembly), 0.1) > 1e-4
 
 
+@pytest.mark.parametrize(
+    "name, keys, field",
+    [
+        ("pressure-dependent", law.FUNCTIONS["table"], "pressure"),
+        ("pressure-dependent", law.FUNCTIONS["falling power"], "pressure"),
+        ("micro-slip", {"tangential_stiffness": 1e3}, "compliance"),
+        ("coulomb", law.BY_STAGE, "friction"),
+    ],
+    ids=["table", "power", "stiffness", "by stage"],
+)
+@pytest.mark.slow
+def test_law_tells_a_wrong_function_stiffness_or_stage(name, keys, field, cache):
+    """What the reduced model holds of the zone's friction is a tenth too large: the full solve does not agree."""
+    model, assembly = law.variant(keys, law.INCREMENTS, cache)
+    right = law.solved_both_ways((model, assembly), name)
+    assert max(right["force"], right["displacement"], right["measurement"]) < 1e-8 and right["slipping"]
+    wrong = getattr(model.contacts, field).copy()
+    if field == "pressure":
+        wrong[..., 1:4] *= 1.1  # α, β and γ of every piece, and so μ
+    elif field == "friction":
+        wrong[-2:] *= 1.1  # of the release and of the measurement
+    else:
+        wrong *= 1.1
+    planted = replace(model, contacts=replace(model.contacts, **{field: wrong}))
+    found = law.solved_both_ways((planted, assembly), name)
+    assert max(found["force"], found["displacement"], found["measurement"]) > 1e-4
+
+
 @pytest.mark.parametrize("order, sizes", [(1.0, (4, 2, 1)), (2.0, (4, 2, 1)), (2.0, (5, 3, 2)), (1.5, (9.5, 6.0, 4.1))])
 def test_order_and_limit_of_a_manufactured_sequence(order, sizes):
     h = np.array(sizes, dtype=float)

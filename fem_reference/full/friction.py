@@ -39,6 +39,10 @@ class ContactFriction:
     def __len__(self):
         return len(self.coefficient)
 
+    def any(self) -> bool:
+        """Whether any contact may hold anything by friction."""
+        return bool(self.bounds or self.coefficient.any())
+
     def slider(self, δ: np.ndarray, force: np.ndarray) -> np.ndarray:
         """(m, d - 1) where the sliders of contacts (m, d) stand: ``δ_t + f_t/(k_t A)``, the contacts themselves where
         nothing yields."""
