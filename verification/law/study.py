@@ -333,8 +333,8 @@ STUDY = Study(
         Acceptance(
             "other-laws-matter",
             (
-                "An agreement to 1e-8 says something, for Coulomb's law with the coefficient that the scene gives, too, is "
-                "off by 1e4 times as much: least change of tangential motion by pressure, and by the softest contacts."
+                "Coulomb's law with the scene's coefficient is off by 1e4 times that limit: least change of a "
+                "tangential motion, by pressure and by the softest contacts."
             ),
             1e-4,
             bound="at least",
