@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
+from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.compliance.support import motion_size
 from mic.contact import laws
@@ -111,7 +112,7 @@ class FullModel:
         self.penalty, self.path_tolerance = Penalty(float(penalty), augmented), float(path_tolerance)
         self.plans = plan_stages(assembly.scene, assembly.weld_size)
         followed = [plan.name for plan in self.plans if plan.resolves and plan.path == "followed"]
-        if followed and not augmented and assembly.contacts.friction.any():
+        if followed and not augmented and any(zone.frictional for zone in assembly.scene.zones):
             raise ValueError(
                 f"stages ({', '.join(followed)}): a path is followed between exact equilibria, and the penalty method "
                 "leaves an elastic slip; give these stages increments, or augment"
@@ -174,10 +175,10 @@ class FullModel:
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
         mesh, asked = self._driven(deviations)
-        friction = contacts.friction if laws.find(law).frictional else np.zeros(len(contacts))
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
+            friction = friction_of(assembly, laws.find(law), plan.name)
             state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
                 state, asked
             )

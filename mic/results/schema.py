@@ -271,7 +271,7 @@ ZONE_STATISTICS = _statistic(
         Column("stage", "str", "", "stage that resolves contact"),
         Column("zone", "str", "", "contact zone"),
         Column("contacts", "int64", "", "contact pairs of the zone"),
-        Column("friction", "float64", "1", "coefficient of friction under this law"),
+        Column("friction", "float64", "1", "coefficient of friction under this law; none where it depends on pressure"),
         _USED,
         *_estimate("mean_rms_slip", "mm", "mean of the zone's RMS slip"),
         *_estimate("six_sigma_rms_slip", "mm", "6σ of the zone's RMS slip"),

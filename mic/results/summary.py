@@ -50,13 +50,20 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                         "stage": stage,
                         "zone": zone.name,
                         "contacts": int(count),
-                        "friction": zone.friction if LAWS[law].frictional else 0.0,
+                        "friction": _coefficient(zone, LAWS[law], stage),
                         "samples": samples,
                     }
                     | _spread("mean_rms_slip", statistics.mean(slip))
                     | _spread("six_sigma_rms_slip", statistics.six_sigma(slip))
                 )
     return _frame(ZONE_STATISTICS, pd.DataFrame(rows))
+
+
+def _coefficient(zone, law, stage: str) -> float:
+    """μ of a zone under a law in a stage; NaN where it depends on pressure."""
+    if not law.frictional:
+        return 0.0
+    return math.nan if law.varies and zone.pressure_pieces() is not None else zone.coefficient(stage)
 
 
 def contact_statistics(outcome: Outcome) -> pd.DataFrame:

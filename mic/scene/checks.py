@@ -6,6 +6,8 @@ import difflib
 
 import numpy as np
 
+from mic.contact.laws import LAWS
+
 __all__ = ["check_held", "check_references"]
 
 
@@ -51,6 +53,7 @@ def check_references(scene) -> None:
     for i, stage in enumerate(scene.stages):
         for name in stage.keep or ():
             _known(f"stages[{i}].keep", name, locators, "locator")
+    _check_friction(scene)
     sequence = [stage.kind for stage in scene.stages]
     if sequence[0] != "locate" or sequence.count("locate") != 1:
         raise ValueError("stages: the first stage, and only the first, must be of kind 'locate'")
@@ -58,6 +61,26 @@ def check_references(scene) -> None:
         raise ValueError("stages: 'measure' may only come last, once")
     if scene.measurements and "measure" not in sequence:
         raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
+
+
+#: Keys of a zone that give a law what it reads beyond a coefficient (`mic.contact.laws.Law.reads`).
+READ = {"pressure": ("friction_table", "friction_power"), "compliance": ("tangential_stiffness",)}
+
+
+def _check_friction(scene) -> None:
+    """Friction by stage names stages, and no law asks in vain for what a zone may give it."""
+    stages = {stage.name for stage in scene.stages}
+    for i, zone in enumerate(scene.zones):
+        for name in zone.friction if isinstance(zone.friction, dict) else ():
+            if name != "default":
+                _known(f"zones[{i}].friction", name, stages, "stage")
+    for law in scene.report.laws:
+        keys = READ.get(LAWS[law].reads, ())
+        if keys and all(getattr(zone, key) is None for zone in scene.zones for key in keys):
+            raise ValueError(
+                f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
+                'zone, or ask for "coulomb"'
+            )
 
 
 def check_held(scene) -> None:
