@@ -46,7 +46,7 @@ class Point:
     ----------
     share : float
     position : (m, d - 1) array
-        Tangential relative displacements of the contacts, mm.
+        Where the contacts stand tangentially, or their sliders where they yield, mm: slip goes on from there.
     gap : (m,) array
         mm.
     force : (m, d) array

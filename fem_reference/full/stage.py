@@ -23,6 +23,7 @@ import numpy as np
 
 from fem_reference.full.discretisation import Discretisation, System
 from fem_reference.full.equilibrium import ContactLaw, Iteration, NoConvergence, State
+from fem_reference.full.friction import ContactFriction
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
@@ -122,7 +123,9 @@ class FullState:
     solution : State
         Freedoms, reactions of the independent bilateral rows, contact forces.
     left : (m, d) array
-        Relative displacement δ at which each contact was left, mm; from its tangential part slip goes on.
+        Relative displacement δ at which each contact was left, mm.
+    anchor : (m, d - 1) array
+        Where its slip goes on from, mm: from there, or from where its slider stands where contacts yield.
     reaction : dict of (str, int) to float
         Forces of the bilateral rows on the parts, N or N mm.
     push : dict of int to float
@@ -133,6 +136,7 @@ class FullState:
 
     solution: State
     left: np.ndarray
+    anchor: np.ndarray
     reaction: Mapping[Row, float] = field(default_factory=dict)
     push: Mapping[int, float] = field(default_factory=dict)
     frozen: Mapping[int, float] = field(default_factory=dict)
@@ -140,7 +144,8 @@ class FullState:
     @classmethod
     def start(cls, freedoms: int, m: int, d: int) -> FullState:
         """Free, unloaded parts."""
-        return cls(State(np.zeros(freedoms), np.zeros(0), np.zeros((m, d))), np.zeros((m, d)))
+        none = np.zeros((m, d))
+        return cls(State(np.zeros(freedoms), np.zeros(0), none), none, none[:, 1:])
 
 
 @dataclass(frozen=True)
@@ -151,8 +156,8 @@ class FullStage:
     ----------
     plan : StagePlan
     mesh : Discretisation
-    friction : (m,) array
-        μ under the law; zero for frictionless.
+    friction : ContactFriction
+        Under the law, in this stage.
     penalty : Penalty
     tolerance : float
         Of a path that is followed, mm (:func:`fem_reference.full.path.extrapolated`).
@@ -160,7 +165,7 @@ class FullStage:
 
     plan: StagePlan
     mesh: Discretisation
-    friction: np.ndarray
+    friction: ContactFriction
     penalty: Penalty
     tolerance: float
 
@@ -231,28 +236,32 @@ class FullStage:
         p, v, _ = way.end
         solution = way.system.equilibrium.linear(p, v, state.solution.force)
         touching = way.system.equilibrium.linear(p, v, 0 * state.solution.force)
-        return self._after(way, state, solution, self.mesh.contact(touching.u))
+        left = self.mesh.contact(touching.u)
+        return self._after(way, state, solution, left, left[:, 1:])
 
     def _resolve(self, way, state) -> tuple[FullState, Point, FullTrace]:
         """Along the way; without friction nothing but its end counts, and slip under load has no meaning."""
         reaction = np.array([state.reaction.get(row, 0.0) for row in way.step.bilateral])[way.system.kept]
-        start = way.start_point(replace(state.solution, reaction=reaction), state.left)
+        start = way.start_point(replace(state.solution, reaction=reaction), state)
         if way.still:
             end, trace = start, replace(FullTrace.start(*start.force.shape), share=shares(start.state))
         elif not self.friction.any():
             end, trace = increments(way.solve, start, 1)
             trace = replace(FullTrace.start(*end.force.shape), share=trace.share, steps=1, solves=1)
         elif self.plan.path == "followed":
+            bound, _ = self.friction.bound(np.maximum(start.force[:, 0], 0))
+            if (np.linalg.norm(start.force[:, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any():
+                start = way.solve(start, 0.0, start.position)  # there is less friction than in the stage before
             end, trace = extrapolated(way.solve, start, self.tolerance)
         else:
             end, trace = increments(way.solve, start, self.plan.increments)
         solution = way.system.equilibrium.unpack(end.held)
-        return self._after(way, state, solution, self.mesh.contact(solution.u)), end, trace
+        return self._after(way, state, solution, self.mesh.contact(solution.u), end.position), end, trace
 
-    def _after(self, way, state, solution, left):
+    def _after(self, way, state, solution, left, anchor):
         r = np.zeros(len(way.step.bilateral))
         r[way.system.kept] = solution.reaction
-        return replace(state, solution=solution, left=left, reaction=dict(zip(way.step.bilateral, r)))
+        return replace(state, solution=solution, left=left, anchor=anchor, reaction=dict(zip(way.step.bilateral, r)))
 
     def _resolution(self, start, state, end, trace) -> FullResolution:
         displacement = np.column_stack([end.gap, (state.left - start.left)[:, 1:]])
@@ -274,17 +283,11 @@ class _Way:
         settles = all(isinstance(action, Settle) for action in self.step.move)
         return settles and bool((self.start[2] == self.end[2]).all())
 
-    def start_point(self, solution: State, left: np.ndarray) -> Point:
+    def start_point(self, solution: State, state: FullState) -> Point:
         """Where the way begins."""
-        force = solution.force
-        return Point(
-            0.0,
-            left[:, 1:],
-            self.start[2] + left[:, 0],
-            force,
-            np.where(force[:, 0] > 0, STICK, OPEN),
-            solution.stacked,
-        )
+        force, gap = solution.force, self.start[2] + state.left[:, 0]
+        contact = np.where(force[:, 0] > 0, STICK, OPEN)
+        return Point(0.0, state.anchor, gap, force, contact, solution.stacked)
 
     def solve(self, point: Point, share: float, anchor: np.ndarray) -> Point:
         """On from a point, slip measured from `anchor` (m, d - 1)."""
@@ -299,7 +302,8 @@ class _Way:
         if penalty.augmented:
             law, solution = self._augment(solution, share, law)
         δ = mesh.contact(solution.u)
-        return Point(share, δ[:, 1:], law.displacement(δ)[:, 0], solution.force, law.state(δ), solution.stacked)
+        position = self.stage.friction.slider(δ, solution.force)
+        return Point(share, position, law.displacement(δ)[:, 0], solution.force, law.state(δ), solution.stacked)
 
     def _newton(self, solution, share, law, augmentation):
         p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
@@ -330,12 +334,13 @@ class _Way:
         change, stiffness = np.inf, law.stiffness
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
-            change = float(np.abs(solution.force - law.estimate).max())
+            augmented = law.augmented(solution.force)
+            change = float(np.abs(augmented.estimate - law.estimate).max())
             largest = max(np.abs(solution.force).max(), np.abs(solution.reaction).max())
             if change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before:
                 return law, solution
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0]
-            law = replace(law, estimate=solution.force, penalty=(10 if stiffer else 1) * law.penalty)
+            law = replace(augmented, penalty=(10 if stiffer else 1) * law.penalty)
             try:
                 law, solution = self._newton(solution, share, law, augmentation)
             except NoConvergence as problem:
