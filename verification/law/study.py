@@ -30,8 +30,8 @@ QUICK_FULL = {"lap_joint": (0.05, 0.27, 0.8), "hat_on_plate": (0.27,), "wheelhou
 LAWS = ("associated", "frictionless")
 ONE_STEP = {"path": "one-step", "increments": None}  # as the paper: laws are compared, not paths
 INCREMENTS = {"path": "increments", "increments": 2}  # where sliders must remember where they stand
-#: Keys of the lap joint's zone by the law that reads them; its clamps press with 0.01 to 1 MPa, and sheets in a joint
-#: have tangential stiffnesses of 1e3 to 1e5 N/mm³.
+#: Keys of the lap joint's zone, over the pressures that its clamps make; and tangential stiffnesses, N/mm³, from one
+#: that changes what contacts do to one that hardly does.
 FUNCTIONS = {
     "table": {"friction_table": [[0.0, 0.4], [0.05, 0.3], [0.3, 0.2]]},
     "falling power": {"friction_power": {"mu0": 0.27, "p0": 0.05, "n": 0.3, "mu_min": 0.1, "mu_max": 0.6}},
