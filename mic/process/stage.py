@@ -31,6 +31,7 @@ from mic.process.state import ProcessState
 
 __all__ = ["OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
+FLOOR = 2e-4  # mm: no gauge reads a step's error below it
 OUTPUTS = ("locator", "clamp", "weld", "measurement")  #: kinds of rows that are read at the end of a stage
 
 
@@ -289,5 +290,5 @@ def _worst_rung(solutions):
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:
     """How a stage's steps are followed under a law."""
     if plan.path == "followed" and law.followed:
-        return Followed(tolerance)
+        return Followed(tolerance, FLOOR)
     return Increments(plan.increments)
