@@ -148,6 +148,12 @@ def test_a_release_opens_its_groups_and_keeps_the_clamps_that_it_names():
     assert [step.released for step in plan.steps] == [tuple(("locator", i) for i in range(6, 13)), (("clamp", 0),)]
 
 
+def test_a_clamp_that_is_kept_stays_closed_in_the_reverse_order_too():
+    plan = variant(open={"keep": [*(f"a{i}" for i in range(6)), "press", "hold"]})["open"]
+    assert [step.dropped_loads for step in plan.steps] == [(2,), (), ()]
+    assert plan.steps[-1].loads == (1,) and ("clamp", 0) in plan.bilateral
+
+
 def test_all_at_once_is_one_step_overlaps_included():
     (close,) = variant(close={"path": "one-step"})["close"].steps
     assert not close.settles and close.loads == (1,) and {("locator", 12), ("clamp", 0)} <= set(close.bilateral)
@@ -174,6 +180,16 @@ def test_clamps_that_press_two_parts_together_close_as_one_and_others_by_themsel
 def test_a_release_that_keeps_too_little_is_refused_with_the_part_and_what_opened():
     with pytest.raises(mic.SceneError, match=r"stages \(open\): 3 rigid-body motions are free once a3, a4.* opened"):
         variant(open={"keep": ["a0", "a1", "a2"]})
+
+
+def test_the_step_that_frees_a_part_is_the_one_that_is_named():
+    """What still holds the two parts, welded together, then: `hold` and `further`, two supports along z."""
+    opened = {"keep": [], "order": [[f"{part}{i}" for part in "ab" for i in range(6)], ["press2", "press"]]}
+    opened["order"].append(["hold", "further"])
+    with pytest.raises(
+        mic.SceneError, match=r"stages \(open\): 4 rigid-body motions are free once a0, a1, a2, a3 … op"
+    ):
+        variant(open=opened)
 
 
 def test_a_part_that_is_free_between_two_steps_is_refused_though_both_ends_hold_it():
@@ -285,7 +301,7 @@ def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
 STIFFNESS, GAP, PRESS = 50.0, 0.3, 20.0  # N/mm, mm, N
 
 
-def springs(drag=0.0, gap=GAP, **close):
+def springs(drag=0.0, gap=GAP, settle=True, **close):
     """Two bodies whose faces yield along z on a spring each, one contact between them.
 
     One clamp presses b's face down, and one drags it along x. `close` gives further keys of the stage that closes them.
@@ -321,7 +337,7 @@ def springs(drag=0.0, gap=GAP, **close):
         zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
         measurements=[{"name": "M", "part": "b", "point": [5, 5, 0], "direction": [0, 0, 1], "lower": -1, "upper": 1}],
         stages=[
-            {"kind": "locate", "name": "set"},
+            {"kind": "locate", "name": "set", "settle": settle},
             {"kind": "clamp", "name": "close"} | close,
             {"kind": "release", "name": "open"},
             {"kind": "measure", "name": "read"},
@@ -388,6 +404,19 @@ def test_together_the_face_sticks_where_it_touches():
     np.testing.assert_allclose(followed.displacement[0, 0], [0.0, touch * drag * YIELD, 0.0], rtol=1e-3, atol=1e-9)
     at_once = springs(drag, path="one-step").evaluate({}).resolutions["close"]
     np.testing.assert_allclose(at_once.force[0, 0], [2.5, -drag / 2, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("settle, work", [(True, 0.015), (False, 0.0075)])
+def test_what_overlaps_presses_before_the_drag_or_while_it_grows(settle, work):
+    """Faces that overlap by 0.3 mm press on each other by N = 0.3 k/2 = 7.5 N, and a drag of 4 N overcomes μ N = 1.5 N.
+
+    They end slipped by u = (4 - 2 μ N) c = 0.01 mm, against μ N all the way, or against a force that grows with the
+    slip.
+    """
+    model = springs(4.0, gap=-0.3, settle=settle, order=[["drag"], ["press"]], increments=100)
+    closed = model.evaluate({}).resolutions["close"]
+    assert closed.trace.slip[0, 0, 0] == pytest.approx(0.01, rel=1e-9)
+    assert closed.trace.work[0, 0] == pytest.approx(work, rel=0.02)
 
 
 def test_a_release_opens_first_what_closed_last():

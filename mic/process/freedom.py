@@ -33,7 +33,10 @@ def check_held(scene, joints: Joints, plan) -> None:
     centres, scale = _centres(scene)
     bodies = {part.name: 6 * i for i, part in enumerate(scene.parts)}
     size = np.tile([1.0, 1.0, 1.0, scale, scale, scale], len(bodies))
-    for held, step in {step.bilateral: step for step in reversed(plan.steps)}.items():
+    for step, before in zip(plan.steps, (None, *plan.steps)):
+        held = step.bilateral
+        if before is not None and held == before.bilateral:
+            continue
         reading = np.zeros((len(held), 6 * len(bodies)))
         for line, (kind, row) in zip(reading, held):
             if kind == "weld":
