@@ -26,6 +26,7 @@ from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.model.assembly import assemble
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
+from mic.orders import variants as read_variants
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
 from mic.process.words import opening, sentences
@@ -374,6 +375,14 @@ def order(
     permutations: Annotated[int, typer.Option(min=0, help="Random orders beside those that have a name.")] = (
         PERMUTATIONS
     ),
+    variants: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file of `[[orders]]` to compare instead, each with a `name` and, in `stages`, the keys that "
+            "change by stage: `stages.clamp.order = [[…], […]]`.",
+            show_default=False,
+        ),
+    ] = None,
     table: Annotated[Path | None, typer.Option(help="Write all numbers to this CSV file.", show_default=False)] = None,
 ):
     """Say how much hangs on the order in which locators, clamps and welds close and open.
@@ -386,7 +395,7 @@ def order(
     scene = model.scene
     frictional = [name for name in scene.report.laws if LAWS[name].frictional]
     asked = law.value if law else (frictional or scene.report.laws)[0]
-    others = orders(scene, permutations)
+    others = read_variants(scene, variants) if variants else orders(scene, permutations)
     if len(others) == 1:
         console.print("The process has one order only: nothing to compare.")
         return

@@ -8,15 +8,19 @@ overlap settle before anything closes.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from pydantic import ValidationError
 
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN
+from mic.errors import SceneError
 from mic.process.actions import SUGAR, Close, Hold, Open, Push, Withdraw
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
@@ -24,7 +28,7 @@ from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
 
-__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "orders"]
+__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "orders", "variants"]
 
 STATED = "as stated"
 PERMUTATIONS = 4  #: random orders beside those that have a name
@@ -82,6 +86,54 @@ def orders(scene: Scene, permutations: int = PERMUTATIONS, seed: int = 1) -> lis
         if not same:
             unique.append(Order(name, other))
     return unique
+
+
+def variants(scene: Scene, path: Path) -> list[Order]:
+    """The order that a scene states, first, and those of a file.
+
+    The file is a TOML table: each of ``[[orders]]`` has a ``name``, and in ``stages`` by their names the keys that are
+    others in the scene's stages; an empty list takes a key away.
+
+    Raises
+    ------
+    SceneError
+        Naming the file, the order, the key and the remedy.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: not valid TOML: {error}; mend the syntax there") from None
+    found = [Order(STATED, scene)]
+    listed = table.get("orders")
+    if set(table) != {"orders"} or not isinstance(listed, list) or not listed:
+        raise SceneError(f"{path}: give one or more [[orders]], and nothing else")
+    for i, order in enumerate(listed):
+        key = f"{path}: orders[{i}]"
+        if set(order) != {"name", "stages"} or not isinstance(order["stages"], dict):
+            raise SceneError(f"{key}: give name and stages, the stages by their names, and nothing else")
+        dumped = scene.model_dump(mode="json")
+        own = {str(stage.name): dumped["stages"][number] for number, stage in enumerate(scene.stages)}
+        unknown = set(order["stages"]) - set(own)
+        if unknown:
+            raise SceneError(
+                f"{key}.stages: the scene has no stage called {min(unknown)!r}; name one of: {', '.join(own)}"
+            )
+        for name, keys in order["stages"].items():
+            own[name].update({key: None if value == [] else value for key, value in keys.items()})
+        try:
+            changed = Scene(**dumped).model_copy(update={"folder": scene.folder})
+        except ValidationError as error:
+            told = error.errors()[0]
+            place = ".".join(map(str, told["loc"]))
+            raise SceneError(f"{key}: {place}{': ' * bool(place)}{told['msg'].removeprefix('Value error, ')}") from None
+        found.append(Order(str(order["name"]), changed))
+    names = [order.name for order in found]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise SceneError(f"{path}: the name {twice[0]!r} stands more than once; give each order its own")
+    return found
 
 
 def _process(scene: Scene):

@@ -1,6 +1,7 @@
 """How much hangs on the order of a process: which orders are compared, with the same samples, and what is doubted."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,8 +10,9 @@ from typer.testing import CliRunner
 
 import mic
 from mic.commands import app
-from mic.orders import STATED, compare, doubts, orders
+from mic.orders import STATED, compare, doubts, orders, variants
 
+ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = 6
 
 
@@ -53,6 +55,69 @@ def test_a_lap_joint_of_one_pair_of_tongs_has_no_order_of_closing(lap_scene):
         "opened all together",
         "parts settle while the first thing closes",
     ]
+
+
+CHANGED = """
+[[orders]]
+name = "C2 first"
+stages.clamp.order = [["C2"], ["C1", "C3"], ["C4", "plate-A4", "plate-A5"]]
+
+[[orders]]
+name = "as the paper has it"
+stages.locate.settle = false
+stages.clamp = { order = [], path = "one-step" }
+"""
+
+
+def test_a_file_of_variants_changes_the_keys_of_the_stages_that_it_names(hat_model, tmp_path):
+    (tmp_path / "orders.toml").write_text(CHANGED)
+    base = next(order for order in orders(hat_model.scene, 0) if order.name == "reverse").scene
+    stated, first, paper = variants(base, tmp_path / "orders.toml")
+    assert stated.scene == base and stated.name == STATED
+    assert closing(first) == [["C2"], ["C1", "C3"], ["C4", "plate-A4", "plate-A5"]]
+    assert first.scene.model_copy(update={"stages": base.stages}) == base
+    assert closing(paper) is None and [stage.path for stage in paper.scene.stages] == [
+        None,
+        "one-step",
+        None,
+        None,
+        None,
+    ]
+    assert not paper.scene.stages[0].settle and base.stages[0].settle
+
+
+BROKEN = {
+    "no file": (None, ["cannot be read", "check the path"]),
+    "no TOML": ("[[orders", ["not valid TOML", "mend"]),
+    "no orders": ('name = "x"', ["give one or more [[orders]]"]),
+    "no stages": ('[[orders]]\nname = "x"', ["orders[0]", "give name and stages"]),
+    "no such stage": ('[[orders]]\nname = "x"\nstages.clmp.order = [["C1"]]', ["orders[0].stages", "'clmp'", "clamp"]),
+    "no such key": ('[[orders]]\nname = "x"\nstages.clamp.ordre = [["C1"]]', ["orders[0]", "stages.1.ordre"]),
+    "left out": ('[[orders]]\nname = "x"\nstages.clamp.order = [["C1"]]', ["orders[0]", "closes 'plate-A4'", "add"]),
+    "one name for two": (
+        '[[orders]]\nname = "x"\nstages.weld.sequence = true\n' * 2,
+        ["'x' stands more than once", "its own"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_file_of_variants_that_cannot_be_is_one_sentence(case, hat_model, tmp_path):
+    text, words = BROKEN[case]
+    path = tmp_path / "orders.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(mic.SceneError) as caught:
+        variants(hat_model.scene, path)
+    for word in (str(path), *words):
+        assert word in str(caught.value)
+
+
+def test_the_wheelhouse_has_variants_of_the_order_that_it_states():
+    scene = mic.load_scene(ROOT / "meshes" / "wheelhouse")
+    found = variants(scene, ROOT / "meshes" / "wheelhouse" / "orders.toml")
+    (clamps,) = [stage.order for stage in scene.stages if stage.kind == "clamp"]
+    assert len(clamps) == 4 and all("-A" in name for name in clamps[-1]) and len(found) == 8
 
 
 def test_what_changes_is_the_order_s_doing(found, hat_model):

@@ -7,6 +7,7 @@ import pytest
 
 import mic
 from mic.contact import ContactSolver
+from mic.contact.path import Followed, Increments
 from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.sampling.draw import draw
@@ -195,6 +196,16 @@ def test_increments_change_the_answer_and_converge(hat_model):
     one, many, more = measured(1), measured(16), measured(32)
     assert np.abs(more - one).max() > 1e-4  # mm: were increments ignored, nothing would move
     assert np.abs(more - many).max() < 0.5 * np.abs(more - one).max()
+
+
+def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
+    def paths(law, **changes):
+        model = replace(lap_model, scene=lap_model.scene.model_copy(update=changes))
+        return [stage.path for stage in model.process(law).stages if stage.plan.resolves]
+
+    closely = mic.scene.schema.FollowedPath(tolerance=2e-5)
+    assert paths("coulomb") == [Followed()] * 2 and paths("coulomb", path=closely) == [Followed(2e-5)] * 2
+    assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 
 def test_a_part_left_without_support_is_refused_before_anything_is_computed(lap_scene, cache, monkeypatch):
