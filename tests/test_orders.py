@@ -115,7 +115,7 @@ def test_a_file_of_variants_that_cannot_be_is_one_sentence(case, hat_model, tmp_
 
 def test_the_wheelhouse_has_variants_of_the_order_that_it_states():
     scene = mic.load_scene(ROOT / "meshes" / "wheelhouse")
-    found = variants(scene, ROOT / "meshes" / "wheelhouse" / "orders.toml")
+    found = variants(scene, ROOT / "verification" / "order" / "orders.toml")
     (clamps,) = [stage.order for stage in scene.stages if stage.kind == "clamp"]
     assert len(clamps) == 4 and all("-A" in name for name in clamps[-1]) and len(found) == 8
 

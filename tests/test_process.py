@@ -37,6 +37,47 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     assert np.abs(evaluation.measurements).max() > 1e-3
 
 
+def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station_left(hat_model):
+    """Clamp and weld one side, let its clamps go, then clamp and weld the other; one clamp stays from the first."""
+    scene = hat_model.scene
+    first = [mic.scene.Stage(kind=kind, name=name, **keys) for kind, name, keys in (
+        ("locate", None, {}),
+        ("clamp", None, {}),
+        ("weld", None, {}),
+        ("release", "between", {"keep": ["C2", *(locator.name for locator in scene.locators)]}),
+        ("clamp", "second", {"order": [["C4", "C3"]]}),
+        ("weld", "again", {"sequence": True}),
+    )]  # fmt: skip
+    changed = {
+        "stages": [*first, *scene.stages[3:]],
+        "clamps": [
+            item.model_copy(update={"stage": "second"}) if item.name in ("C3", "C4") else item for item in scene.clamps
+        ],
+        "welds": [
+            item.model_copy(update={"stage": "again"}) if item.name in ("W3", "W4") else item for item in scene.welds
+        ],
+    }
+    model = replace(hat_model, scene=mic.Scene(**scene.model_copy(update=changed).model_dump(mode="json")))
+    deviations = draw(scene, 3, 0, 4)
+    evaluation = model.evaluate(deviations)
+    assert not evaluation.failed.any() and list(evaluation.resolutions) == [
+        "clamp",
+        "between",
+        "second",
+        "again",
+        "release",
+    ]
+    force = evaluation.functional_force
+    scale = np.abs(force).sum(axis=1)[:, None] * np.concatenate([np.abs(G).max(axis=0) for G in model.compliance.G])
+    assert (np.abs(model.compliance.resultants(force)) <= 1e-9 * scale).all()
+    until = replace(model, scene=model.scene.model_copy(update={"stages": [*first[:2], scene.stages[-1]], "welds": []}))
+    welds = model.rows["weld"][:12]  # of W1 and W2, which keep what they find in the first stage that clamps
+    found, kept = (readings(each, each.evaluate(deviations)) @ welds.T for each in (until, model))
+    assert np.abs(found).max() > 1e-3
+    np.testing.assert_allclose(kept, found, atol=1e-9 * np.abs(found).max())
+    assert np.abs(evaluation.measurements - hat_model.evaluate(deviations).measurements).max() > 1e-3
+
+
 def test_later_stages_leave_the_clamped_state_as_it_was(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
     before = mic.reduce(with_stages(lap_scene, ("locate", "clamp"), welds=[], measurements=[]), cache)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from mic.examples import folder
 from mic.orders import Order, variants
 from mic.sampling.draw import draw
 from verification.comparison import reduced_and_assembly
@@ -20,7 +19,7 @@ LIMITS = {acceptance.name: acceptance for acceptance in study.STUDY.acceptance}
 def wheelhouse(cache):
     scene = shipped("wheelhouse", "coarse", ("coulomb", "frictionless"))
     needed = (*study.PRESSED, study.LOCATED, study.MEANWHILE)
-    others = [order for order in variants(scene, folder("wheelhouse") / "orders.toml") if order.name in needed]
+    others = [order for order in variants(scene, study.ORDERS) if order.name in needed]
     return reduced_and_assembly(scene, cache)[0], others, draw(scene, 303, 0, 8)
 
 

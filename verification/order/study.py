@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from mic.examples import folder
 from mic.orders import STATED, Order, variants
 from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
@@ -16,6 +16,7 @@ from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
+ORDERS = Path(__file__).parent / "orders.toml"
 LOCATED = "A4-A8, then clamps one by one"  # all that moves has moved before the clamps press
 MEANWHILE = "A4-A8, then clamps, settled meanwhile"  # the same, but for how the parts were set down
 PRESSED = (STATED, "clamps together, then A4-A8")  # the sheets slide under clamps
@@ -106,7 +107,7 @@ def judge(table, settled) -> dict[str, float]:
 
 def run(context):
     scene = shipped("wheelhouse", "coarse" if context.quick else "medium", ("coulomb", "frictionless"))
-    others = variants(scene, folder("wheelhouse") / "orders.toml")
+    others = variants(scene, ORDERS)
     samples, few, count = (40, 4, 64) if context.quick else (100, 10, 256)
     model = context.model(scene)
     deviations = draw(scene, 303, 0, samples)
