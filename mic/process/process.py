@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.contact import ContactSolver, laws
-from mic.contact.path import Followed, Trace
+from mic.contact.path import Trace
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import plan_stages
@@ -37,8 +37,8 @@ class Process:
         Who solves the contacts: the native solver, or the paper's (OSQP for (12), ECOS for (13)).
     threads : int
         Threads of the native solver over the samples of a batch.
-    path_tolerance : float
-        Of the paths that are followed, see :class:`mic.contact.path.Followed`.
+    path_tolerance : float, optional
+        Of the paths that are followed, see :class:`mic.contact.path.Followed`; default: the scene's.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Process:
         tol: float = TOLERANCE,
         backend: str = "native",
         threads: int = 1,
-        path_tolerance: float = Followed.tolerance,
+        path_tolerance: float | None = None,
     ):
         self.model, self.law = model, law
         contacts = model.contacts
@@ -83,6 +83,7 @@ class Process:
                 )
             return solvers[held]
 
+        path_tolerance = path_tolerance or model.scene.path.tolerance
         self.stages = [
             PreparedStage(plan, model.eliminations[plan.name], model, solver, path_of(plan, obeyed, path_tolerance))
             for plan in plan_stages(model.scene, model.weld_size)
