@@ -208,6 +208,15 @@ def test_a_cut_record_is_one_sentence(folder):
         read_outcome(folder)
 
 
+def test_a_run_of_an_older_version_is_one_sentence(folder):
+    """Its slip meant something else."""
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"format": 3}))
+    with pytest.raises(FormatError, match="run.json.*an older version.*run the scene again") as caught:
+        read_outcome(folder)
+    assert str(caught.value).count("\n") == 0
+
+
 def test_the_study_of_friction_is_solved_once_and_read_back(lap_model, tmp_path):
     stages = [
         stage.model_copy(update={"path": "one-step"}) if stage.kind == "clamp" else stage

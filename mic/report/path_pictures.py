@@ -59,7 +59,7 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
     if not laws:
         return None
     zones, stages = outcome.zones, outcome.stages
-    fig, axes = panels(len(stages), min(3, len(stages)), (10.5 / min(3, max(2, len(stages))), 2.5), sharey=True)
+    fig, axes = panels(len(stages), min(3, len(stages)), (10.5 / min(3, max(2, len(stages))), 2.5))
     width = 0.8 / len(laws)
     for ax, stage in zip(axes, stages):
         for i, law in enumerate(laws):
@@ -76,7 +76,7 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
         for z, label in enumerate(ax.get_xticklabels()):
             label.set_color(zone_colour(z))
         ax.set_title(f"stage {stage}")
-        ax.set_ylim(0)
+        ax.set(xlim=(-0.9, len(zones) - 0.1), ylim=(0, None))
         ax.grid(axis="x", visible=False)
     axes[0].set_ylabel("friction's work (N mm)")
     law_legend(fig, laws)
