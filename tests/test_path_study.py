@@ -184,9 +184,7 @@ def test_rescued_samples_are_counted_and_stay(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb", "frictionless"], SAMPLES, SEED)
 
     def rescued(frame):
-        hit = frame["sample"].isin([4, 9]) & (frame["stage"] == "clamp")
-        rung = frame["rung"].astype(object).where(~hit, "increments").where(hit, "followed")
-        return frame.assign(rung=rung.astype("category"))
+        return frame.assign(rescued=frame["sample"].isin([4, 9]) & (frame["stage"] == "clamp"))
 
     edit(tmp_path, RESOLUTIONS, "coulomb", rescued)
     summary = read_outcome(tmp_path).summary()

@@ -189,9 +189,8 @@ def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, tmp
 
     def marked(frame):
         clamped = frame["stage"] == "clamp"
-        rung = frame["rung"].astype(object).mask(clamped & frame["sample"].isin([2, 5, 7]), "increments")
         error = np.where(clamped, 0.0042 * (1 + frame["sample"] % 4), 0.0)
-        return frame.assign(rung=rung.astype("category"), path_error=error)
+        return frame.assign(rescued=clamped & frame["sample"].isin([2, 5, 7]), path_error=error)
 
     edit(copy, RESOLUTIONS, "coulomb", marked)
     pairs = whole.path_study.pairs

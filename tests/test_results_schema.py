@@ -1,6 +1,7 @@
 """Results are what their declaration says: names, types, units, formats."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -88,6 +89,21 @@ def test_every_resolution_names_the_rung_that_found_it(found, evaluation):
         assert set(resolution.rung) <= {"followed", "increments", *ladder.rungs(COULOMB)}
         rows = found["resolutions"][found["resolutions"]["stage"] == stage]
         assert rows["rung"].tolist() == resolution.rung.tolist()
+
+
+def test_rescued_is_what_should_have_been_followed_and_was_not(evaluation, lap_model):
+    def rescued(model, law="coulomb", **changes):
+        resolutions = {name: replace(r, **changes) for name, r in evaluation.resolutions.items()}
+        frame = tables(model, replace(evaluation, law=law, resolutions=resolutions))["resolutions"]
+        return frame[frame["stage"] == "clamp"]["rescued"].tolist()
+
+    rung = np.array(["followed", "sweeps", "none"], dtype=object)
+    states = {"rung": rung, "converged": np.array([True, True, False])}
+    assert rescued(lap_model, **states) == [False, True, False]
+    assert rescued(lap_model, "associated", **states) == [False] * 3  # it takes increments, and keeps to them
+    stages = [stage.model_copy(update={"path": "increments", "increments": 2}) for stage in lap_model.scene.stages]
+    plain = replace(lap_model, scene=lap_model.scene.model_copy(update={"stages": stages}))
+    assert rescued(plain, **states) == [False] * 3
 
 
 def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, evaluation, lap_model):
@@ -191,7 +207,7 @@ def test_a_flipped_number_inside_a_block_is_noticed(found, tmp_path):
 #: Version of each dataset, and a digest of its columns.
 DECLARED = {
     "deviations": (1, "2113a270"),
-    "resolutions": (3, "52db4610"),
+    "resolutions": (3, "03eb5713"),
     "slips": (2, "802d26ed"),
     "measurements": (1, "00559d48"),
     "contacts": (2, "f209fc4c"),

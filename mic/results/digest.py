@@ -167,7 +167,7 @@ class Digest:
         tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
         rescued = np.zeros(len(block.numbers), dtype=bool)
         for stage in block.stages:
-            rescued |= block.column("resolutions", "rung", stage=stage) == "increments"
+            rescued |= block.column("resolutions", "rescued", stage=stage)
             for column in ("residual", "path_error", "steps", "factorisations"):
                 self._join(("resolutions", stage, column), block.column("resolutions", column, stage=stage))
             for column in SLIPS.names[3:] if tangential else ():

@@ -188,9 +188,10 @@ RESOLUTIONS = _dataset(
             "rung",
             "category",
             "",
-            "`followed` where the path was; `increments` where it had to be rescued by plain increments; else the rung "
-            "of the ladder that found the last forces",
+            "`followed` or `increments` where the path was gone like that; else the rung of the ladder that found the "
+            "last forces",
         ),
+        Column("rescued", "bool", "", "whether a path could not be followed, and plain increments took its place"),
         Column("iterations", "int64", "", "iterations of the solver, over all steps"),
         Column("converged", "bool", "", "whether everything met its tolerance"),
         Column(

@@ -54,6 +54,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "residual": _joined([r.residual for r in resolutions], float),
             "status": pd.Categorical(status),
             "rung": pd.Categorical(np.array([name for r in resolutions for name in r.rung], dtype=object)),
+            "rescued": _joined([_rescued(model, evaluation.law, r) for r in resolutions], bool),
             "iterations": _joined([r.iterations for r in resolutions], np.int64),
             "converged": _joined([r.converged for r in resolutions], bool),
             "path_error": _joined([r.trace.error for r in resolutions], float),
@@ -74,6 +75,13 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
         CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
     }
     return {table.name: pd.DataFrame(columns) for table, columns in found.items()}
+
+
+def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
+    """(n,) samples that were to be followed along their path in a stage, were not, and have a solution all the same."""
+    followed = {str(stage.name): stage.path == "followed" for stage in model.scene.stages}
+    asked = followed[resolution.stage] and LAWS[law].followed and model.contacts.dimension == 3
+    return asked & (resolution.rung != "followed") & resolution.converged
 
 
 def _motion(resolution: Resolution, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
