@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 from matplotlib.patches import Patch
 
 from mic.report.context import SHOWN, Context
 from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, number, percent, zone_colour
 from mic.results.outcome import Outcome
+from mic.results.schema import PATH_ERRORS
 
 __all__ = ["friction_work_picture", "path_error_picture", "path_state_picture"]
 
@@ -104,7 +106,9 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
         return None
     laws = list(dict.fromkeys(law for law, _ in shown))
     stages = [stage for stage in outcome.stages if any((law, stage) in shown for law in laws)]
-    fig, axes = panels(len(stages), min(3, len(stages)), (10.5 / min(3, max(2, len(stages))), 2.3))
+    beside = {law: errors for law in laws if len(errors := _estimated(outcome, law))}
+    count = len(stages) + bool(beside)
+    fig, axes = panels(count, min(3, count), (10.5 / min(3, max(2, count)), 2.5))
     for ax, stage in zip(axes, stages):
         found = {law: 1e3 * shown[law, stage] for law in laws if (law, stage) in shown}
         everything = np.concatenate([error[error > 0] for error in found.values()])
@@ -113,8 +117,18 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
             clipped = np.maximum(error, edges[0])
             ax.hist(clipped, bins=edges.tolist(), histtype="stepfilled", color=LAWS[law].colour, alpha=0.2, lw=0)
             ax.hist(clipped, bins=edges.tolist(), histtype="step", color=LAWS[law].colour, lw=1.2)
-        ax.set(xscale="log", xlabel="estimated error of the path, RMS over the pairs (µm)", title=f"stage {stage}")
+        ax.set(xscale="log", xlabel="estimated error (µm)", title=f"stage {stage}")
     axes[0].set_ylabel("samples")
+    if beside:
+        ends = [np.inf, 0.0]
+        for law, errors in beside.items():
+            x, y = (1e3 * errors[name].to_numpy() for name in ("estimate", "measured"))
+            axes[-1].plot(x, y, LAWS[law].mark, ms=4, mew=0, color=LAWS[law].colour, alpha=0.85)
+            known = np.concatenate([x, y])
+            ends = [min(ends[0], known[known > 0].min(initial=np.inf)), max(ends[1], known.max())]
+        axes[-1].plot(ends, ends, color="#333", lw=0.8)
+        axes[-1].set(xscale="log", yscale="log", xlabel="estimated error (µm)", ylabel="measured (µm)")
+        axes[-1].set_title("repeated samples, after each stage")
     law_legend(fig, laws)
     sentences = []
     for law in laws:
@@ -123,21 +137,26 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
             if (law, stage) in shown:
                 middle, worst = (number(1e3 * float(f(shown[law, stage])), 2) for f in (np.median, np.max))
                 told.append(f"median {middle} µm and largest {worst} µm in {stage}")
-        sentences.append(f"{law}: {', '.join(told)}{_coverage(outcome, law)}")
-    return svg(fig, "Estimated error of the path", f"{'; '.join(sentences)}.")
+        sentences.append(f"{law}: {', '.join(told)}" + (_coverage(beside[law]) if law in beside else ""))
+    return svg(
+        fig,
+        "Estimated error of the path",
+        f"Error of the contacts' tangential positions, root mean square over the pairs. {'; '.join(sentences)}.",
+    )
 
 
-def _coverage(outcome, law) -> str:
+def _estimated(outcome, law) -> pd.DataFrame:
+    """Rows of the study in which an estimate stands beside the error that was measured."""
+    if outcome.path_study is None:
+        return PATH_ERRORS.empty()
+    errors = outcome.path_study.errors
+    return errors[(errors["law"] == law) & errors["converged"] & errors["estimate"].notna()]
+
+
+def _coverage(errors) -> str:
     """How the estimate stands against the error that was measured."""
-    study = outcome.path_study
-    if study is None:
-        return ""
-    errors = study.errors
-    errors = errors[(errors["law"] == law) & errors["converged"] & errors["estimate"].notna()]
-    if not len(errors):
-        return ""
     covered = errors["estimate"] >= errors["measured"]
-    text = f"; of {len(errors)} repetitions, stage by stage, it covers what a tighter path changes in {covered.sum()}"
+    text = f"; of {len(errors)} repetitions, stage by stage, the estimate covers what a tighter path changes in {covered.sum()}"
     told = errors["measured"] > 0
     if told.any():
         ratio = (errors["estimate"] / errors["measured"])[told].median()

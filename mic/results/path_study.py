@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,15 +83,12 @@ class PathStudy:
         ----------
         law, quantity, name : str
         stage : str, optional
-            Any, for measurements.
+            Not for measurements.
         """
-        table = self.pairs
-        chosen = (table["law"] == law) & (table["quantity"] == quantity) & (table["name"] == name) & table["converged"]
-        if stage is not None:
-            chosen &= table["stage"] == stage
-        value, tight = (table.loc[chosen, column].to_numpy() for column in ("value", "tighter"))
-        if not len(value):
+        found = self._beside.get((law, quantity, name, None if quantity == "measurement" else stage))
+        if found is None:
             return _UNKNOWN, _UNKNOWN
+        value, tight = found
         change = float(np.mean(tight - value))
         if len(value) < 2:
             return _effect(change, float(value[0]) if quantity != "measurement" else 0.0), _UNKNOWN
@@ -99,6 +97,18 @@ class PathStudy:
             _effect(change, spread if quantity == "measurement" else float(np.mean(value))),
             _effect(tight_spread - spread, spread),
         )
+
+    @cached_property
+    def _beside(self) -> dict[tuple, tuple[np.ndarray, np.ndarray]]:
+        """Values in the run and on the tighter path, of the repetitions that converged."""
+        groups = self.pairs[self.pairs["converged"]].groupby(["law", "quantity", "name", "stage"], sort=False)
+        return {
+            (law, quantity, name, None if quantity == "measurement" else stage): (
+                rows["value"].to_numpy(),
+                rows["tighter"].to_numpy(),
+            )
+            for (law, quantity, name, stage), rows in groups
+        }
 
 
 _UNKNOWN = Effect(float("nan"), float("nan"))
