@@ -156,7 +156,10 @@ def _estimated(outcome, law) -> pd.DataFrame:
 def _coverage(errors) -> str:
     """How the estimate stands against the error that was measured."""
     covered = errors["estimate"] >= errors["measured"]
-    text = f"; of {len(errors)} repetitions, stage by stage, the estimate covers what a tighter path changes in {covered.sum()}"
+    text = (
+        f"; of {len(errors)} repetitions, stage by stage, the estimate covers what a tighter path changes in "
+        f"{covered.sum()}"
+    )
     told = errors["measured"] > 0
     if told.any():
         ratio = (errors["estimate"] / errors["measured"])[told].median()
