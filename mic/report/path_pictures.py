@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from mic.report.context import SHOWN, Context
 from mic.report.picture import Picture, law_legend, panels, svg
@@ -118,6 +119,7 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
             ax.hist(clipped, bins=edges.tolist(), histtype="stepfilled", color=LAWS[law].colour, alpha=0.2, lw=0)
             ax.hist(clipped, bins=edges.tolist(), histtype="step", color=LAWS[law].colour, lw=1.2)
         ax.set(xscale="log", xlabel="estimated error (µm)", title=f"stage {stage}")
+        _ticks(ax.xaxis, edges[0], edges[-1])
     axes[0].set_ylabel("samples")
     if beside:
         ends = [np.inf, 0.0]
@@ -129,6 +131,8 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
         axes[-1].plot(ends, ends, color="#333", lw=0.8)
         axes[-1].set(xscale="log", yscale="log", xlabel="estimated error (µm)", ylabel="measured (µm)")
         axes[-1].set_title("repeated samples, after each stage")
+        _ticks(axes[-1].xaxis, *ends)
+        _ticks(axes[-1].yaxis, *ends)
     law_legend(fig, laws)
     sentences = []
     for law in laws:
@@ -143,6 +147,13 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
         "Estimated error of the path",
         f"Error of the contacts' tangential positions, root mean square over the pairs. {'; '.join(sentences)}.",
     )
+
+
+def _ticks(axis, low: float, high: float) -> None:
+    """Plain numbers on a logarithmic axis, few on a long one."""
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 3.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _estimated(outcome, law) -> pd.DataFrame:
