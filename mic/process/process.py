@@ -125,6 +125,15 @@ class Process:
         force, motion = self._equilibrium(state, deviations)
         return Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
 
+    def attempt(self, deviations: np.ndarray) -> Evaluation:
+        """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
+        try:
+            return self.evaluate(deviations)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            if len(deviations) == 1:
+                return self.blank(deviations, str(error))
+            return Evaluation.join([self.attempt(row[None]) for row in deviations])
+
     def blank(self, deviations: np.ndarray, reason: str) -> Evaluation:
         """The evaluation of samples that could not be computed: failed, all values NaN, the reason as their status."""
         model = self.model
