@@ -337,6 +337,21 @@ def _coefficients(part):
     return "to be computed"
 
 
+def _friction_words(zone) -> str:
+    """What a zone says of its friction, in words."""
+    if isinstance(zone.friction, dict):
+        words = ", ".join(f"{stage} {value:g}" for stage, value in zone.friction.items())
+    else:
+        words = f"{zone.friction:g}"
+    if zone.friction_table is not None:
+        words += f"; by pressure, {len(zone.friction_table)} points"
+    if zone.friction_power is not None:
+        words += f"; by pressure, {zone.friction_power.mu0:g} (p/{zone.friction_power.p0:g})^{-zone.friction_power.n:g}"
+    if zone.tangential_stiffness is not None:
+        words += f"; yields, {zone.tangential_stiffness:g} N/mm³"
+    return words
+
+
 def _print_contacts(console, assembly):
     scene, contacts = assembly.scene, assembly.contacts
     if not len(contacts):
@@ -349,7 +364,7 @@ def _print_contacts(console, assembly):
             zone.name,
             " – ".join(zone.parts),
             str(own.sum()),
-            f"{zone.friction:g}",
+            _friction_words(zone),
             f"{contacts.area[own].sum():.0f}",
             " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max())),
         )

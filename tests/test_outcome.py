@@ -228,7 +228,8 @@ def test_the_study_of_friction_is_solved_once_and_read_back(lap_model, tmp_path)
     write_tables(read_outcome(tmp_path))
     study = read_outcome(tmp_path).friction_study
     assert set(study["law"]) == {"coulomb", "associated", "frictionless"} and study["sample"].nunique() == 12
-    at_scene = study[(study["mu"] == lap_model.contacts.friction.mean()) & (study["law"] == "coulomb")]
+    mu = lap_model.contacts.friction_in("clamp").coefficient.mean()
+    at_scene = study[(study["mu"] == mu) & (study["law"] == "coulomb")]
     stored = read_outcome(tmp_path).contact("coulomb", "clamp", "f_n")  # the scene's own friction, and one step as here
     assert at_scene["normal_force"].iloc[0] == pytest.approx(stored[0].sum(), rel=1e-6)
 

@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
+from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.compliance.support import motion_size
 from mic.contact import laws
@@ -164,10 +165,10 @@ class FullModel:
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
         mesh, asked = self._driven(deviations)
-        friction = contacts.friction if laws.find(law).frictional else np.zeros(len(contacts))
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
+            friction = friction_of(assembly, laws.find(law), plan.name)
             state, resolution, solves = FullStage(plan, mesh, friction, self.penalty).advance(state, asked)
             freedoms[plan.name] = state.solution.u
             history += solves

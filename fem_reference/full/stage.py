@@ -21,6 +21,7 @@ import numpy as np
 
 from fem_reference.full.discretisation import Discretisation, System
 from fem_reference.full.equilibrium import ContactLaw, Iteration, NoConvergence, State
+from fem_reference.full.friction import ContactFriction
 from mic.errors import FreeMotion
 from mic.process.actions import Joints, Row
 from mic.process.drive import Drive
@@ -144,14 +145,14 @@ class FullStage:
     ----------
     plan : StagePlan
     mesh : Discretisation
-    friction : (m,) array
-        μ under the law; zero for frictionless.
+    friction : ContactFriction
+        Under the law, in this stage.
     penalty : Penalty
     """
 
     plan: StagePlan
     mesh: Discretisation
-    friction: np.ndarray
+    friction: ContactFriction
     penalty: Penalty
 
     def advance(self, state: FullState, drive: Drive) -> tuple[FullState, FullResolution | None, list[Solve]]:
@@ -269,12 +270,13 @@ class _Increment:
         change, stiffness = np.inf, self.stage.mesh.contact_stiffness
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
-            change = float(np.abs(solution.force - law.estimate).max())
+            augmented = law.augmented(solution.force)
+            change = float(np.abs(augmented.estimate - law.estimate).max())
             largest = max(np.abs(solution.force).max(), np.abs(solution.reaction).max())
             if change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before:
                 return law, solution
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0]
-            law = replace(law, estimate=solution.force, penalty=(10 if stiffer else 1) * law.penalty)
+            law = replace(augmented, penalty=(10 if stiffer else 1) * law.penalty)
             try:
                 solution = self._newton(solution, start, end, law, 1.0, augmentation)
             except NoConvergence as problem:

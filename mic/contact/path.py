@@ -3,7 +3,9 @@
 Between two loads the displacements without contact forces go straight from ``b⁰`` to ``b¹``, ``b(s) = b⁰ + s (b¹ -
 b⁰)``, and ``u = S f + b(s)``.  A contact that slips moves against its force, and one that sticks or is open does not
 slip; where each of them stands, the point from which its slip is measured, is the *anchor* ``a`` (m, 2).  One step of
-backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.
+backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.  Where
+contacts yield before they slip, the anchor is where their sliders stand, ``u_t + c f_t``
+(:mod:`mic.contact.laws.micro_slip`).
 
 :class:`Increments` takes equal steps of this kind, first order.  :class:`Followed` is of second order and controls its
 error (:mod:`mic.contact.native.follower`).
@@ -238,7 +240,6 @@ def _put(all_samples, own, some):
 def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
     """Equal steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
     n, m = len(b0), solver.contacts
-    mu = solver.mu
     trace = Trace.start(n, m)
     error = np.full(n, np.nan)
     slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
@@ -250,9 +251,9 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         b[:, :, 1:] -= anchor
         # Where Coulomb's law has several solutions, take the one that continues the state before.
         solution = solver.solve(b.reshape(n, -1), guess=force)
-        moved = solution.displacement.reshape(n, m, 3)[:, :, 1:]
         before, now = (f.reshape(n, m, 3) for f in (force, solution.force))
-        state = classify(now, mu)
+        moved = solution.displacement.reshape(n, m, 3)[:, :, 1:] + solver.compliance[:, None] * now[:, :, 1:]
+        state = classify(now, solver.bound(now[..., 0]))
         closed = state != OPEN
         slid = np.where((state == SLIP)[:, :, None], moved, 0.0)
         slip, length = slip + slid, length + np.linalg.norm(slid, axis=-1)
@@ -284,7 +285,7 @@ def _without_memory(solver, b, guess) -> PathSolution:
     solution = solver.solve(b, guess=guess)
     n, m = len(b), solver.contacts
     u = solution.displacement.reshape(n, m, -1)
-    state = classify(solution.force.reshape(n, m, -1), solver.mu)
+    state = classify(solution.force.reshape(n, m, -1), 0.0)
     share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
     trace = replace(Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64))
     return PathSolution(

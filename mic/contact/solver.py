@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from mic.contact.backends import BACKENDS
-from mic.contact.certificate import contact_stiffness, measure
+from mic.contact.certificate import contact_stiffness, measure, series_compliance
+from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
@@ -33,8 +34,9 @@ class ContactSolver:
     S : (3m, 3m) array, or (m, m) for ``dimension`` 1
         Compliance: relative displacements per contact force, symmetric positive semidefinite, contact by contact in the
         order n, t1, t2 [length / force].
-    mu : float or (m,) array
-        Coefficients of friction, ``>= 0``.
+    mu : float, (m,) array or Friction
+        Coefficients of friction, ``>= 0``, or all that is known of it: what a law reads beyond them
+        (:class:`mic.contact.friction.Friction`).
     law : str or Law
         A name in :data:`mic.contact.laws.LAWS`, or the law itself.  ``coulomb`` is Coulomb's law proper; ``associated``
         the cone programme (13); ``frictionless`` the programme (12), which takes forces from the normal block alone and
@@ -48,6 +50,12 @@ class ContactSolver:
         Threads over the samples of a batch (native backend).
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs a law without friction.
+
+    Attributes
+    ----------
+    compliance : (m,) array
+        Tangential compliance ``c`` in series with each slider, zero but under ``micro-slip``: a slider stands at
+        ``u_t + c f_t``.
 
     Raises
     ------
@@ -83,11 +91,19 @@ class ContactSolver:
         self.dimension, self.tol = dimension, float(tol)
         self.S = _checked_compliance(S, dimension)
         self.contacts = len(self.S) // dimension
-        self.mu = _checked_friction(mu, self.contacts)
+        friction = Friction.of(mu, self.contacts)
         if not self.law.frictional:
-            self.mu = np.zeros(self.contacts)
-        self._stiffness = contact_stiffness(self.S, self.law, dimension)
-        self.backend = BACKENDS[backend](self.S, self.mu, self.law, self.tol, int(threads), dimension)
+            friction = Friction.of(0.0, self.contacts)
+        self.mu, self.compliance = friction.coefficient, self.law.compliance(friction)
+        self._parameters, self._series = self.law.parameters(friction), series_compliance(self.law, friction, dimension)
+        # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
+        self._sliding = self.S + np.diag(self._series)
+        self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
+        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+
+    def bound(self, normal: np.ndarray) -> np.ndarray:
+        """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
+        return self.law.bound(normal, self._parameters)
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
@@ -190,7 +206,8 @@ class ContactSolver:
         return follow(self, np.asarray(b, dtype=float), force, anchor, path or Followed())
 
     def _measure(self, rows, force):
-        return measure(self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
+        known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
+        return measure(self._sliding, rows, *known)
 
     def _persist(self, sample, b, force, iterations, rung):
         """Work on one sample that did not converge, improving its force, count and rung in place."""
@@ -258,15 +275,6 @@ def _checked_compliance(S, dimension):
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
     return 0.5 * (S + S.T)
-
-
-def _checked_friction(mu, contacts):
-    mu = _checked_array("mu", mu)
-    if mu.shape not in ((), (contacts,)):
-        raise ValueError(f"mu must be a number or have one entry per contact, ({contacts},); got shape {mu.shape}")
-    if (mu < 0.0).any():
-        raise ValueError("mu must not be negative")
-    return np.broadcast_to(mu, (contacts,)).copy()
 
 
 def _checked_rows(name, value, size):

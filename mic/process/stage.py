@@ -255,7 +255,7 @@ class PreparedStage:
             stage=self.plan.name,
             force=end.force.copy(),
             displacement=displacement,
-            state=classify(end.force, solver.mu),
+            state=classify(end.force, solver.bound(end.force[..., 0])),
             trace=trace.over(len(solutions)),
             residual=np.max([solution.residual for solution in solutions], axis=0),
             converged=np.all([solution.converged for solution in solutions], axis=0),

@@ -179,7 +179,7 @@ def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) ->
                     "zone": zone,
                     "stage": name,
                     "colour": zone_colour(i),
-                    "friction": outcome.model.scene.zones[i].friction,
+                    "friction": outcome.model.scene.zones[i].coefficient(name),
                     "pairs": int((outcome.model.contacts.zone == i).sum()),
                     "laws": {row["law"]: row for row in _records(found)},
                     "published": theirs.get(zone, {}) if name == stage else {},

@@ -42,6 +42,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         return None
     stage = outcome.stages[0]
     chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
+    coefficient = contacts.friction_in(stage).coefficient
     S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
     force, displacement = (
         np.stack(
@@ -50,7 +51,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         for quantity in ("f", "u")
     )
     b = displacement - force @ S  # u = S f + b
-    return compare_laws(S, b, [scale * contacts.friction for scale in SCALES], threads=THREADS)
+    return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS)
 
 
 def read_friction(folder: Path) -> pd.DataFrame | None:

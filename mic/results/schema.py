@@ -328,7 +328,7 @@ ZONE_STATISTICS = _statistic(
         Column("stage", "str", "", "stage that resolves contact"),
         Column("zone", "str", "", "contact zone"),
         Column("contacts", "int64", "", "contact pairs of the zone"),
-        Column("friction", "float64", "1", "coefficient of friction under this law"),
+        Column("friction", "float64", "1", "coefficient of friction under this law; none where it depends on pressure"),
         _USED,
         *_hanging("mean_rms_tangential", "mm", "mean of the zone's RMS tangential displacement"),
         *_hanging("six_sigma_rms_tangential", "mm", "6σ of the zone's RMS tangential displacement"),

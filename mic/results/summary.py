@@ -65,7 +65,7 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                     "stage": stage,
                     "zone": zone.name,
                     "contacts": int(count),
-                    "friction": zone.friction if LAWS[law].frictional else 0.0,
+                    "friction": _coefficient(zone, LAWS[law], stage),
                     "samples": samples,
                 }
                 for motion in _MOTIONS:
@@ -78,6 +78,13 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                     row |= _spread(f"mean_{column}", statistics.mean(own[column]))
                 rows.append(row | {state: statistics.mean(own[state]).value for state in STATES})
     return _frame(ZONE_STATISTICS, pd.DataFrame(rows))
+
+
+def _coefficient(zone, law, stage: str) -> float:
+    """μ of a zone under a law in a stage; NaN where it depends on pressure."""
+    if not law.frictional:
+        return 0.0
+    return math.nan if law.varies and zone.pressure_pieces() is not None else zone.coefficient(stage)
 
 
 def contact_statistics(outcome: Outcome) -> pd.DataFrame:

@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from mic.contact import ladder
+from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.native import batch, follower, patience
 from mic.contact.native.infeasibility import infeasible
@@ -29,8 +30,8 @@ class NativeSolver:
     Parameters
     ----------
     S : (3m, 3m) array, or (m, m) for ``dimension`` 1
-        Symmetric compliance.
-    mu : (m,) array
+        Symmetric compliance, all that stands in series with the sliders included.
+    friction : Friction, or what makes one
     law : Law
     tol : float
         Certificate to reach.
@@ -44,23 +45,24 @@ class NativeSolver:
         ``D``, the scaled force's unit.
     """
 
-    def __init__(self, S: np.ndarray, mu: np.ndarray, law: Law, tol: float, threads: int, dimension: int):
+    def __init__(self, S: np.ndarray, friction, law: Law, tol: float, threads: int, dimension: int):
         self.tol, self.threads = tol, threads
         # Without friction the normal rows are all there is to solve.
         self._stride = 1 if law.frictional else dimension
         self._size = 3 if law.frictional else 1
         S = S[:: self._stride, :: self._stride]
         diagonal = S.diagonal()
+        parameters = law.parameters(Friction.of(friction, len(S) // self._size))
         if law.frictional:
             diagonal = diagonal.reshape(-1, 3)
             d_n = inverse_root(diagonal[:, 0])
             d_t = inverse_root(0.5 * (diagonal[:, 1] + diagonal[:, 2]))
             self.scaling = np.column_stack([d_n, d_t, d_t]).ravel()
-            mu = mu * d_n / d_t
+            parameters = law.scaled(parameters, d_n, d_t)
         else:
             self.scaling = inverse_root(diagonal)
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
-        self.problem = ScaledProblem.of(law, W, mu)
+        self.problem = ScaledProblem.of(law, W, parameters)
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All samples, by the cheap rungs: each takes those that the ones before left unsolved.
@@ -96,6 +98,7 @@ class NativeSolver:
                 if not rung.applies(self.problem.law):
                     continue
                 for y, iterations, work in patience.METHODS[rung.name](search, rung):
+                    search.renew(y)
                     candidate = np.zeros_like(b)
                     candidate[:: self._stride] = y * self.scaling
                     yield candidate, iterations, rung.name
