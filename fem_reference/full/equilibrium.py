@@ -277,6 +277,11 @@ class State:
     reaction: np.ndarray
     force: np.ndarray
 
+    @property
+    def stacked(self) -> np.ndarray:
+        """(N + b + m d,) u, r and f, one after the other."""
+        return np.concatenate([self.u, self.reaction, self.force.ravel()])
+
 
 class Equilibrium:
     """System (1) with (4): the tangent's pattern is set up once, its symbolic factorisation serves all later solves.
@@ -428,7 +433,7 @@ class Equilibrium:
         right = np.concatenate([p, v, force.ravel()])
         x = self._solve(right)
         x += self._solve(right - self._multiply(x))
-        return self._unpack(x)
+        return self.unpack(x)
 
     def newton(self, start: State, p: np.ndarray, v: np.ndarray, law: ContactLaw) -> tuple[State, list[Iteration]]:
         """Solve (1) and (4) from `start`.
@@ -439,7 +444,7 @@ class Equilibrium:
             After `MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
         N, b = self.N, self.b
-        x = np.concatenate([start.u, start.reaction, start.force.ravel()])
+        x = start.stacked
         δ = self._contact(x)
         state = law.state(δ)
         history = []
@@ -458,7 +463,7 @@ class Equilibrium:
             residual, allowed = self._measure(x, p, v, contact, law)
             history.append(Iteration(residual, α, *(int((state == s).sum()) for s in (OPEN, STICK, SLIP)), changed))
             if residual <= allowed:
-                return self._unpack(x), history
+                return self.unpack(x), history
         worst = int(np.argmax(np.abs(contact).max(axis=1))) if self.m else None
         raise NoConvergence(
             f"no convergence in {MAX_ITERATIONS} iterations: residual {residual:.1e} of the largest force, "
@@ -469,7 +474,8 @@ class Equilibrium:
     def _contact(self, x):
         return (self.C @ x[: self.N]).reshape(self.m, self.d)
 
-    def _unpack(self, x):
+    def unpack(self, x: np.ndarray) -> State:
+        """The unknowns from (u, r, f) stacked."""
         return State(
             x[: self.N].copy(), x[self.N : self.N + self.b].copy(), x[self.N + self.b :].reshape(self.m, self.d).copy()
         )
@@ -495,8 +501,9 @@ class Equilibrium:
             )
         scale = np.abs(x[N:]).max(initial=0.0)
         residual = max(np.abs(F[:N]).max(initial=0.0), np.abs(contact).max(initial=0.0))
-        if scale == 0:
-            return (0.0 if residual <= 1e-13 * rounding else np.inf), 0.0
+        nothing = 1e-13 * max(np.abs(law.stiffness * law.gap).max(initial=0.0), rounding if scale == 0 else 0.0)
+        if scale <= nothing:  # no contact carries anything, nor does a row
+            return (0.0 if residual <= nothing else np.inf), 0.0
         return residual / scale, min(max(_TOLERANCE, 1e-14 * rounding / scale), _WORST_ROUNDING)
 
     def _step_length(self, x, dx, F, law, state, iteration):
