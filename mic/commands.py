@@ -206,20 +206,58 @@ class _Listener(Listener):
 
 
 def _print_zones(console, outcome):
-    """The paper's Table 1, and how many samples failed."""
-    from mic.report.style import number
+    """The paper's Table 1, slip under load beside it, what the path left, and how many samples failed."""
+    from mic.report.style import change, number
 
-    summary = outcome.summary()
-    zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))
-    if zones:
-        table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
+    laws = outcome.summary()["laws"]
+    zones = list(dict.fromkeys(zone for law in laws.values() for zone in law["zones"]))
+    for motion, title in (
+        ("rms_tangential", "RMS tangential displacement, mm"),
+        ("rms_slip", "RMS slip under load, mm"),
+    ):
+        shown = {
+            name: law["zones"]
+            for name, law in laws.items()
+            if any(zone[f"mean_{motion}"] is not None for zone in law["zones"].values())
+        }
+        if not shown:
+            continue
+        table = Table(
+            "zone", *(f"{law}: mean / 6σ" for law in shown), title=f"{title}; path: what a tighter one changes"
+        )
         for zone in zones:
-            found = [law["zones"][zone] for law in summary["laws"].values()]
-            figures = [(number(z["mean_rms_slip"], 4), number(z["six_sigma_rms_slip"], 4)) for z in found]
-            table.add_row(zone, *(f"{mean} / {spread}" for mean, spread in figures))
+            cells = []
+            for found in shown.values():
+                names = [f"{figure}_{motion}" for figure in ("mean", "six_sigma")]
+                cell = " / ".join(number(found[zone][name], 4) for name in names)
+                if found[zone][f"{names[0]}_path"] is not None:
+                    changes = (change(found[zone][f"{name}_path"], found[zone][f"{name}_path_share"]) for name in names)
+                    cell += f"\npath {' / '.join(changes)}"
+                cells.append(cell)
+            table.add_row(zone, *cells)
         console.print(table)
-    for name, law in summary["laws"].items():
-        console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
+    for name, law in laws.items():
+        console.print(
+            f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}, "
+            f"rescued by plain increments {law['rescued']}{_hanging(law)}",
+            soft_wrap=True,
+        )
+
+
+def _hanging(law):
+    """What a tighter path changes of the key characteristics, at most."""
+    from mic.report.style import change
+
+    told = []
+    for figure, word in (("mean", "means"), ("six_sigma", "6σ")):
+        found = [item for item in law["measurements"].values() if item[f"{figure}_path"] is not None]
+        if found:
+            most = max(found, key=lambda item: abs(item[f"{figure}_path"]))
+            told.append(f"{word} {change(most[f'{figure}_path'], most[f'{figure}_path_share'])}")
+    if not told:
+        return ""
+    repeated = law["path"]["repeated"]
+    return f"; {repeated} samples on a tighter path change key characteristics by at most: {', '.join(told)}"
 
 
 @app.command()
@@ -299,6 +337,21 @@ def _coefficients(part):
     return "to be computed"
 
 
+def _friction_words(zone) -> str:
+    """What a zone says of its friction, in words."""
+    if isinstance(zone.friction, dict):
+        words = ", ".join(f"{stage} {value:g}" for stage, value in zone.friction.items())
+    else:
+        words = f"{zone.friction:g}"
+    if zone.friction_table is not None:
+        words += f"; by pressure, {len(zone.friction_table)} points"
+    if zone.friction_power is not None:
+        words += f"; by pressure, {zone.friction_power.mu0:g} (p/{zone.friction_power.p0:g})^{-zone.friction_power.n:g}"
+    if zone.tangential_stiffness is not None:
+        words += f"; yields, {zone.tangential_stiffness:g} N/mm³"
+    return words
+
+
 def _print_contacts(console, assembly):
     scene, contacts = assembly.scene, assembly.contacts
     if not len(contacts):
@@ -311,7 +364,7 @@ def _print_contacts(console, assembly):
             zone.name,
             " – ".join(zone.parts),
             str(own.sum()),
-            f"{zone.friction:g}",
+            _friction_words(zone),
             f"{contacts.area[own].sum():.0f}",
             " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max())),
         )

@@ -46,7 +46,8 @@ def test_run_check_report(command, tmp_path):
         and "The scene is valid" in checked
     )
     first = command("run", LAP, "--samples", 20).stdout
-    assert "report:" in first
+    assert "report:" in first and "RMS slip under load" in first and "RMS tangential displacement" in first
+    assert "coulomb: worst residual" in first and "12 samples on a tighter path change key characteristics" in first
     folder = tmp_path / "results" / "lap-joint"
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["samples"] == 20 and set(summary["laws"]) == {"coulomb", "associated", "frictionless"}
@@ -56,11 +57,16 @@ def test_run_check_report(command, tmp_path):
         6 * slip.std()
     )
     assert summary["laws"]["coulomb"]["worst_residual"] < 1e-8
+    assert summary["laws"]["coulomb"]["path"]["repeated"] == 12 and zone["six_sigma_rms_slip_path"] is not None
     assert (folder / "report.html").stat().st_size > 10_000
     assert "reused" in command("run", LAP, "--samples", 20).stdout
     (folder / "report.html").unlink()
     command("report", folder)
     assert (folder / "report.html").is_file()
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"format": record["format"] - 1}))
+    old = command("report", folder, check=False)
+    assert old.returncode == 2 and len(old.stderr.strip().splitlines()) == 1 and "an older version" in old.stderr
 
 
 def test_check_shows_what_is_not_modelled(cache, tmp_path):

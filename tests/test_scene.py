@@ -23,6 +23,56 @@ BROKEN = {
     "negative thickness": (r"thickness = 1\b", "thickness = -1", ["parts[0].thickness", "greater than 0", "-1"]),
     "unknown key": (r"young = 210000", "yung = 210000", ["parts[0].yung", "unknown key"]),
     "negative friction": (r"friction = 0.27", "friction = -0.1", ["zones[0].friction", "greater than or equal to 0"]),
+    "friction of a stage that there is not": (
+        r"friction = 0.27",
+        "friction = { clmp = 0.1, default = 0.2 }",
+        ["zones[0].friction", "no stage called 'clmp'", "did you mean 'clamp'"],
+    ),
+    "friction by stage, negative": (
+        r"friction = 0.27",
+        "friction = { clamp = -0.1, default = 0.2 }",
+        ["zones[0].friction.clamp", "greater than or equal to 0"],
+    ),
+    "friction by stage, not all": (
+        r"friction = 0.27",
+        "friction = { clamp = 0.1 }",
+        ["zones[0]", "friction by stage needs default"],
+    ),
+    "friction that falls too fast": (
+        r"friction = 0.27",
+        "friction_table = [[0, 0.5], [1, 0.1]]",
+        ["zones[0]", "friction_table", "must not fall with pressure", "between 0 and 1 MPa"],
+    ),
+    "a steep power": (
+        r"friction = 0.27",
+        "friction_power = { mu0 = 0.3, p0 = 1, n = 2, mu_min = 0.1, mu_max = 0.5 }",
+        ["zones[0]", "friction_power", "n is at most 1"],
+    ),
+    "two functions of pressure": (
+        r"friction = 0.27",
+        "friction_table = [[0, 0.5]]\nfriction_power = { mu0 = 0.3, p0 = 1, n = 0.2, mu_min = 0.1, mu_max = 0.5 }",
+        ["zones[0]", "friction_table or friction_power, not both"],
+    ),
+    "a pressure without an area": (
+        r"friction = 0.27",
+        "friction_table = [[0, 0.5]]\npatch = 0",
+        ["zones[0]", "friction_table is per area and patch = 0 has none"],
+    ),
+    "a stiffness without an area": (
+        r"friction = 0.27",
+        "tangential_stiffness = 100\npatch = 0",
+        ["zones[0]", "tangential_stiffness is per area and patch = 0 has none"],
+    ),
+    "pressure that nothing depends on": (
+        r'"associated"',
+        '"pressure-dependent"',
+        ["report.laws", "no zone has friction_table or friction_power", 'ask for "coulomb"'],
+    ),
+    "contacts that yield by nothing": (
+        r'"associated"',
+        '"micro-slip"',
+        ["report.laws", "no zone has tangential_stiffness"],
+    ),
     "NaN deviation": (r"mean = -5", "mean = nan", ["deviations[0].mean", "finite"]),
     "infinite sigma": (r"sigma = 1.5", "sigma = inf", ["deviations[0].sigma", "finite"]),
     "zero direction": (

@@ -32,6 +32,7 @@ from mic.process.state import ProcessState
 
 __all__ = ["OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
+FLOOR = 2e-4  # mm: no gauge reads a step's error below it
 OUTPUTS = ("locator", "clamp", "weld", "measurement")  #: kinds of rows that are read at the end of a stage
 
 
@@ -254,7 +255,7 @@ class PreparedStage:
             stage=self.plan.name,
             force=end.force.copy(),
             displacement=displacement,
-            state=classify(end.force, solver.mu),
+            state=classify(end.force, solver.bound(end.force[..., 0])),
             trace=trace.over(len(solutions)),
             residual=np.max([solution.residual for solution in solutions], axis=0),
             converged=np.all([solution.converged for solution in solutions], axis=0),
@@ -284,5 +285,5 @@ def _worst_rung(solutions):
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:
     """How a stage's steps are followed under a law."""
     if plan.path == "followed" and law.followed:
-        return Followed(tolerance)
+        return Followed(tolerance, FLOOR)
     return Increments(plan.increments)

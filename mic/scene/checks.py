@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mic.contact.laws import LAWS
 from mic.scene.stages import check_stages, known
 
 __all__ = ["check_held", "check_references"]
@@ -39,6 +40,27 @@ def check_references(scene) -> None:
             targets = {target.name for target in getattr(scene, item.moves)}
             known(f"deviations[{i}].target", item.target, targets, item.moves.removesuffix("s"))
     check_stages(scene)
+    _check_friction(scene)
+
+
+#: Keys of a zone that give a law what it reads beyond a coefficient (`mic.contact.laws.Law.reads`).
+READ = {"pressure": ("friction_table", "friction_power"), "compliance": ("tangential_stiffness",)}
+
+
+def _check_friction(scene) -> None:
+    """Friction by stage names stages, and no law asks in vain for what a zone may give it."""
+    stages = {stage.name for stage in scene.stages}
+    for i, zone in enumerate(scene.zones):
+        for name in zone.friction if isinstance(zone.friction, dict) else ():
+            if name != "default":
+                known(f"zones[{i}].friction", name, stages, "stage")
+    for law in scene.report.laws:
+        keys = READ.get(LAWS[law].reads, ())
+        if keys and all(getattr(zone, key) is None for zone in scene.zones for key in keys):
+            raise ValueError(
+                f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
+                'zone, or ask for "coulomb"'
+            )
 
 
 def check_held(scene) -> None:

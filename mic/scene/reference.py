@@ -98,6 +98,10 @@ def _words(annotation: Any, bounds: Iterable[Any] = ()) -> str:
         return " or ".join(f"`{json.dumps(word)}`" for word in inner)
     if origin in (Union, types.UnionType):
         return " or ".join(_words(item, bounds) for item in inner if item is not type(None))
+    if origin is dict:
+        return f"table of {_words(inner[1])}"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"table {{ {', '.join(annotation.model_fields)} }}"
     if origin is list:
         return f"list of {_words(inner[0])}"
     if origin is tuple:

@@ -10,9 +10,18 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
-from mic.contact.laws import LAWS
+from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.path import Followed
 from mic.scene.checks import check_held, check_references
 from mic.scene.settings import fill_in
@@ -168,6 +177,20 @@ class Weld(_Table):
     stage: Name = Field("weld", description="the weld stage that makes it")
 
 
+class PressurePower(_Table):
+    """A coefficient of friction that is a power of pressure, within bounds."""
+
+    mu0: Positive = Field(description="μ at p0")
+    p0: Positive = Field(description="MPa")
+    n: FiniteFloat = Field(description="exponent, at most 1")
+    mu_min: NonNegative = Field(description="smallest μ")
+    mu_max: Positive = Field(description="largest μ")
+
+
+def _number_or_table(value: Any) -> str:
+    return "friction-table" if isinstance(value, dict) else "friction-number"
+
+
 class Zone(_Table):
     """A contact zone: candidate contact pairs between two parts, or between a part and a rigid fixture.
 
@@ -179,7 +202,27 @@ class Zone(_Table):
     parts: tuple[Name, Name] = Field(
         description="two parts, or a part and a fixture; normals point from the first to the second"
     )
-    friction: NonNegative = Field(0.0, description="coefficient of friction μ")
+    friction: Annotated[
+        Annotated[NonNegative, Tag("friction-number")] | Annotated[dict[Name, NonNegative], Tag("friction-table")],
+        Discriminator(_number_or_table),
+    ] = Field(
+        0.0,
+        description="coefficient of friction μ; or by stage, `{ clamp = 0.12, default = 0.2 }`, where `default` is for "
+        "the stages that are not named",
+    )
+    friction_table: Annotated[list[tuple[NonNegative, NonNegative]], Field(min_length=1)] | None = Field(
+        None,
+        description="law `pressure-dependent`: μ in place of `friction`, as points `[pressure in MPa, μ]`, linear "
+        "between them and constant outside; μ p must not fall",
+    )
+    friction_power: PressurePower | None = Field(
+        None,
+        description="or as the power law μ = mu0 (p/p0)^(−n), p and p0 in MPa, within `mu_min` and `mu_max`; n ≤ 1",
+    )
+    tangential_stiffness: Positive | None = Field(
+        None,
+        description="law `micro-slip`: tangential contact stiffness per area, N/mm³; without it contacts do not yield",
+    )
     box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
     path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
     within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
@@ -211,6 +254,40 @@ class Zone(_Table):
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
             raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
         return self
+
+    @model_validator(mode="after")
+    def _friction_given(self):
+        if isinstance(self.friction, dict) and "default" not in self.friction:
+            raise ValueError("friction by stage needs default, for the stages that it does not name")
+        if self.friction_table is not None and self.friction_power is not None:
+            raise ValueError("give friction_table or friction_power, not both")
+        key = "friction_table" if self.friction_power is None else "friction_power"
+        try:
+            depends = self.pressure_pieces() is not None
+        except ValueError as error:
+            raise ValueError(f"{key}: {error}") from None
+        if self.patch == 0 and (depends or self.tangential_stiffness is not None):
+            key = key if depends else "tangential_stiffness"
+            raise ValueError(f'{key} is per area and patch = 0 has none: give a radius, or "tributary"')
+        return self
+
+    def coefficient(self, stage: str) -> float:
+        """Coefficient of friction μ in a stage."""
+        return self.friction.get(stage, self.friction["default"]) if isinstance(self.friction, dict) else self.friction
+
+    def pressure_pieces(self) -> np.ndarray | None:
+        """μ as a function of pressure in MPa, (q, 5) pieces of `mic.contact.laws.pressure_dependent`, if given."""
+        if self.friction_table is not None:
+            return pressure_dependent.table(self.friction_table)
+        if self.friction_power is not None:
+            return pressure_dependent.power(**self.friction_power.model_dump())
+        return None
+
+    @property
+    def frictional(self) -> bool:
+        """Whether any key gives it friction, in any stage."""
+        given = self.friction.values() if isinstance(self.friction, dict) else [self.friction]
+        return max(given) > 0 or self.friction_table is not None or self.friction_power is not None
 
 
 class Stage(_Table):
