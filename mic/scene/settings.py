@@ -12,7 +12,7 @@ USUAL = Followed.tolerance
 
 #: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per
 #: zone, how friction's path is followed (equal increments for each step of the process, or the tolerance of a path that
-#: is followed), samples. What each of them costs, and how far off it is, `verification/trade` measures. The tolerance of
+#: is followed), samples. What each costs, and how far off it is, `verification/trade` measures. The tolerance of
 #: the contact solver is not among them: the tightest costs no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {
     "draft": {"size": "coarse", "pairs": 17, "increments": 1, "tolerance": None, "samples": 100},
