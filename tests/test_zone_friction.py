@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mic
+from mic.contact.laws import find
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
@@ -14,10 +15,13 @@ YIELDING = 2e3  # N/mm³
 
 
 def with_zone(scene, path="increments", increments=3, **keys):
-    """The scene with keys of its zone, and a path that every law follows alike."""
+    """The scene with keys of its zone, and a path."""
     table = scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": scene.folder}
     table["zones"] = [zone | keys for zone in table["zones"]]
-    table["stages"] = [stage | {"path": path, "increments": increments} for stage in table["stages"]]
+    way = {"path": path} | ({"increments": increments} if path == "increments" else {})
+    table["stages"] = [
+        stage | way if stage["kind"] in ("clamp", "weld", "release") else stage for stage in table["stages"]
+    ]
     if "friction_table" in keys or "friction_power" in keys:
         table["report"]["laws"] = ["coulomb", "pressure-dependent"]
     if "tangential_stiffness" in keys:
@@ -97,19 +101,40 @@ def test_a_table_of_one_point_is_coulombs_law(evaluated):
 
 
 def test_contacts_that_yield_move_by_what_their_forces_ask(evaluated):
-    """What a pair moves and its slider does not is ``-c Δf_t``, ``c = 1/(k_t A)``; stiff pairs are Coulomb's."""
+    """What a loaded pair moves and its slider does not is ``-c Δf_t``, ``c = 1/(k_t A)``; stiff pairs are Coulomb's."""
     model, found = evaluated("micro-slip", tangential_stiffness=YIELDING, friction=0.27)
     _, coulomb = evaluated("coulomb", friction=0.27)
     c = 1.0 / (YIELDING * model.contacts.area)
-    before = np.zeros_like(found.resolutions["clamp"].force)
+    before, followed = np.zeros_like(found.resolutions["clamp"].force), 0
     for resolution in found.resolutions.values():
-        stuck = (resolution.trace.share[..., 1] == 1.0) & (before[..., 0] > 0.0)
+        loaded = (resolution.trace.share[..., 0] < 1e-9) & (before[..., 0] > 0.0)
         yielded = resolution.displacement[..., 1:] + c[:, None] * (resolution.force - before)[..., 1:]
-        np.testing.assert_allclose(yielded[stuck], 0.0, atol=1e-10)
+        followed += loaded.sum()
+        np.testing.assert_allclose(yielded[loaded], resolution.trace.slip[loaded], atol=1e-10)
         before = resolution.force
+    assert followed > 5
     assert np.abs(found.measurements - coulomb.measurements).max() > 1e-5
     _, stiff = evaluated("micro-slip", tangential_stiffness=1e12, friction=0.27)
     same(stiff, coulomb, 1e-5)
+
+
+def test_zones_with_and_without_a_function_stand_side_by_side(lap_scene, cache):
+    """Under one law: a zone with a long table, one with a short, one with friction by stage alone."""
+    scene = with_zone(lap_scene, pairs=6)
+    zone = scene.zones[0]
+    regions = [[[0, 0, -5], [70, 25, 5]], [[70, 0, -5], [80, 25, 5]], [[80, 0, -5], [160, 25, 5]]]
+    keys = ({"friction_table": TABLE}, {"friction_table": [(1.0, 0.7)]}, {"friction": {"clamp": 0.1, "default": 0.3}})
+    zones = [
+        zone.model_copy(update={"name": f"lap{i}", "box": box} | own) for i, (box, own) in enumerate(zip(regions, keys))
+    ]
+    contacts = assemble(scene.model_copy(update={"zones": zones}), cache).contacts
+    law = find("pressure-dependent")
+    for stage, alone in (("clamp", 0.1), ("release", 0.3)):
+        force = np.linspace(0.1, 30.0, len(contacts))
+        found = law.coefficient(law.parameters(contacts.friction_in(stage)), force)
+        table = np.interp(force / contacts.area, *np.array(TABLE).T)
+        np.testing.assert_allclose(found, np.choose(contacts.zone, [table, 0.7, alone]), rtol=1e-12)
+    assert set(contacts.zone) == {0, 1, 2}
 
 
 def test_pressure_is_the_force_over_the_disc_that_a_pair_reads(lap_scene, cache):

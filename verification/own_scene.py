@@ -226,7 +226,7 @@ def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
 def _quantities(outcome, law) -> pd.DataFrame:
     """Slips and measurements of the valid samples, indexed by sample."""
     columns = {
-        f"slip:{stage}:{zone}": outcome.slip(law, stage, zone)
+        f"slip:{stage}:{zone}": outcome.tangential(law, stage, zone)
         for stage in outcome.stages
         for zone in outcome.zones
         if outcome.has_slip

@@ -10,6 +10,7 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
+from mic.contact.path import Leg, Path
 from mic.contact.programme import OPTIMISERS, ConeProgramme
 
 __all__ = ["BACKENDS", "Backend"]
@@ -48,6 +49,20 @@ class Backend(Protocol):
         iterations : int
             Passes since the last force.
         rung : str
+        """
+
+    def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
+        """Every sample from one load to the next, for a law whose path can be followed.
+
+        Parameters
+        ----------
+        b0, b1 : (n, d m) array
+            Displacements without contact forces at the two loads.
+        force : (n, d m) array
+            Contact forces at the first.
+        anchor : (n, m, 2) array
+            Where slip is measured from.
+        path : Path
         """
 
     def infeasible(self, b: np.ndarray) -> bool:

@@ -20,7 +20,10 @@ import numpy as np
 
 from mic.contact.states import OPEN, SLIP, STICK, classify
 
-__all__ = ["Followed", "Increments", "Path", "PathSolution", "Trace"]
+__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace"]
+
+#: Increments of a leg for a sample that the follower gives up.
+RESCUE = 64
 
 
 @dataclass(frozen=True)
@@ -42,12 +45,16 @@ class Followed:
     Attributes
     ----------
     tolerance : float
-        Error of a step, of the motion that the load asks of the contacts (root mean squares over the contacts).
+        Largest error of a step, as a share of the tangential motion that the contacts are about to make (root mean
+        squares over the contacts).
+    floor : float
+        Or as a length, if that is larger [length].
     steps : int or None
         So many equal steps instead, whatever their error: to show the order of the method.
     """
 
-    tolerance: float = 1e-3
+    tolerance: float = 1e-2
+    floor: float = 0.0
     steps: int | None = None
 
 
@@ -118,7 +125,7 @@ class PathSolution:
     converged : (n,) bool array
     iterations : (n,) int array
     status, rung : (n,) object array
-        Of the last step; the rung is ``"followed"`` where the path was.
+        Of the last step; the rung is ``"followed"`` or ``"increments"``, or the ladder's where neither would do.
     """
 
     force: np.ndarray
@@ -132,8 +139,37 @@ class PathSolution:
     rung: np.ndarray
 
 
+@dataclass(frozen=True)
+class Leg:
+    """What a follower found between two loads, good or not: the caller certifies it.
+
+    Attributes
+    ----------
+    force : (n, 3m) array
+        At the end.
+    b : (n, 3m) array
+        Displacements without contact forces, from where slip is measured in the last step: the problem that `force`
+        solves.
+    anchor : (n, m, 2) array
+    slip, length, work, share, error
+        As :class:`Trace` has them.
+    counts : (n, 5) int array
+        Steps, factorisations, calls for help, failures, steps cut.
+    """
+
+    force: np.ndarray
+    b: np.ndarray
+    anchor: np.ndarray
+    slip: np.ndarray
+    length: np.ndarray
+    work: np.ndarray
+    share: np.ndarray
+    error: np.ndarray
+    counts: np.ndarray
+
+
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
-    """Path by path, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""
+    """Leg by leg, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""
     n, loads, _ = b.shape
     m, d = solver.contacts, solver.dimension
     force = np.zeros((n, d * m)) if force is None else force
@@ -142,12 +178,63 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         return _without_memory(solver, b[:, -1], force)
     legs = []
     for k in range(loads - 1):
-        leg = increments(
-            solver, b[:, k], b[:, k + 1], force, anchor, path.count if isinstance(path, Increments) else 16
-        )
+        b0, b1 = b[:, k], b[:, k + 1]
+        if solver.law.followed:
+            leg = followed(solver, b0, b1, force, anchor, path)
+        else:
+            leg = increments(solver, b0, b1, force, anchor, path.count if isinstance(path, Increments) else 1)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
     return reduce(_joined, legs)
+
+
+def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
+    """One leg by the compiled follower; a sample that it gives up, or whose end misses the certificate, is rescued by
+    increments, each with the whole ladder."""
+    n = len(b0)
+    plain = isinstance(path, Increments)
+    leg = solver.backend.follow(b0, b1, force, anchor, path)
+    name = "increments" if plain else "followed"
+    solution = solver.certified(leg.b, leg.force, leg.counts[:, 1], np.full(n, name, dtype=object))
+    trace = Trace(
+        leg.slip,
+        leg.length,
+        leg.work,
+        leg.share,
+        np.full(n, np.nan) if plain else leg.error,
+        leg.counts[:, 0].copy(),
+        leg.counts[:, 1].copy(),
+    )
+    found = PathSolution(
+        force=leg.force,
+        displacement=leg.force @ solver.S + b1,
+        anchor=leg.anchor,
+        trace=trace,
+        residual=solution.residual,
+        converged=solution.converged,
+        iterations=leg.counts[:, 1].copy(),
+        status=solution.status,
+        rung=solution.rung,
+    )
+    lost = np.flatnonzero(~solution.converged | (leg.counts[:, 3] > 0))
+    if not lost.size:
+        return found
+    count = path.count if isinstance(path, Increments) else RESCUE
+    return _put(found, lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], count))
+
+
+def _put(all_samples, own, some):
+    """The first with the samples `own` from the second."""
+    values = {}
+    for field in fields(all_samples):
+        value, new = getattr(all_samples, field.name), getattr(some, field.name)
+        if isinstance(value, Trace):
+            values[field.name] = _put(value, own, new)
+        else:
+            value = value.copy()
+            value[own] = new
+            values[field.name] = value
+    return type(all_samples)(**values)
 
 
 def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,7 @@ class ContactSolver:
         # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series)
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
-        self._backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
@@ -127,23 +128,46 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        force, iterations, rung = self._backend.solve(rows, guess)
-        certificate, displacement = self._measure(rows, force)
-        infeasible = np.zeros(len(rows), dtype=bool)
-        unsolved = np.flatnonzero(certificate.residual > self.tol)
-        for sample in unsolved:
-            infeasible[sample] = self._backend.infeasible(rows[sample])
-            if not infeasible[sample]:
-                self._persist(sample, rows, force, iterations, rung)
+        force, iterations, rung = self.backend.solve(rows, guess)
+        solution = self.certified(rows, force, iterations, rung)
+        unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
-            certificate, displacement = self._measure(rows, force)
+            infeasible = np.zeros(len(rows), dtype=bool)
+            for sample in unsolved:
+                infeasible[sample] = self.backend.infeasible(rows[sample])
+                if not infeasible[sample]:
+                    self._persist(sample, rows, force, iterations, rung)
+            solution = self.certified(rows, force, iterations, rung, infeasible)
+        return solution if b.ndim == 2 else _only(solution)
+
+    def certified(
+        self,
+        b: np.ndarray,
+        force: np.ndarray,
+        iterations: np.ndarray,
+        rung: np.ndarray,
+        infeasible: np.ndarray | None = None,
+    ) -> ContactSolution:
+        """Judge the forces of a batch, whoever found them.
+
+        Parameters
+        ----------
+        b, force : (n, d m) array
+        iterations : (n,) int array
+        rung : (n,) object array
+            Who found them.
+        infeasible : (n,) bool array, optional
+            Samples that are proven to have no solution.
+        """
+        certificate, displacement = self._measure(b, force)
         converged = certificate.residual <= self.tol
-        status = np.empty(len(rows), dtype=object)
+        infeasible = np.zeros(len(b), dtype=bool) if infeasible is None else infeasible
+        status = np.empty(len(b), dtype=object)
         status[:] = [
             Status.CONVERGED if solved else Status.INFEASIBLE if proven else Status.NOT_CONVERGED
             for solved, proven in zip(converged.tolist(), infeasible.tolist())
         ]
-        values = dict(
+        return ContactSolution(
             force=force,
             displacement=displacement,
             converged=converged,
@@ -152,13 +176,6 @@ class ContactSolver:
             rung=rung,
             **vars(certificate),
         )
-        if b.ndim == 1:
-            values = {name: value[0] for name, value in values.items()}
-            values["converged"] = bool(values["converged"])
-            values["iterations"] = int(values["iterations"])
-            for name in vars(certificate):
-                values[name] = float(values[name])
-        return ContactSolution(**values)
 
     def follow(
         self,
@@ -196,7 +213,7 @@ class ContactSolver:
         """Work on one sample that did not converge, improving its force, count and rung in place."""
         start = force[sample].copy()
         best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
-        for candidate, count, name in self._backend.attempts(b[sample], start):
+        for candidate, count, name in self.backend.attempts(b[sample], start):
             iterations[sample] += count
             residual = self._measure(b[[sample]], candidate[None])[0].residual[0]
             if residual < best:
@@ -218,6 +235,15 @@ def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, thre
     [1.0, -0.27, 0.0]
     """
     return ContactSolver(S, mu, law, backend, tol, threads, dimension).solve(b, guess)
+
+
+def _only(solution: ContactSolution) -> ContactSolution:
+    """The only sample of a batch, its numbers plain."""
+    values: dict[str, Any] = {name: value[0] for name, value in vars(solution).items()}
+    for name, value in values.items():
+        if isinstance(value, np.generic):
+            values[name] = value.item()
+    return ContactSolution(**values)
 
 
 def _checked_array(name, value):

@@ -24,7 +24,8 @@ THREADS = 2
 def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     """Solve samples in the first stage that resolves contact, under every law, with all friction coefficients scaled.
 
-    The displacements without contact forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
+    All that the stage does is done in one step: laws are compared here, not paths. The displacements without contact
+    forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
 
     Returns
     -------
@@ -33,7 +34,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         for, the scene has friction and there are valid samples.
     """
     contacts = outcome.model.contacts
-    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.friction.any():
+    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.frictional:
         return None
     numbers = outcome.sample_numbers("coulomb")
     n = len(numbers)

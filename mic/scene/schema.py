@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from mic.contact.laws import LAWS, pressure_dependent
+from mic.contact.path import Followed
 from mic.scene.checks import check_held, check_references
 from mic.scene.settings import fill_in
 
@@ -30,6 +31,7 @@ __all__ = [
     "ClampDeviation",
     "Deviation",
     "Fixture",
+    "FollowedPath",
     "ForceDeviation",
     "Locator",
     "LocatorDeviation",
@@ -42,6 +44,9 @@ __all__ = [
     "Weld",
     "Zone",
 ]
+
+# Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
+FINEST, COARSEST = 1e-5, 0.1
 
 
 class _Table(BaseModel):
@@ -149,7 +154,7 @@ class Clamp(_Table):
         None, description="or the position that it enforces along `direction`, mm from nominal"
     )
     radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
-    stage: Name = Field("clamp", description="the clamp stage that closes it; release opens all clamps")
+    stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
     _direction = field_validator("direction")(_unit)
 
@@ -286,39 +291,67 @@ class Zone(_Table):
 
 
 class Stage(_Table):
-    """One step of the process; in order. The first is ``locate``, ``measure`` may only come last.
+    """One stage of the process; in order. The first is ``locate``, ``measure`` may only come last.
 
     ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that
     name it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`;
-    ``measure`` reads the measurements. What each of them does is a list of actions (`mic.process.actions`).
+    ``measure`` reads the measurements. What each of them does is a list of steps, one after the other, in each of which
+    actions happen together (`mic.process.actions`); `mic check` prints them.
     """
 
     kind: Literal["locate", "clamp", "weld", "release", "measure"] = Field(description="what the stage does")
     name: Name | None = Field(None, description="what `stage` keys refer to; the kind if left out")
     keep: list[Name] | None = Field(
-        None, description="release only: the locators that still hold the assembly; all if left out"
+        None, description="release only: the locators and clamps that stay closed; if left out, all locators"
     )
-    order: list[list[Name]] | None = Field(
+    order: Annotated[list[list[Name]], Field(min_length=1)] | None = Field(
         None,
-        description="what closes, or opens, one after the other: groups of names, each group together; left out, "
-        "locators come before clamps, clamps as the file has them, welds together, and a release is the reverse",
+        description="clamp, weld, release: what closes, or opens, one after the other: groups of names, each group "
+        "together. Left out, further locators close first and together, then clamps as the file has them, neighbours "
+        "that press two parts together as one; welds are made together; a release opens last what closed first",
     )
     sequence: bool = Field(False, description="weld only: one weld after the other, in the order of the file")
-    path: Literal["followed", "increments", "one-step"] = Field(
-        "followed",
-        description="how friction's path is followed: `followed` by steps of controlled error; `increments`, so many "
-        "equal ones for each step of the process; `one-step`, all that the stage does at once, as the paper has it",
+    settle: bool = Field(
+        True,
+        description="locate only: parts that overlap where they were set down come to rest on each other before "
+        "anything closes; `false`: while the first thing closes",
+    )
+    path: Literal["followed", "increments", "one-step"] | None = Field(
+        None,
+        description="clamp, weld, release: how friction's path is followed: `followed`, the default, by steps of "
+        "controlled error; `increments`, so many equal ones for each step of the stage; `one-step`, all that the stage "
+        "does at once, overlaps included, as the paper has it",
     )
     increments: Annotated[int, Field(ge=1)] | None = Field(
-        None, description='of each step of the process; makes path = "increments"'
+        None, description='of each step of the stage; means path = "increments"'
     )
+
+    #: Kinds of stages to which a key applies.
+    applies: ClassVar[dict[str, tuple[str, ...]]] = {
+        "keep": ("release",),
+        "order": ("clamp", "weld", "release"),
+        "sequence": ("weld",),
+        "settle": ("locate",),
+        "path": ("clamp", "weld", "release"),
+        "increments": ("clamp", "weld", "release"),
+    }
 
     @model_validator(mode="after")
     def _fill(self):
-        if self.keep is not None and self.kind != "release":
-            raise ValueError(f"keep applies to release stages only, this one is of kind {self.kind!r}: remove it")
-        if self.increments is not None and "path" not in self.model_fields_set:
-            object.__setattr__(self, "path", "increments")
+        for key, kinds in self.applies.items():
+            if self.kind not in kinds and getattr(self, key) != type(self).model_fields[key].default:
+                raise ValueError(
+                    f"{key} applies to {', '.join(kinds)} stages only, this one is of kind {self.kind!r}: remove it"
+                )
+        if self.order is not None and self.sequence:
+            raise ValueError("order and sequence both say in which order welds are made: remove one of them")
+        if self.path == "one-step" and (self.order is not None or self.sequence):
+            key = "sequence" if self.sequence else "order"
+            raise ValueError(f'path = "one-step" does all at once, {key} one after the other: remove one of them')
+        if self.increments is not None and self.path not in (None, "increments"):
+            raise ValueError(f"increments do not go with path = {self.path!r}: remove one of them")
+        if self.increments is None and self.path == "increments":
+            raise ValueError('path = "increments" needs increments, how many for each step of the stage: give it')
         if self.name is None:
             object.__setattr__(self, "name", self.kind)
         return self
@@ -424,6 +457,18 @@ class MonteCarlo(_Table):
     )
 
 
+class FollowedPath(_Table):
+    """How closely friction's path is followed, in stages that ask for nothing else.
+
+    The tolerance is that of one step: the error of the contacts' tangential positions that it may leave, as a share of
+    the motion that the step of the process asks of the contacts (root mean squares over the contacts).
+    """
+
+    tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Field(
+        Followed.tolerance, description="relative; below its least value steps would be judged by rounding"
+    )
+
+
 class Scene(_Table):
     """A whole scene: one TOML file, or a folder that holds ``scene.toml``."""
 
@@ -446,6 +491,7 @@ class Scene(_Table):
     stages: Annotated[list[Stage], Field(min_length=1)]
     deviations: list[Deviation] = []
     measurements: list[Measurement] = []
+    path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()
     folder: Path = Field(Path("."), exclude=True, description="set by load_scene: where relative file names start")
