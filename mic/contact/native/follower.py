@@ -559,7 +559,8 @@ def _compile(digest):
         m = len(parameters)
         y, w, q = np.empty(size), np.empty(size), np.empty(size)
         y0, w0, yp, wp = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        x, motion, rate = np.empty(size), np.empty(size), np.empty(size)
+        # Plain steps predict nothing: they start from where they are.
+        x, motion, rate = np.zeros(size), np.zeros(size), np.empty(size)
         state0, state, e0 = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros((m, 2))
         shift, other = np.zeros((m, 2)), np.zeros((m, 2))
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
