@@ -578,7 +578,7 @@ def _compile(digest):
             rate[:] = Q1[sample] - Q0[sample]
             scale = max(starting_scale(q), starting_scale(q + rate))
             y0[:] = y
-            # Plain steps resolve what does not balance at the start with their first, as backward Euler's method has it.
+            # What does not balance at the start is a plain step's to resolve, with the load of the first.
             if order == 2 and solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
                 done[FAILED] += 1
                 continue
