@@ -156,7 +156,7 @@ def test_rough_contact_sticks_and_smooth_contact_slides(lap_scene, cache):
     smooth, sticking, _, _ = clamped(1e-9, "coulomb")
     assert sticking == 0 and smooth.max() == pytest.approx(free.max(), rel=1e-4)
     usual, _, _, _ = clamped(0.27, "coulomb")
-    assert usual.mean() < 0.99 * free.mean()  # and friction that is next to none changes it by 1e-4, as just seen
+    assert usual.mean() < 0.97 * free.mean()
     rough, sticking, held, _ = clamped(50.0, "coulomb")
     assert sticking > 0.5 and held.max() < 1e-8 * free.max() and rough.mean() < 0.2 * free.mean()
     _, sticking, _, slipped = clamped(50.0, "coulomb", "followed")
