@@ -267,7 +267,7 @@ def _quantities(model, evaluation: Evaluation) -> pd.DataFrame:
             square = (resolution.trace.slip**2).sum(axis=-1)
             for i, zone in enumerate(model.scene.zones):
                 own = model.contacts.zone == i
-                if zone.frictional and own.any():
+                if _rubs(model.contacts, stage)[own].any():
                     columns[f"slip {stage} {zone.name}"] = np.sqrt(square[:, own].mean(axis=1))
     return pd.DataFrame(columns)
 
@@ -340,11 +340,17 @@ def doubts(model: ReducedModel) -> list[str]:
     return [sentence for sentence in (*found, _hangs_on_settling(model, rubbing, unsettled)) if sentence]
 
 
+def _rubs(contacts, stage: str) -> np.ndarray:
+    """(m,) whether a pair has friction in a stage."""
+    friction = contacts.friction_in(stage)
+    by_pressure = False if contacts.pressure.shape[1] == 0 else ~np.isnan(contacts.pressure[:, 0, 0])
+    return (friction.coefficient > 0) | by_pressure
+
+
 def _idle_friction(model, rubbing: Evaluation, smooth: Evaluation, stage: str) -> str | None:
     """Tangential motion of the contacts that end the stage closed, with friction and without."""
     with_, without = rubbing.resolutions[stage], smooth.resolutions[stage]
-    rough = np.array([zone.frictional for zone in model.scene.zones])[model.contacts.zone]
-    closed = (with_.state != OPEN) & rough
+    closed = (with_.state != OPEN) & _rubs(model.contacts, stage)
     moved = without.displacement[closed][:, 1:]
     held = np.linalg.norm(with_.displacement[closed][:, 1:] - moved)
     if held > FRICTION_MATTERS * np.linalg.norm(moved):

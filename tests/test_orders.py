@@ -154,7 +154,7 @@ def test_a_stage_in_which_friction_hardly_matters_is_named_and_no_other(lap_mode
     assert not any(doubt.startswith("stage clamp") for doubt in doubts(hat_model))
     smooth = [zone.model_copy(update={"friction": 0.0}) for zone in hat_model.scene.zones]
     scene = hat_model.scene.model_copy(update={"zones": smooth})
-    contacts = replace(hat_model.contacts, friction=np.zeros(len(hat_model.contacts)))
+    contacts = replace(hat_model.contacts, friction=np.zeros_like(hat_model.contacts.friction))
     assert doubts(replace(hat_model, scene=scene, contacts=contacts)) == []  # nothing that friction could do
 
 

@@ -37,7 +37,7 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     assert np.abs(evaluation.measurements).max() > 1e-3
 
 
-def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station_left(hat_model):
+def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station_left(hat_model, cache):
     """Clamp and weld one side, let its clamps go, then clamp and weld the other; one clamp stays from the first."""
     scene = hat_model.scene
     first = [mic.scene.Stage(kind=kind, name=name, **keys) for kind, name, keys in (
@@ -57,7 +57,8 @@ def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station
             item.model_copy(update={"stage": "again"}) if item.name in ("W3", "W4") else item for item in scene.welds
         ],
     }
-    model = replace(hat_model, scene=mic.Scene(**scene.model_copy(update=changed).model_dump(mode="json")))
+    table = scene.model_copy(update=changed).model_dump(mode="json")
+    model = mic.reduce(mic.Scene(**table, folder=scene.folder), cache)
     deviations = draw(scene, 3, 0, 4)
     evaluation = model.evaluate(deviations)
     assert not evaluation.failed.any() and list(evaluation.resolutions) == [
@@ -70,7 +71,8 @@ def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station
     force = evaluation.functional_force
     scale = np.abs(force).sum(axis=1)[:, None] * np.concatenate([np.abs(G).max(axis=0) for G in model.compliance.G])
     assert (np.abs(model.compliance.resultants(force)) <= 1e-9 * scale).all()
-    until = replace(model, scene=model.scene.model_copy(update={"stages": [*first[:2], scene.stages[-1]], "welds": []}))
+    only = {"stages": [*first[:2], scene.stages[-1]], "welds": []}
+    until = replace(model, scene=model.scene.model_copy(update=only))
     welds = model.rows["weld"][:12]  # of W1 and W2, which keep what they find in the first stage that clamps
     found, kept = (readings(each, each.evaluate(deviations)) @ welds.T for each in (until, model))
     assert np.abs(found).max() > 1e-3
@@ -245,7 +247,11 @@ def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
         return [stage.path for stage in model.process(law).stages if stage.plan.resolves]
 
     closely = mic.scene.schema.FollowedPath(tolerance=2e-5)
-    assert paths("coulomb") == [Followed()] * 2 and paths("coulomb", path=closely) == [Followed(2e-5)] * 2
+    for changes, tolerance in (({}, Followed.tolerance), ({"path": closely}, 2e-5)):
+        followed = paths("coulomb", **changes)
+        assert (
+            all(isinstance(path, Followed) and path.tolerance == tolerance for path in followed) and len(followed) == 2
+        )
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 

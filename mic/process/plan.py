@@ -149,10 +149,10 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
             step = _step(move, joints, fixture, after)
             if unsettled and step.resolves:
                 unsettled = False
-                if path != "one-step" and first:
+                if first and path != "one-step":
                     held = _bilateral(fixture, joints)
                     steps.append(Step((Settle(),), held, fixture.forces, settles=True, resolves=True))
-                elif path != "one-step":
+                else:
                     step = replace(step, move=(Settle(), *move), settles=True)
             unsettled |= step.sets_down
             steps.append(step)
