@@ -239,7 +239,9 @@ def _extrapolate(solve, start, whole):
         for i in range(1, n + 1):
             s = start.share + i / n * (whole.share - start.share)
             before, point = point, whole if n == 1 else solve(point, s, point.position)
-            gone = [*_gone(before, point, counted), shares(point.state) / n]
+            # What changes, changes at the end of the step: until then a contact is closed that was so at its start.
+            state = np.where(point.closed, point.state, np.where(before.closed, before.state, STICK))
+            gone = [*_gone(before, point, counted), shares(np.where(counted, state, OPEN)) / n]
             way = gone if way is None else [a + b for a, b in zip(way, gone)]
         row = [[point.position, point.gap, point.force, point.held, *way]]
         for k, above in enumerate(rows[-1] if rows else []):
