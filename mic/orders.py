@@ -267,7 +267,7 @@ def _quantities(model, evaluation: Evaluation) -> pd.DataFrame:
             square = (resolution.trace.slip**2).sum(axis=-1)
             for i, zone in enumerate(model.scene.zones):
                 own = model.contacts.zone == i
-                if model.contacts.friction[own].any():
+                if zone.frictional and own.any():
                     columns[f"slip {stage} {zone.name}"] = np.sqrt(square[:, own].mean(axis=1))
     return pd.DataFrame(columns)
 
@@ -322,7 +322,7 @@ def doubts(model: ReducedModel) -> list[str]:
     """
     scene = model.scene
     law = next((law for law in scene.report.laws if LAWS[law].frictional), None)
-    if law is None or model.contacts.dimension == 1 or not model.contacts.friction.any():
+    if law is None or model.contacts.dimension == 1 or not model.contacts.frictional:
         return []
     rough = {
         i: {"path": "increments", "increments": 1}
@@ -343,7 +343,8 @@ def doubts(model: ReducedModel) -> list[str]:
 def _idle_friction(model, rubbing: Evaluation, smooth: Evaluation, stage: str) -> str | None:
     """Tangential motion of the contacts that end the stage closed, with friction and without."""
     with_, without = rubbing.resolutions[stage], smooth.resolutions[stage]
-    closed = (with_.state != OPEN) & (model.contacts.friction > 0)
+    rough = np.array([zone.frictional for zone in model.scene.zones])[model.contacts.zone]
+    closed = (with_.state != OPEN) & rough
     moved = without.displacement[closed][:, 1:]
     held = np.linalg.norm(with_.displacement[closed][:, 1:] - moved)
     if held > FRICTION_MATTERS * np.linalg.norm(moved):

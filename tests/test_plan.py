@@ -270,14 +270,30 @@ def test_contact_is_resolved_where_something_changes_and_not_while_parts_are_set
     assert [name for name, plan in plans.items() if plan.reads] == ["read"]
 
 
+def one_pair(scene, friction, gap):
+    """One contact of 1 mm², its frame that of space."""
+    stages = [stage.name for stage in scene.stages]
+    return Contacts(
+        zone=np.zeros(1, int),
+        stages=np.array(stages),
+        friction=np.full((len(stages), 1), friction),
+        pressure=np.zeros((1, 0, 5)),
+        compliance=np.zeros(1),
+        gap=np.array([gap]),
+        area=np.ones(1),
+        bearing=np.ones(1),
+        point=np.zeros((1, 3)),
+        frame=np.eye(3)[None],
+        dimension=3,
+    )
+
+
 class Meaning:
     """What `drive` asks of an assembly, without any mesh: one contact, two welds, one measurement."""
 
     scene = mic.Scene(**SCENE)
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
-    contacts = Contacts(
-        np.zeros(1, int), np.array([0.3]), np.array([0.05]), np.ones(1), np.zeros((1, 3)), np.eye(3)[None], 3
-    )
+    contacts = one_pair(scene, 0.3, 0.05)
     weld_size, weld_gap = WELD_SIZE, np.array([0.1, 0.2])
 
 
@@ -344,15 +360,7 @@ def springs(drag=0.0, gap=GAP, settle=True, **close):
         ],
     )
     labels = {kind: [f"{kind}{i}" for i in range(rows[kind].shape[0])] for kind in KINDS}
-    contacts = Contacts(
-        np.zeros(1, int),
-        np.array([0.2]),
-        np.array([gap]),
-        np.ones(1),
-        np.zeros((1, 3)),
-        np.eye(3)[None],
-        3,
-    )
+    contacts = one_pair(scene, 0.2, gap)
     none = np.zeros((width, 0))
     return ReducedModel(scene, compliance, rows, labels, contacts, (), np.zeros(0), none, none, {})
 

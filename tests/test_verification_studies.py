@@ -17,7 +17,7 @@ from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.law import study as law
 from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
-from verification.scenes import shipped
+from verification.scenes import going, shipped
 from verification.trade import study as trade
 
 pytestmark = pytest.mark.fem
@@ -96,7 +96,7 @@ def test_zone_slip_by_hand():
 @pytest.fixture(scope="module")
 def at_once(lap):
     """The lap joint whose stages do all at once, as the study of laws has it."""
-    return tuple(replace(one, scene=law.on_path(one.scene, law.ONE_STEP)) for one in lap)
+    return tuple(replace(one, scene=going(one.scene, "one-step")) for one in lap)
 
 
 @pytest.mark.slow
@@ -127,14 +127,15 @@ def test_law_is_judged_by_finite_elements_with_the_same_friction(at_once):
         ("pressure-dependent", law.FUNCTIONS["table"], "pressure"),
         ("pressure-dependent", law.FUNCTIONS["falling power"], "pressure"),
         ("micro-slip", {"tangential_stiffness": 1e3}, "compliance"),
-        ("coulomb", law.BY_STAGE, "friction"),
+        ("coulomb", {"friction": law.BY_STAGE["rising"]}, "friction"),
+        ("coulomb", {"friction": law.BY_STAGE["falling"]}, "friction"),
     ],
-    ids=["table", "power", "stiffness", "by stage"],
+    ids=["table", "power", "stiffness", "rising by stage", "falling by stage"],
 )
 @pytest.mark.slow
 def test_law_tells_a_wrong_function_stiffness_or_stage(name, keys, field, cache):
     """What the reduced model holds of the zone's friction is a tenth too large: the full solve does not agree."""
-    model, assembly = law.variant(keys, law.INCREMENTS, cache)
+    model, assembly = law.variant(keys, cache)
     right = law.solved_both_ways((model, assembly), name)
     assert max(right["force"], right["displacement"], right["measurement"]) < 1e-8 and right["slipping"]
     wrong = getattr(model.contacts, field).copy()

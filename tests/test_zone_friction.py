@@ -15,10 +15,13 @@ YIELDING = 2e3  # N/mm³
 
 
 def with_zone(scene, path="increments", increments=3, **keys):
-    """The scene with keys of its zone, and a path that every law follows alike."""
+    """The scene with keys of its zone, and a path."""
     table = scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": scene.folder}
     table["zones"] = [zone | keys for zone in table["zones"]]
-    table["stages"] = [stage | {"path": path, "increments": increments} for stage in table["stages"]]
+    way = {"path": path} | ({"increments": increments} if path == "increments" else {})
+    table["stages"] = [
+        stage | way if stage["kind"] in ("clamp", "weld", "release") else stage for stage in table["stages"]
+    ]
     if "friction_table" in keys or "friction_power" in keys:
         table["report"]["laws"] = ["coulomb", "pressure-dependent"]
     if "tangential_stiffness" in keys:

@@ -34,7 +34,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         for, the scene has friction and there are valid samples.
     """
     contacts = outcome.model.contacts
-    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.friction.any():
+    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.frictional:
         return None
     numbers = outcome.sample_numbers("coulomb")
     n = len(numbers)

@@ -54,7 +54,7 @@ def reference() -> str:
 
 def _path(gives: dict[str, Any]) -> str:
     """What a setting gives for the path of the stages."""
-    if "increments" in gives:
+    if gives["increments"]:
         return f"`increments = {gives['increments']}`"
     return f"followed, `tolerance = {gives['tolerance']:g}`"
 

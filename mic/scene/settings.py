@@ -8,14 +8,16 @@ from mic.contact.path import Followed
 
 __all__ = ["SETTINGS", "fill_in"]
 
+USUAL = Followed.tolerance
+
 #: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per
-#: zone, how friction's path is followed (equal increments for each step of the process; without, the tolerance of the
-#: path that is followed), samples. What each of them costs, and how far off it is, `verification/trade` measures. The
-#: tolerance of the contact solver is not among them: the tightest costs no more than the loosest.
+#: zone, how friction's path is followed (equal increments for each step of the process, or the tolerance of a path that
+#: is followed), samples. What each costs, and how far off it is, `verification/trade` measures. The tolerance of
+#: the contact solver is not among them: the tightest costs no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "draft": {"size": "coarse", "pairs": 17, "increments": 1, "samples": 100},
-    "standard": {"size": "medium", "pairs": 34, "tolerance": Followed.tolerance, "samples": 500},
-    "reference": {"size": "fine", "pairs": 68, "tolerance": Followed.tolerance / 10, "samples": 2000},
+    "draft": {"size": "coarse", "pairs": 17, "increments": 1, "tolerance": None, "samples": 100},
+    "standard": {"size": "medium", "pairs": 34, "increments": None, "tolerance": USUAL, "samples": 500},
+    "reference": {"size": "fine", "pairs": 68, "increments": None, "tolerance": USUAL / 10, "samples": 2000},
 }
 FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
 
@@ -29,7 +31,7 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
 
     def filled(item, key, rivals=(), applies=True):
         given = not isinstance(item, dict) or any(name in item for name in (key, *rivals))  # null is an answer, too
-        return item if given or not applies or key not in setting else item | {key: setting[key]}
+        return item if given or not applies or setting[key] is None else item | {key: setting[key]}
 
     def each(key, fill):
         return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
@@ -45,6 +47,6 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
         | each("parts", lambda part: filled(part, "size", applies=generated(part)))
         | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
         | each("stages", lambda stage: filled(stage, "increments", ("path",), follows(stage)))
-        | ({"path": filled(table.get("path", {}), "tolerance")} if "tolerance" in setting else {})
+        | {"path": filled(table.get("path", {}), "tolerance")}
         | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples")}
     )

@@ -16,7 +16,7 @@ from mic.sampling.draw import draw
 from mic.scene import Scene
 from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
-from verification.scenes import shipped
+from verification.scenes import going, shipped
 from verification.study import Acceptance, Finding, Study
 
 CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", "coarse", 12.0), ("wheelhouse", "coarse", 30.0))
@@ -28,8 +28,7 @@ FULL = {
 }  # where the finite elements are the truth
 QUICK_FULL = {"lap_joint": (0.05, 0.27, 0.8), "hat_on_plate": (0.27,), "wheelhouse": ()}
 LAWS = ("associated", "frictionless")
-ONE_STEP = {"path": "one-step", "increments": None}  # as the paper: laws are compared, not paths
-INCREMENTS = {"path": "increments", "increments": 2}  # where sliders must remember where they stand
+INCREMENTS = 2  # of each step, where sliders must remember where they stand
 #: Keys of the lap joint's zone, over the pressures that its clamps make; and tangential stiffnesses, N/mm³, from one
 #: that changes what contacts do to one that hardly does.
 FUNCTIONS = {
@@ -39,7 +38,7 @@ FUNCTIONS = {
 }
 STIFFNESSES = (1e3, 1e4, 1e5, 1e6)
 QUICK_STIFFNESSES = (1e3, 1e5)
-BY_STAGE = {"friction": {"clamp": 0.1, "default": 0.4}}
+BY_STAGE = {"rising": {"clamp": 0.1, "default": 0.4}, "falling": {"clamp": 0.4, "default": 0.1}}
 LOADED = 1e-3  # share of the stage's largest normal force from which a contact counts as loaded
 PUBLISHED = ("wheelhouse", 0.27)  # the paper's friction
 
@@ -51,15 +50,10 @@ def with_friction(built, mu):
     return replace(model, contacts=contacts), replace(assembly, contacts=contacts)
 
 
-def on_path(scene, path):
-    """The scene with one path in all stages."""
-    return scene.model_copy(update={"stages": [stage.model_copy(update=path) for stage in scene.stages]})
-
-
-def variant(keys, path, cache):
+def variant(keys, cache):
     """Reduced model and assembly of the coarse lap joint with keys of its zone."""
     laws = ["coulomb", "pressure-dependent", "micro-slip"]
-    table = on_path(shipped("lap_joint", "coarse", ["coulomb"]), path).model_dump(exclude_none=True)
+    table = going(shipped("lap_joint", "coarse"), "increments", INCREMENTS).model_dump(exclude_none=True)
     table["zones"] = [zone | keys for zone in table["zones"]]
     table["report"]["laws"] = laws[:1]
     scene = Scene(**table | {"folder": folder("lap_joint")})
@@ -95,8 +89,8 @@ def other_laws(context) -> pd.DataFrame:
     stiffnesses = QUICK_STIFFNESSES if context.quick else STIFFNESSES
     cases = [("pressure-dependent", name, keys) for name, keys in FUNCTIONS.items()]
     cases += [("micro-slip", f"{k:g} N/mm³", {"tangential_stiffness": k}) for k in stiffnesses]
-    cases += [("coulomb", "by stage", BY_STAGE)]
-    built = [variant(keys, INCREMENTS, context.cache) for *_, keys in cases]
+    cases += [("coulomb", f"by stage, {name}", {"friction": friction}) for name, friction in BY_STAGE.items()]
+    built = [variant(keys, context.cache) for *_, keys in cases]
     rows = context.team.map(lambda i: solved_both_ways(built[i], cases[i][0]), range(len(cases)))
     return pd.DataFrame([{"friction": name} | row for (_, name, _), row in zip(cases, rows)])
 
@@ -165,7 +159,7 @@ def run(context):
     samples, where = (5, QUICK_FULL) if context.quick else (40, FULL)
     built = {
         name: reduced_and_assembly(
-            on_path(shipped(name, quick if context.quick else size, ("coulomb", *LAWS)), ONE_STEP), context.cache
+            going(shipped(name, quick if context.quick else size, ("coulomb", *LAWS)), "one-step"), context.cache
         )
         for name, size, quick in CASES
     }

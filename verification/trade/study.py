@@ -16,9 +16,11 @@ from mpi4py import MPI
 from fem_reference.full.model import FullModel
 from mic import examples
 from mic.contact.laws import LAWS
+from mic.contact.path import Followed
 from mic.results import statistics
 from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
+from mic.scene.schema import FINEST, FollowedPath
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped
@@ -32,14 +34,14 @@ ADVISED = (
     "setting",
     "element size, mm",
     "pairs per zone",
-    "increments",
+    "path",
 )  # knobs that converge; elsewhere a small error may be two that cancel
 COINCIDENT = ("law", "solver tolerance")  # their versions fall on the standard setting: one label is enough
 ERRORS = ("error of 6σ", "error of slip 6σ", "error of mean slip", "error of the mean, σ")
 
 # Finer than every setting; what the base's knobs are turned to, one at a time.
 FULL = {
-    "truth": {"size": 4.0, "pairs": 68, "increments": 64},
+    "truth": {"size": 4.0, "pairs": 68, "tolerance": FINEST},
     "sizes": {"coarse": 17.5, "medium": 9.5, "fine": 5.0},
     "more sizes": (7.0,),
     "pairs": {17: 17, 34: 34, 68: 68},
@@ -49,7 +51,7 @@ FULL = {
     "full size": 17.5,
 }
 QUICK = {
-    "truth": {"size": 15.0, "pairs": 24, "increments": 64},
+    "truth": {"size": 15.0, "pairs": 24, "tolerance": FINEST},
     "sizes": {"coarse": 30.0, "medium": 24.0, "fine": 19.0},
     "more sizes": (),
     "pairs": {17: 8, 34: 12, 68: 20},
@@ -60,22 +62,21 @@ QUICK = {
 }
 
 
-def version(size, pairs, increments=1, element="dkt-opt", patch="tributary") -> Scene:
+def version(size, pairs, increments=None, tolerance=Followed.tolerance, element="dkt-opt", patch="tributary") -> Scene:
     """The wheelhouse with the knobs that change the reduced model turned."""
     scene = shipped("wheelhouse", size, LAWS)
     zones = [zone.model_copy(update={"pairs": pairs, "patch": patch}) for zone in scene.zones]
-    return with_increments(scene.model_copy(update={"zones": zones, "element": element}), increments)
+    return with_path(scene.model_copy(update={"zones": zones, "element": element}), increments, tolerance)
 
 
-def with_increments(scene, increments):
-    """The scene with as many load increments in every stage."""
-    return scene.model_copy(
-        update={"stages": [stage.model_copy(update={"increments": increments}) for stage in scene.stages]}
-    )
+def with_path(scene, increments=None, tolerance=Followed.tolerance):
+    """The scene with so many increments for each step of its process, or its path followed to a tolerance."""
+    stages = [stage.model_copy(update={"path": None, "increments": increments}) for stage in scene.stages]
+    return scene.model_copy(update={"stages": stages, "path": FollowedPath(tolerance=tolerance)})
 
 
 def opened(setting) -> Scene:
-    """The wheelhouse left to a named setting: without sizes, pairs, increments and samples of its own."""
+    """The wheelhouse left to a named setting: without sizes, pairs and samples of its own."""
     table = tomllib.loads((WHEELHOUSE / "scene.toml").read_text())
     for part in table["parts"]:
         del part["size"]
@@ -92,6 +93,7 @@ def as_set(setting, plan) -> tuple[int, dict]:
         "size": plan["sizes"][scene.parts[0].size],
         "pairs": plan["pairs"][scene.zones[0].pairs],
         "increments": scene.stages[1].increments,
+        "tolerance": scene.path.tolerance,
     }
 
 
@@ -193,9 +195,11 @@ def turn_knobs(plan, deviations):
     lines += [
         row("solver tolerance", f"{tol:.0e}", measure(base, deviations, tol=tol), truth) for tol in (1e-3, 1e-6, 1e-12)
     ]
-    for increments in (1, 4, 64):
-        model = replace(base[0], scene=with_increments(base[0].scene, increments))
-        lines.append(row("increments", increments, measure((model, base[1]), deviations), truth))
+    paths: dict[str, dict] = {f"{count} increments": {"increments": count} for count in (1, 4, 16)}
+    paths |= {f"followed to {tolerance:g}": {"tolerance": tolerance} for tolerance in (1e-2, 1e-4)}
+    for value, path in paths.items():
+        model = replace(base[0], scene=with_path(base[0].scene, **path))
+        lines.append(row("path", value, measure((model, base[1]), deviations), truth))
     for knob, changes in (
         [
             ("element size, mm", {"size": size})
@@ -347,9 +351,9 @@ def run(context):
         Finding(
             "draft",
             settings.loc["draft", "error of 6σ"],
-            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, {truth['increments']} "
-            f"increments; the same {plan['samples']} samples for all versions, so that sampling errors cancel. "
-            + ("Quick version: the named sizes are replaced by coarser ones." if context.quick else ""),
+            f"Truth: elements of {truth['size']} mm, {truth['pairs']} pairs per zone, path followed to "
+            f"{truth['tolerance']:g}; the same {plan['samples']} samples for all versions, so that sampling errors "
+            "cancel. " + ("Quick version: the named sizes are replaced by coarser ones." if context.quick else ""),
             picture(coulomb, kept, samples),
             lines,
         ),
