@@ -559,8 +559,7 @@ def _compile(digest):
         m = len(parameters)
         y, w, q = np.empty(size), np.empty(size), np.empty(size)
         y0, w0, yp, wp = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        # Plain steps predict nothing: they start from where they are.
-        x, motion, rate = np.zeros(size), np.zeros(size), np.empty(size)
+        x, motion, rate = np.zeros(size), np.zeros(size), np.empty(size)  # of first order nothing is predicted
         state0, state, e0 = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros((m, 2))
         shift, other = np.zeros((m, 2)), np.zeros((m, 2))
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
@@ -578,8 +577,10 @@ def _compile(digest):
             rate[:] = Q1[sample] - Q0[sample]
             scale = max(starting_scale(q), starting_scale(q + rate))
             y0[:] = y
-            # What does not balance at the start is a plain step's to resolve, with the load of the first.
-            if order == 2 and solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
+            if order == 1:  # what does not balance is part of the first step
+                for k in range(m):
+                    w[3 * k + 1] = w[3 * k + 2] = 0.0
+            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
                 done[FAILED] += 1
                 continue
             s, h, allowed = 0.0, 1.0 / equal if equal > 0 else LONGEST, -1.0
