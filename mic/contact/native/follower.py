@@ -63,8 +63,10 @@ NEAR = 1e-7
 SAFETY = 0.8
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
-#: Contacts that open within one prediction before it is cut short, and sliders that do not slide.
-EVENTS, PASSES = 16, 16
+#: Contacts that open or break loose within one prediction before it is cut short, and sliders that do not slide.
+EVENTS, PASSES = 32, 16
+#: Of the share of a step after which a contact breaks loose.
+BISECTIONS = 24
 #: Newton's steps before the sweeps are asked, sweeps of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
 
@@ -88,14 +90,20 @@ def _crossing(start, end):
     return start / (start - end)
 
 
-@jit(void(MATRIX, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
-def _shifts(W, y0, w0, state0, e0, motion, y, w, state, solved, shift, touched):
+@jit(
+    void(
+        MATRIX, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR
+    )
+)
+def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
     Parameters
     ----------
-    y0, w0, state0, e0
-        The step's start: forces, displacements, states and directions of sliders.
+    y0, w0, state0
+        The step's start: forces, displacements, states.
+    e0, grip, loose
+        Of sliders, as predicted: directions and ‖y_t‖ when they began to slide, and after which share of the step.
     motion : (3m,) array
         Change of ``w`` over the step as predicted.
     y, w, state
@@ -122,33 +130,38 @@ def _shifts(W, y0, w0, state0, e0, motion, y, w, state, solved, shift, touched):
                 c = _crossing(w0[i], gap)
                 touched[k] = c
                 shift[k, 0], shift[k, 1] = c * m1, c * m2
-        elif state0[k] == SLIP and (not solved or state[k] == SLIP):  # one that breaks loose slides from where it stuck
+        elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
             d1, d2 = e0[k, 0], e0[k, 1]
             if solved:
                 length = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
             else:
                 length = max(-(d1 * w[i + 1] + d2 * w[i + 2]), 0.0)
-            bound = min(np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2), np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
+            bound = min(grip[k], np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
             back = _lag(length / max(bound, 1e-300)) * length
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
 
 
-@jit(NUMBER(VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
-def _error(y0, state0, y, w, state, shift, other, unit):
+@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
+def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
-    Per contact, how far the shifts of the solution are from those that were taken; and for a slider that turns by Δφ
-    along its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``.
+    Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
+    its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``; and ``l Δφ/2`` where nobody
+    foresaw that it would slide.
     """
     total = 0.0
     for k in range(len(state)):
         i = 3 * k
         error = np.sqrt((other[k, 0] - shift[k, 0]) ** 2 + (other[k, 1] - shift[k, 1]) ** 2)
-        if state0[k] == SLIP and state[k] == SLIP:
-            t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
-            t1 = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
-            turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t1, 1e-300)
-            error += np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2) * max(turn, 0.0) / 12.0
+        if state0[k] != OPEN and state[k] == SLIP:
+            moved, t = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2), np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+            if loose[k] < 1.0:
+                turn = 2.0 - 2.0 * (e0[k, 0] * y[i + 1] + e0[k, 1] * y[i + 2]) / max(t, 1e-300)
+                error += moved * max(turn, 0.0) / 12.0
+            else:
+                t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
+                turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
+                error += 0.5 * moved * np.sqrt(max(turn, 0.0))
         total += (error * unit[k]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
@@ -157,6 +170,9 @@ def _error(y0, state0, y, w, state, shift, other, unit):
     void(
         VECTOR,
         COUNTS,
+        MATRIX,
+        VECTOR,
+        VECTOR,
         VECTOR,
         VECTOR,
         COUNTS,
@@ -171,12 +187,12 @@ def _error(y0, state0, y, w, state, shift, other, unit):
         MATRIX,
     )
 )
-def _record(y0, state0, y, w, state, touched, shift, opened, gone, part, slip, length, work, share):
+def _record(y0, state0, e0, grip, loose, y, w, state, touched, shift, opened, gone, part, slip, length, work, share):
     """Add a step to what the contacts went through: slip under load, its length, friction's work, shares of the path.
 
     Forces of a contact that slides grow linearly over the step, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``;
-    one that breaks loose slides under the force of the end. A
-    contact that opens has done so where the prediction has it: after the share ``opened``, having ``gone`` so far.
+    one that breaks loose unforeseen slides under the force of the end.  A contact that opens has done so where the
+    prediction has it: after the share ``opened``, having ``gone`` so far.
     """
     for k in range(len(state)):
         i = 3 * k
@@ -193,26 +209,33 @@ def _record(y0, state0, y, w, state, touched, shift, opened, gone, part, slip, l
                 end = _crossing(y0[i], -max(w[i], 1e-300))
                 m1, m2 = end * w[i + 1], end * w[i + 2]
         slides = 1.0  # share of the time under load in which the contact slides
-        if state[k] == STICK or state[k] == OPEN and state0[k] == STICK:
-            slides = 0.5 if state0[k] == SLIP else 0.0
-            if state0[k] != SLIP:
-                m1 = m2 = 0.0
-        elif state0[k] == STICK:
-            # Its own compliance, 1, as if it were all: first the force grows, then the contact moves.
-            t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
-            t1 = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
-            moved = np.sqrt(m1 * m1 + m2 * m2)
-            slides = moved / max(moved + abs(t1 - t0), 1e-300)
+        if state0[k] == STICK:
+            if loose[k] < 1.0:
+                slides = max(end - loose[k], 0.0) / max(end, 1e-300)
+            elif state[k] == SLIP:
+                # Its own compliance, 1, as if it were all: first the force grows, then the contact moves.
+                t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
+                t1 = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+                moved = np.sqrt(m1 * m1 + m2 * m2)
+                slides = moved / max(moved + abs(t1 - t0), 1e-300)
+            else:
+                slides = 0.0
+        if state[k] == STICK:
+            slides = 0.5 * slides if state0[k] != OPEN else 0.0
+        if slides == 0.0:
+            m1 = m2 = 0.0
         share[k, 0] += part * (1.0 - (end - begin))
         share[k, 1] += part * (end - begin) * (1.0 - slides)
         share[k, 2] += part * (end - begin) * slides
         slip[k, 0] += m1
         slip[k, 1] += m2
         length[k] += np.sqrt(m1 * m1 + m2 * m2)
-        if state0[k] == STICK:  # it slides at the end of the step, with the force of the end
-            work[k] -= y[i + 1] * m1 + y[i + 2] * m2
-        else:
-            work[k] -= 0.5 * ((y0[i + 1] + y[i + 1]) * m1 + (y0[i + 2] + y[i + 2]) * m2)
+        f1, f2 = 0.5 * y[i + 1], 0.5 * y[i + 2]
+        if loose[k] < 1.0:
+            f1, f2 = f1 + 0.5 * grip[k] * e0[k, 0], f2 + 0.5 * grip[k] * e0[k, 1]
+        elif state0[k] == STICK:
+            f1, f2 = 2.0 * f1, 2.0 * f2
+        work[k] -= f1 * m1 + f2 * m2
 
 
 @jit(MATRIX(MATRIX, MATRIX))
@@ -268,9 +291,9 @@ def _rates(W, B, closed, inverse, rate, dy, dw):
     dw += rate
 
 
-@jit(void(MATRIX, BLOCKS, BLOCKS, COUNTS, MATRIX, int64))
-def _hold(W, A, B, closed, inverse, a):
-    """The slider ``closed[a]`` sticks from now on, ``dw = 0``: its rows of the system change, the inverse by rank 3."""
+@jit(void(MATRIX, BLOCKS, BLOCKS, COUNTS, MATRIX, int64, MATRIX, MATRIX))
+def _change(W, A, B, closed, inverse, a, new_A, new_B):
+    """The contact ``closed[a]`` begins or ceases to slide: its rows of the system change, the inverse by rank 3."""
     n, k = len(inverse), closed[a]
     V = np.zeros((3, n))
     for row in range(3):
@@ -278,15 +301,13 @@ def _hold(W, A, B, closed, inverse, a):
             for column in range(3):
                 total = 0.0
                 for c in range(3):
-                    total += ((1.0 if c == row else 0.0) - B[k, row, c]) * W[3 * k + c, 3 * closed[b] + column]
+                    total += (new_B[row, c] - B[k, row, c]) * W[3 * k + c, 3 * closed[b] + column]
                 V[row, 3 * b + column] = total
         for column in range(3):
-            same = 1.0 if column == row else 0.0
-            V[row, 3 * a + column] += DAMPING * (same - B[k, row, column]) - A[k, row, column]
-            A[k, row, column] = 0.0
-    for row in range(3):
-        for column in range(3):
-            B[k, row, column] = 1.0 if column == row else 0.0
+            V[row, 3 * a + column] += (
+                new_A[row, column] - A[k, row, column] + DAMPING * (new_B[row, column] - B[k, row, column])
+            )
+    A[k], B[k] = new_A, new_B
     left = inverse[:, 3 * a : 3 * a + 3].copy()
     VJ = np.dot(V, inverse)
     middle = np.eye(3) + np.dot(V, left)
@@ -301,6 +322,17 @@ def _let_go(inverse, a):
     inverse -= np.dot(left, _solve_small(inverse[i : i + 3, i : i + 3].copy(), right))
     inverse[:, i : i + 3] = 0.0
     inverse[i : i + 3] = 0.0
+
+
+@jit(int64(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, COUNTS, types.Array(types.boolean, 1, "C"), VECTOR, COUNTS))
+def _breaking(equation, parameters, y, still, state, held, phi, found):
+    """A contact that sticks and whose force has left the cone, but for those that were just held; -1 if none does."""
+    nothing = np.empty((0, 3, 3))
+    equation(parameters, y, still, phi, nothing, nothing, found, False)
+    for k in range(len(state)):
+        if state[k] == STICK and not held[k] and found[k] == SLIP:
+            return k
+    return -1
 
 
 def _compile(digest):
@@ -360,12 +392,32 @@ def _compile(digest):
             VECTOR,
             VECTOR,
             VECTOR,
+            VECTOR,
+            VECTOR,
             MATRIX,
             COUNTS,
         )
     )
     def predict(
-        equation, W, parameters, unit, y0, w0, rate, step, behind, apart, state0, e0, x, motion, opened, gone, counts
+        equation,
+        W,
+        parameters,
+        unit,
+        y0,
+        w0,
+        rate,
+        step,
+        behind,
+        apart,
+        state0,
+        e0,
+        grip,
+        loose,
+        x,
+        motion,
+        opened,
+        gone,
+        counts,
     ):
         """Where a step leads with statuses held, but that contacts open on the way.
 
@@ -383,6 +435,9 @@ def _compile(digest):
             A contact that slid farther than this length ends the step where it opens, too.
         state0, e0 : (m,), (m, 2) array
             Receive the statuses of the start, and the directions of sliders.
+        grip, loose : (m,) array
+            Receive ‖y_t‖ of sliders when they begin to slide, and the share of the step after which they do: 0 for
+            those that slide at its start, 1 for those that do not slide.
         x, motion : (3m,) array
             Receive the changes of forces and displacements.
         opened, gone : (m,), (m, 2) array
@@ -417,7 +472,9 @@ def _compile(digest):
         w[:] = w0
         x[:] = 0.0
         motion[:] = 0.0
-        state = state0.copy()
+        state, held, found = state0.copy(), np.zeros(m, np.bool_), np.zeros(m, np.int64)
+        trial, still = np.empty(3 * m), np.zeros(3 * m)
+        new_A, new_B = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         closed = np.flatnonzero(state != OPEN)
         inverse = _inverse(W, A, B, closed)
         counts[FACTORISATIONS] += 1
@@ -435,9 +492,13 @@ def _compile(digest):
                 if worst < 0:
                     break
                 state[closed[worst]] = STICK
-                _hold(W, A, B, closed, inverse, worst)
+                held[closed[worst]] = True
+                _change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
             if event == 0:
                 state0[:] = state
+                for k in range(m):
+                    loose[k] = 0.0 if state[k] == SLIP else 1.0
+                    grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
             advance, first = step - reached, -1
             closes = False
             for k in range(m):
@@ -447,6 +508,20 @@ def _compile(digest):
                         advance, first, closes = max(w[i], 0.0) / -dw[i], k, True
                 elif state[k] != OPEN and dy[i] < 0.0 and max(y[i], 0.0) < -dy[i] * advance:
                     advance, first, closes = max(y[i], 0.0) / -dy[i], k, False
+            breaks = -1
+            trial[:] = y + advance * dy
+            if _breaking(equation, parameters, trial, still, state, held, phi, found) >= 0:
+                low, high = 0.0, advance
+                for _ in range(BISECTIONS):
+                    middle = 0.5 * (low + high)
+                    trial[:] = y + middle * dy
+                    if _breaking(equation, parameters, trial, still, state, held, phi, found) >= 0:
+                        high = middle
+                    else:
+                        low = middle
+                trial[:] = y + high * dy
+                breaks = _breaking(equation, parameters, trial, still, state, held, phi, found)
+                advance, first, closes = high, breaks, False
             if closes:
                 advance = min(advance + behind, step - reached)
             y += advance * dy
@@ -457,6 +532,18 @@ def _compile(digest):
             if closes or first < 0 or event == EVENTS - 1:
                 break
             i = 3 * first
+            if breaks >= 0:
+                for k in range(m):
+                    for c in range(1, 3):
+                        trial[3 * k + c] = -NEAR * y[3 * k + c]  # a little forward, as above
+                derivative(equation, parameters, y, trial, phi, new_A, new_B, found)
+                state[first], loose[first] = SLIP, reached
+                grip[first] = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+                e0[first, 0], e0[first, 1] = y[i + 1] / grip[first], y[i + 2] / grip[first]
+                for a in range(len(closed)):
+                    if closed[a] == first:
+                        _change(W, A, B, closed, inverse, a, new_A[first], new_B[first])
+                continue
             opened[first] = reached
             gone[first, 0], gone[first, 1] = motion[i + 1], motion[i + 2]
             for row in range(3):
@@ -474,6 +561,8 @@ def _compile(digest):
         for k in range(m):
             if opened[k] < 1.0:
                 opened[k] /= step
+            if loose[k] < 1.0:
+                loose[k] /= step
         return step
 
     @jit(
@@ -562,6 +651,7 @@ def _compile(digest):
         x, motion, rate = np.zeros(size), np.zeros(size), np.empty(size)  # of first order nothing is predicted
         state0, state, e0 = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros((m, 2))
         shift, other = np.zeros((m, 2)), np.zeros((m, 2))
+        grip, loose = np.zeros(m), np.ones(m)
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
         phi, nothing = np.empty(size), np.empty((0, 3, 3))
         smallest = 1.0 / equal if equal > 0 else SHORTEST
@@ -597,6 +687,11 @@ def _compile(digest):
                 while True:
                     if order == 1:
                         equation(parameters, y0, w0, phi, nothing, nothing, state0, False)
+                        for k in range(m):
+                            grip[k] = np.sqrt(y0[3 * k + 1] ** 2 + y0[3 * k + 2] ** 2)
+                            if grip[k] > 0.0:
+                                e0[k, 0], e0[k, 1] = y0[3 * k + 1] / grip[k], y0[3 * k + 2] / grip[k]
+                            loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
                         behind = 1.0 if equal > 0 else smallest
                         apart = np.inf if equal > 0 or allowed < 0.0 else allowed * np.sqrt(m)
@@ -613,6 +708,8 @@ def _compile(digest):
                             apart,
                             state0,
                             e0,
+                            grip,
+                            loose,
                             x,
                             motion,
                             opened,
@@ -627,7 +724,7 @@ def _compile(digest):
                     target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     yp[:], wp[:] = y0 + x, w0 + motion
                     if order == 2:
-                        _shifts(W, y0, w0, state0, e0, motion, yp, wp, state0, False, shift, touched)
+                        _shifts(W, y0, w0, state0, e0, grip, loose, motion, yp, wp, state0, False, shift, touched)
                     for turn in range(order):
                         q[:] = Q0[sample] + target * rate
                         for k in range(m):
@@ -666,8 +763,8 @@ def _compile(digest):
                             w[3 * k + 2] += shift[k, 1]
                         if order == 1:
                             break
-                        _shifts(W, y0, w0, state0, e0, motion, y, w, state, True, other, late)
-                        error = _error(y0, state0, y, w, state, shift, other, unit)
+                        _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, True, other, late)
+                        error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
                         if turn == 1 or error <= allowed and equal == 0:
                             break
                         shift[:] = other
@@ -683,6 +780,9 @@ def _compile(digest):
                 _record(
                     y0,
                     state0,
+                    e0,
+                    grip,
+                    loose,
                     y,
                     w,
                     state,
