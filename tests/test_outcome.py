@@ -174,7 +174,7 @@ def test_accessors_give_what_the_evaluation_holds(folder, evaluation, lap_model)
                 np.testing.assert_allclose(outcome.slip(law, stage, "lap"), slip, rtol=1e-6)
             else:
                 assert np.isnan(outcome.slip(law, stage, "lap")).all()
-            np.testing.assert_array_equal(outcome.path_error(law, stage), resolution.trace.error)
+            np.testing.assert_allclose(outcome.path_error(law, stage), resolution.trace.error, rtol=1e-6, atol=1e-12)
             assert outcome.residual(law, stage).max() <= outcome.worst_residual(law) < 1e-8
 
 

@@ -270,13 +270,12 @@ def test_contact_is_resolved_where_something_changes_and_not_while_parts_are_set
     assert [name for name, plan in plans.items() if plan.reads] == ["read"]
 
 
-def one_pair(scene, friction, gap):
+def one_pair(friction, gap):
     """One contact of 1 mm², its frame that of space."""
-    stages = [stage.name for stage in scene.stages]
     return Contacts(
         zone=np.zeros(1, int),
-        stages=np.array(stages),
-        friction=np.full((len(stages), 1), friction),
+        stages=np.array([], dtype=str),
+        friction=np.full((1, 1), friction),
         pressure=np.zeros((1, 0, 5)),
         compliance=np.zeros(1),
         gap=np.array([gap]),
@@ -293,7 +292,7 @@ class Meaning:
 
     scene = mic.Scene(**SCENE)
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
-    contacts = one_pair(scene, 0.3, 0.05)
+    contacts = one_pair(0.3, 0.05)
     weld_size, weld_gap = WELD_SIZE, np.array([0.1, 0.2])
 
 
@@ -360,7 +359,7 @@ def springs(drag=0.0, gap=GAP, settle=True, **close):
         ],
     )
     labels = {kind: [f"{kind}{i}" for i in range(rows[kind].shape[0])] for kind in KINDS}
-    contacts = one_pair(scene, 0.2, gap)
+    contacts = one_pair(0.2, gap)
     none = np.zeros((width, 0))
     return ReducedModel(scene, compliance, rows, labels, contacts, (), np.zeros(0), none, none, {})
 

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from mic.compliance.blocks import Blocks
-from mic.contact.path import Followed
 from mic.errors import RunError
 from mic.model.assembly import assemble
 from mic.results.identity import identity
@@ -156,7 +155,9 @@ def test_identity_depends_on_inputs_and_not_on_what_was_computed(lap_model, lap_
 
 def test_how_exactly_the_path_is_followed_belongs_to_the_identity(lap_model, monkeypatch):
     own = identity(lap_model, 4)
-    monkeypatch.setattr(Followed, "tolerance", Followed.tolerance / 2)
+    finer = lap_model.scene.path.model_copy(update={"tolerance": lap_model.scene.path.tolerance / 2})
+    assert identity(replace(lap_model, scene=lap_model.scene.model_copy(update={"path": finer})), 4) != own
+    monkeypatch.setattr("mic.results.identity.FLOOR", 1e-5)
     assert identity(lap_model, 4) != own
 
 

@@ -69,7 +69,7 @@ def friction_of(assembly, law, stage: str) -> ContactFriction:
     m = len(contacts)
     if not law.frictional:
         return ContactFriction.constant(np.zeros(m))
-    coefficient = contacts.friction[list(contacts.stages).index(stage)]
+    coefficient = contacts.friction_in(stage).coefficient
     if law.reads == "compliance":
         return ContactFriction(coefficient, (), contacts.compliance)
     if law.reads != "pressure":

@@ -168,7 +168,7 @@ def extrapolated(solve: Solver, start: Point, tolerance: float) -> tuple[Point, 
             length = max(SHORTEST, allowed, taken / GROWTH)
             continue
         rms = float(np.sqrt((difference**2).sum() / max(len(difference), 1)))
-        trace += FullTrace(*way, shares(end.state) * taken, rms, 1, 0)
+        trace += FullTrace(*way[:3], way[3] * taken, rms, 1, 0)
         length = max(SHORTEST, min(allowed, length if cut else GROWTH * taken))
         point = end
     return point, replace(trace, solves=counted.calls)
@@ -228,7 +228,7 @@ def _extrapolate(solve, start, whole):
     end : Point
         Its states are those of the shortest steps' end.
     way : list of array
-        Net slip, its length and work.
+        Net slip, its length and work, and the shares of the states, these of the shortest steps.
     difference : (m, d - 1) array
         Of the positions of the last two orders.
     """
@@ -239,7 +239,9 @@ def _extrapolate(solve, start, whole):
         for i in range(1, n + 1):
             s = start.share + i / n * (whole.share - start.share)
             before, point = point, whole if n == 1 else solve(point, s, point.position)
-            gone = _gone(before, point, counted)
+            # What changes, changes at the end of the step: until then a contact is closed that was so at its start.
+            state = np.where(point.closed, point.state, np.where(before.closed, before.state, STICK))
+            gone = [*_gone(before, point, counted), shares(np.where(counted, state, OPEN)) / n]
             way = gone if way is None else [a + b for a, b in zip(way, gone)]
         row = [[point.position, point.gap, point.force, point.held, *way]]
         for k, above in enumerate(rows[-1] if rows else []):
@@ -247,13 +249,15 @@ def _extrapolate(solve, start, whole):
             row.append([a + (a - b) / ratio for a, b in zip(row[-1], above)])
         rows.append(row)
     position, gap, force, held, *way = rows[-1][-1]
+    way[3] = rows[-1][0][-1]
     return Point(whole.share, position, gap, force, point.state, held), way, position - rows[-1][-2][0]
 
 
 def _gone(before: Point, after: Point, counted: np.ndarray):
-    """Slip (m, d - 1), its length (m,) and its work (m,) of the contacts that count, between two points."""
+    """Slip (m, d - 1), its length (m,) and its work (m,) of the contacts that count, between two points: the force of
+    backward Euler's method is that at the end."""
     slip = np.where(counted[:, None], after.position - before.position, 0.0)
-    return [slip, np.linalg.norm(slip, axis=1), -0.5 * np.sum((before.force + after.force)[:, 1:] * slip, axis=1)]
+    return [slip, np.linalg.norm(slip, axis=1), -np.sum(after.force[:, 1:] * slip, axis=1)]
 
 
 def shares(state):

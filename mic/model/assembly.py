@@ -32,9 +32,9 @@ class Contacts:
     zone : (m,) int array
         Index of the pair's zone in ``scene.zones``.
     stages : (k,) array of str
-        Names of the scene's stages.
-    friction : (k, m) array
-        Coefficients, by stage.
+        Names of the stages in which a zone has friction of its own.
+    friction : (k + 1, m) array
+        Coefficients in these stages, and in all others.
     pressure : (m, q, 5) array
         μ as a function of the normal force, in pieces (`mic.contact.laws.pressure_dependent`); NaN where a zone leaves
         it constant.
@@ -76,7 +76,8 @@ class Contacts:
 
     def friction_in(self, stage: str) -> Friction:
         """What the laws know of the pairs' friction in a stage."""
-        coefficient, pressure = self.friction[list(self.stages).index(stage)], None
+        named, pressure = [*self.stages, stage], None
+        coefficient = self.friction[named.index(stage)]
         if self.pressure.shape[1]:
             none = np.isnan(self.pressure[:, 0, 0])
             pressure = np.where(none[:, None, None], 0.0, self.pressure)
@@ -240,14 +241,16 @@ def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
             pairs.append(pair)
             zones.append(i)
     zone_of = np.array(zones, dtype=np.int64)
-    stages, area = [stage.name for stage in scene.stages], np.array([pair.area for pair in pairs])
+    area = np.array([pair.area for pair in pairs])
+    by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
+    stages = sorted({stage for one in by_stage for stage in one} - {"default"})
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
     bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
     stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
     return Contacts(
         zone_of,
-        np.array(stages),
-        np.array([[scene.zones[i].coefficient(stage) for i in zone_of] for stage in stages]).reshape(len(stages), -1),
+        np.array(stages, dtype=str),
+        np.array([[scene.zones[i].coefficient(stage) for i in zone_of] for stage in [*stages, "default"]]),
         _pressure_pieces(scene, zone_of, bearing),
         np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
         np.array([p.gap for p in pairs]),

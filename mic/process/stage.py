@@ -30,7 +30,7 @@ from mic.process.path import Ramp
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.state import ProcessState
 
-__all__ = ["OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
+__all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
 FLOOR = 2e-4  # mm: no gauge reads a step's error below it
 OUTPUTS = ("locator", "clamp", "weld", "measurement")  #: kinds of rows that are read at the end of a stage

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from mic.contact.path import Followed
 from mic.process.process import TOLERANCE
+from mic.process.stage import FLOOR
 from mic.store import fingerprint
 
 __all__ = ["FORMAT", "differences", "identity", "inputs", "program_version"]
@@ -25,7 +25,7 @@ _OF_THE_PROGRAM = ("program", "format")
 _WORDS = {
     "program": "version of the program",
     "dimension": "contact rows per pair",
-    "path_tolerance": "tolerance of the path",
+    "path_floor": "error of a path that is not judged",
 }
 
 
@@ -45,7 +45,7 @@ def inputs(model, seed: int) -> dict[str, Any]:
         "seed": seed,
         "backend": scene.monte_carlo.backend,
         "tolerance": TOLERANCE,
-        "path_tolerance": Followed.tolerance,
+        "path_floor": FLOOR,
         "fields": scene.report.fields,
         "dimension": model.contacts.dimension,
         "scene": {key: fingerprint(table) for key, table in tables.items()},

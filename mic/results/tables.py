@@ -8,6 +8,7 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN, SLIP, STATES, STICK
 from mic.process.evaluation import Evaluation, Resolution
+from mic.process.plan import plan_stages
 from mic.results.schema import CONTACTS, DEVIATIONS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
 
 __all__ = ["tables"]
@@ -79,7 +80,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
 
 def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
     """(n,) samples that were to be followed along their path in a stage, were not, and have a solution all the same."""
-    followed = {str(stage.name): stage.path == "followed" for stage in model.scene.stages}
+    followed = {plan.name: plan.path == "followed" for plan in plan_stages(model.scene, model.weld_size)}
     asked = followed[resolution.stage] and LAWS[law].followed and model.contacts.dimension == 3
     return asked & (resolution.rung != "followed") & resolution.converged
 

@@ -35,18 +35,18 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native import kernels
 from mic.contact.native.kernels import (
-    _blocks,
-    _counts,
-    _derivative,
-    _equation,
-    _jit,
-    _matrix,
-    _number,
-    _times,
-    _vector,
+    BLOCKS,
+    COUNTS,
+    EQUATION_POINTER,
+    MATRIX,
+    NUMBER,
+    VECTOR,
+    derivative,
     gauss_seidel,
+    jit,
     newton,
     starting_scale,
+    times,
 )
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -71,7 +71,7 @@ NEWTON, SWEEPS, HELP = 12, 10, 6
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
 
-@_jit(_number(_number))
+@jit(NUMBER(NUMBER))
 def _lag(z):
     """``1 - θ = 1/z - 1/(eᶻ - 1)``: how far behind the end of its slip a slider's reference is, in shares of it."""
     if z < 1e-3:
@@ -81,14 +81,14 @@ def _lag(z):
     return 1.0 / z - 1.0 / np.expm1(z)
 
 
-@_jit(_number(_number, _number))
+@jit(NUMBER(NUMBER, NUMBER))
 def _crossing(start, end):
     """Where a line from ``start >= 0`` to ``end < 0`` crosses zero."""
     start = max(start, 0.0)
     return start / (start - end)
 
 
-@_jit(void(_matrix, _vector, _vector, _counts, _matrix, _vector, _vector, _vector, _counts, boolean, _matrix, _vector))
+@jit(void(MATRIX, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
 def _shifts(W, y0, w0, state0, e0, motion, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
@@ -133,7 +133,7 @@ def _shifts(W, y0, w0, state0, e0, motion, y, w, state, solved, shift, touched):
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
 
 
-@_jit(_number(_vector, _counts, _vector, _vector, _counts, _matrix, _matrix, _vector))
+@jit(NUMBER(VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
 def _error(y0, state0, y, w, state, shift, other, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
@@ -153,28 +153,29 @@ def _error(y0, state0, y, w, state, shift, other, unit):
     return np.sqrt(total / max(len(state), 1))
 
 
-@_jit(
+@jit(
     void(
-        _vector,
-        _counts,
-        _vector,
-        _vector,
-        _counts,
-        _vector,
-        _matrix,
-        _vector,
-        _matrix,
-        _number,
-        _matrix,
-        _vector,
-        _vector,
-        _matrix,
+        VECTOR,
+        COUNTS,
+        VECTOR,
+        VECTOR,
+        COUNTS,
+        VECTOR,
+        MATRIX,
+        VECTOR,
+        MATRIX,
+        NUMBER,
+        MATRIX,
+        VECTOR,
+        VECTOR,
+        MATRIX,
     )
 )
 def _record(y0, state0, y, w, state, touched, shift, opened, gone, part, slip, length, work, share):
     """Add a step to what the contacts went through: slip under load, its length, friction's work, shares of the path.
 
-    Forces grow linearly between touching and the step's end, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``. A
+    Forces of a contact that slides grow linearly over the step, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``;
+    one that breaks loose slides under the force of the end. A
     contact that opens has done so where the prediction has it: after the share ``opened``, having ``gone`` so far.
     """
     for k in range(len(state)):
@@ -208,10 +209,13 @@ def _record(y0, state0, y, w, state, touched, shift, opened, gone, part, slip, l
         slip[k, 0] += m1
         slip[k, 1] += m2
         length[k] += np.sqrt(m1 * m1 + m2 * m2)
-        work[k] -= 0.5 * ((y0[i + 1] + y[i + 1]) * m1 + (y0[i + 2] + y[i + 2]) * m2)
+        if state0[k] == STICK:  # it slides at the end of the step, with the force of the end
+            work[k] -= y[i + 1] * m1 + y[i + 2] * m2
+        else:
+            work[k] -= 0.5 * ((y0[i + 1] + y[i + 1]) * m1 + (y0[i + 2] + y[i + 2]) * m2)
 
 
-@_jit(_matrix(_matrix, _matrix))
+@jit(MATRIX(MATRIX, MATRIX))
 def _solve_small(M, R):
     """``M⁻¹ R``; zeros if M is singular."""
     try:
@@ -220,7 +224,7 @@ def _solve_small(M, R):
         return np.zeros_like(R)
 
 
-@_jit(_matrix(_matrix, _blocks, _blocks, _counts))
+@jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
 def _inverse(W, A, B, closed):
     """Inverse of ``A_k x_k + B_k (W x)_k`` over the contacts that are closed; zeros if it is singular."""
     n = 3 * len(closed)
@@ -243,7 +247,7 @@ def _inverse(W, A, B, closed):
         return np.zeros((n, n))
 
 
-@_jit(void(_matrix, _blocks, _counts, _matrix, _vector, _vector, _vector))
+@jit(void(MATRIX, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR))
 def _rates(W, B, closed, inverse, rate, dy, dw):
     """``A_k dy_k + B_k dw_k = 0`` with ``dw = W dy + rate``, and ``dy = 0`` where contacts are open."""
     n = 3 * len(closed)
@@ -260,11 +264,11 @@ def _rates(W, B, closed, inverse, rate, dy, dw):
     for a in range(len(closed)):
         for row in range(3):
             dy[3 * closed[a] + row] = solution[3 * a + row]
-    _times(W, dy, dw)
+    times(W, dy, dw)
     dw += rate
 
 
-@_jit(void(_matrix, _blocks, _blocks, _counts, _matrix, int64))
+@jit(void(MATRIX, BLOCKS, BLOCKS, COUNTS, MATRIX, int64))
 def _hold(W, A, B, closed, inverse, a):
     """The slider ``closed[a]`` sticks from now on, ``dw = 0``: its rows of the system change, the inverse by rank 3."""
     n, k = len(inverse), closed[a]
@@ -289,7 +293,7 @@ def _hold(W, A, B, closed, inverse, a):
     inverse -= np.dot(left, _solve_small(middle, VJ))
 
 
-@_jit(void(_matrix, int64))
+@jit(void(MATRIX, int64))
 def _let_go(inverse, a):
     """The contact ``closed[a]`` opens: its rows and columns leave the system, the inverse by rank 3."""
     i = 3 * a
@@ -302,11 +306,7 @@ def _let_go(inverse, a):
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
 
-    @_jit(
-        int64(
-            _equation, _matrix, _matrix, _matrix, _vector, _vector, _vector, _vector, _number, _number, int64, _counts
-        )
-    )
+    @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, COUNTS))
     def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, counts):
         """One problem of the law from the guess (y, w): Newton, else sweeps from `start` and Newton again.
 
@@ -319,7 +319,7 @@ def _compile(digest):
         slip = np.zeros(m)
         if sweeps > 0:
             gauss_seidel(W, P, parameters, y, w, slip, 10, 1e-15)
-            _times(W, y, w)
+            times(W, y, w)
             w += q
         error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, 0, m)
         counts[FACTORISATIONS] += steps
@@ -330,12 +330,12 @@ def _compile(digest):
                 return 1
             counts[RESCUES] += 1
             y[:] = best
-            _times(W, y, w)
+            times(W, y, w)
             w += q
             if sweeps > 0:
                 gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
                 best[:] = y
-                _times(W, y, w)
+                times(W, y, w)
                 w += q
             halvings = 0 if sweeps > 0 else 20
             error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, halvings, m)
@@ -343,25 +343,25 @@ def _compile(digest):
             run *= 2
         return 1 if error <= tol else 0
 
-    @_jit(
-        _number(
-            _equation,
-            _matrix,
-            _matrix,
-            _vector,
-            _vector,
-            _vector,
-            _vector,
-            _number,
-            _number,
-            _number,
-            _counts,
-            _matrix,
-            _vector,
-            _vector,
-            _vector,
-            _matrix,
-            _counts,
+    @jit(
+        NUMBER(
+            EQUATION_POINTER,
+            MATRIX,
+            MATRIX,
+            VECTOR,
+            VECTOR,
+            VECTOR,
+            VECTOR,
+            NUMBER,
+            NUMBER,
+            NUMBER,
+            COUNTS,
+            MATRIX,
+            VECTOR,
+            VECTOR,
+            VECTOR,
+            MATRIX,
+            COUNTS,
         )
     )
     def predict(
@@ -405,7 +405,7 @@ def _compile(digest):
             w[i + 2] -= NEAR * y[i + 2]
             opened[k] = 1.0
             gone[k, 0] = gone[k, 1] = 0.0
-        _derivative(equation, parameters, y, w, phi, A, B, state0)
+        derivative(equation, parameters, y, w, phi, A, B, state0)
         for k in range(m):
             i = 3 * k
             if y[i] <= 0.0:
@@ -476,29 +476,29 @@ def _compile(digest):
                 opened[k] /= step
         return step
 
-    @_jit(
+    @jit(
         void(
-            _equation,
-            _matrix,
-            _matrix,
-            _matrix,
-            _vector,
-            _matrix,
-            _matrix,
-            _matrix,
-            _matrix,
+            EQUATION_POINTER,
+            MATRIX,
+            MATRIX,
+            MATRIX,
+            VECTOR,
+            MATRIX,
+            MATRIX,
+            MATRIX,
+            MATRIX,
             int64,
             int64,
-            _number,
-            _number,
-            _number,
+            NUMBER,
+            NUMBER,
+            NUMBER,
             int64,
-            _matrix,
-            _blocks,
-            _matrix,
-            _matrix,
-            _blocks,
-            _vector,
+            MATRIX,
+            BLOCKS,
+            MATRIX,
+            MATRIX,
+            BLOCKS,
+            VECTOR,
             types.Array(int64, 2, "C"),
         )
     )
@@ -559,7 +559,7 @@ def _compile(digest):
         m = len(parameters)
         y, w, q = np.empty(size), np.empty(size), np.empty(size)
         y0, w0, yp, wp = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        x, motion, rate = np.empty(size), np.empty(size), np.empty(size)
+        x, motion, rate = np.zeros(size), np.zeros(size), np.empty(size)  # of first order nothing is predicted
         state0, state, e0 = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros((m, 2))
         shift, other = np.zeros((m, 2)), np.zeros((m, 2))
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
@@ -572,12 +572,15 @@ def _compile(digest):
             for k in range(m):
                 q[3 * k + 1] -= L[sample, 2 * k]
                 q[3 * k + 2] -= L[sample, 2 * k + 1]
-            _times(W, y, w)
+            times(W, y, w)
             w += q
             rate[:] = Q1[sample] - Q0[sample]
             scale = max(starting_scale(q), starting_scale(q + rate))
             y0[:] = y
-            if solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
+            if order == 1:  # what does not balance is part of the first step
+                for k in range(m):
+                    w[3 * k + 1] = w[3 * k + 2] = 0.0
+            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
                 done[FAILED] += 1
                 continue
             s, h, allowed = 0.0, 1.0 / equal if equal > 0 else LONGEST, -1.0
@@ -638,7 +641,7 @@ def _compile(digest):
                                 if order == 2 and state0[k] == SLIP and y0[i] > 0.0:
                                     grown = max(y[i], 0.0) / y0[i]
                                     y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
-                        _times(W, y, w)
+                        times(W, y, w)
                         w += q
                         end = target == 1.0
                         solved = solve(
@@ -655,7 +658,7 @@ def _compile(digest):
                             sweeps,
                             done,
                         )
-                        _times(W, y, w)
+                        times(W, y, w)
                         w += q
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
                         for k in range(m):

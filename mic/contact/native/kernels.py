@@ -20,22 +20,32 @@ from numba import boolean, cfunc, float64, int64, njit, types, void
 from mic.contact.states import OPEN, STICK
 
 __all__ = [
+    "BLOCKS",
+    "COUNTS",
+    "EQUATION",
+    "EQUATION_POINTER",
+    "MATRIX",
+    "NUMBER",
+    "VECTOR",
     "compiled",
+    "derivative",
     "gauss_seidel",
+    "jit",
     "local_factors",
     "newton",
     "solve_by_splitting",
-    "solve_frictionless",
     "solve_by_sweeps",
+    "solve_frictionless",
     "starting_scale",
+    "times",
 ]
 
-_number, _vector, _matrix, _blocks = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
-_counts = int64[::1]
+NUMBER, VECTOR, MATRIX, BLOCKS = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
+COUNTS = int64[::1]
 #: parameters, y, w, Φ, A, B, state, derivative.  All contacts in one call: one call for each would make a sample that
 #: slips 1.5 times as dear.
-EQUATION = void(_matrix, _vector, _vector, _vector, _blocks, _blocks, _counts, boolean)
-_equation = types.FunctionType(EQUATION)
+EQUATION = void(MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS, boolean)
+EQUATION_POINTER = types.FunctionType(EQUATION)
 
 
 def _kept(decorator):
@@ -50,7 +60,7 @@ def _kept(decorator):
     return decorate
 
 
-def _jit(signature):
+def jit(signature):
     return _kept(lambda cache: njit(signature, cache=cache, nogil=True, error_model="numpy"))
 
 
@@ -60,7 +70,7 @@ def compiled(equation):
     return _kept(lambda cache: cfunc(EQUATION, cache=cache, error_model="numpy"))(equation)
 
 
-@_jit(_matrix(_matrix))
+@jit(MATRIX(MATRIX))
 def local_factors(W):
     """What the one-contact problem needs of each diagonal block ``W_kk``.
 
@@ -91,7 +101,7 @@ def local_factors(W):
     return P
 
 
-@_jit(types.UniTuple(_number, 4)(_vector, *5 * (_number,)))
+@jit(types.UniTuple(NUMBER, 4)(VECTOR, *5 * (NUMBER,)))
 def _coulomb_contact(P, mu, qn, q1, q2, slip):
     """Exact solution of one contact: ``w = W_kk y + q``, Coulomb's law.
 
@@ -165,7 +175,7 @@ def _coulomb_contact(P, mu, qn, q1, q2, slip):
     return yn, c * x - s * y, s * x + c * y, lam
 
 
-@_jit(types.Tuple((int64, _number))(_matrix, _matrix, _matrix, _vector, _vector, _vector, int64, _number))
+@jit(types.Tuple((int64, NUMBER))(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, int64, NUMBER))
 def gauss_seidel(W, P, parameters, y, w, slip, sweeps, tol):
     """Block Gauss-Seidel for Coulomb's law: solve contact after contact exactly, updating ``w = W y + q`` in place.
 
@@ -202,7 +212,7 @@ def gauss_seidel(W, P, parameters, y, w, slip, sweeps, tol):
     return sweeps, np.sqrt(change / size) if size > 0.0 else np.inf
 
 
-@_jit(_number(_equation, _matrix, _vector, _vector, _vector, _counts))
+@jit(NUMBER(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS))
 def _merit(equation, parameters, y, w, phi, state):
     """Fill ``phi`` with all contacts' equations and return its Euclidean norm; ``state`` is scratch."""
     nothing = np.empty((0, 3, 3))
@@ -218,8 +228,8 @@ def _merit(equation, parameters, y, w, phi, state):
     return np.sqrt(total)
 
 
-@_jit(void(_equation, _matrix, _vector, _vector, _vector, _blocks, _blocks, _counts))
-def _derivative(equation, parameters, y, w, phi, A, B, state):
+@jit(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS))
+def derivative(equation, parameters, y, w, phi, A, B, state):
     """Fill all contacts' equations, their derivatives and states.
 
     Open: ``Φ = y``, ``A = I``, ``B = 0``; stick: ``Φ = w``, ``A = 0``, ``B = I``; slip: the law's.
@@ -237,7 +247,7 @@ def _derivative(equation, parameters, y, w, phi, A, B, state):
             B[k, 0, 0] = B[k, 1, 1] = B[k, 2, 2] = 1.0
 
 
-@_jit(_vector(_matrix, _vector))
+@jit(VECTOR(MATRIX, VECTOR))
 def _solve_dense(J, r):
     """``J⁻¹ r``; zeros if the matrix is singular to the last bit."""
     try:
@@ -246,7 +256,7 @@ def _solve_dense(J, r):
         return np.zeros_like(r)
 
 
-@_jit(_number(_number, _vector, _vector, _vector))
+@jit(NUMBER(NUMBER, VECTOR, VECTOR, VECTOR))
 def _force_scale(scale, q, y, w):
     """What errors are relative to, as in the certificate: the larger of ``scale`` and ``(yᵀ W y)^{1/2}``."""
     energy = 0.0
@@ -258,8 +268,8 @@ def _force_scale(scale, q, y, w):
     return max(scale, np.sqrt(max(energy, 0.0)))
 
 
-@_jit(void(_matrix, _vector, _vector))
-def _times(W, x, out):
+@jit(void(MATRIX, VECTOR, VECTOR))
+def times(W, x, out):
     """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes."""
     out[:] = 0.0
     for i in range(0, len(x), 3):
@@ -270,7 +280,7 @@ def _times(W, x, out):
                 out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
 
 
-@_jit(void(_matrix, _blocks, _blocks, _vector, _counts, int64, _vector, _number, _vector, _vector))
+@jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR, VECTOR))
 def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
@@ -281,7 +291,7 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     for k in range(m):
         for i in range(3 * k, 3 * k + 3):
             x[i] = -z[i] if state[k] == known else 0.0
-    _times(W, x, product)
+    times(W, x, product)
     count = len(unknown)
     if count == 0:
         return
@@ -305,24 +315,24 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     for a in range(count):
         i = 3 * unknown[a]
         x[i], x[i + 1], x[i + 2] = d[3 * a], d[3 * a + 1], d[3 * a + 2]
-    _times(W, x, product)
+    times(W, x, product)
 
 
-@_jit(
-    types.Tuple((_number, int64))(
-        _equation,
-        _matrix,
-        _matrix,
-        _vector,
-        _matrix,
-        _vector,
-        _vector,
-        _number,
-        _number,
-        _number,
+@jit(
+    types.Tuple((NUMBER, int64))(
+        EQUATION_POINTER,
+        MATRIX,
+        MATRIX,
+        VECTOR,
+        MATRIX,
+        VECTOR,
+        VECTOR,
+        NUMBER,
+        NUMBER,
+        NUMBER,
         int64,
         int64,
-        _number,
+        NUMBER,
     )
 )
 def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps, halvings, crowd):
@@ -364,7 +374,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
         if error <= tol * size or iteration - gained > 6:
             return error / size if size > 0.0 else 0.0, iteration
         stuck = free = 0
-        _derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
+        derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
         for k in range(m):
             stuck += state[k] == STICK
             free += state[k] == OPEN
@@ -387,7 +397,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
                 length *= 0.5
             else:
                 return error / size, iteration + 1
-        _times(W, trial_y, trial_w)
+        times(W, trial_y, trial_w)
         trial_w += q
         trial = _merit(equation, parameters, trial_y, trial_w, trial_phi, trial_state)
         if not np.isfinite(trial):
@@ -399,7 +409,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     return error / size if size > 0.0 else 0.0, steps
 
 
-@_jit(_number(_vector))
+@jit(NUMBER(VECTOR))
 def starting_scale(q):
     """Norm of ``Φ`` at ``y = 0``: the force with which each overlapping contact alone would answer ``q``."""
     total = 0.0
@@ -409,7 +419,7 @@ def starting_scale(q):
     return np.sqrt(total)
 
 
-@_jit(void(_number, _matrix, _vector, _matrix, _number, _vector, _vector, _vector, _vector, int64))
+@jit(void(NUMBER, MATRIX, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR, int64))
 def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
     """Over-relaxed ADMM, in place, with ``resolvent = (W + ρ I)⁻¹``.
 
@@ -417,7 +427,7 @@ def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
     that De Saxcé's shift is ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
     """
     for _ in range(steps):
-        _times(resolvent, r, x)
+        times(resolvent, r, x)
         for k in range(len(parameters)):
             i = 3 * k
             mu = parameters[k, 0]
@@ -440,22 +450,22 @@ def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
             r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
-@_jit(
+@jit(
     void(
-        _equation,
-        _number,
-        _matrix,
-        _matrix,
-        _matrix,
-        _number,
-        _matrix,
-        _matrix,
-        _matrix,
-        _number,
+        EQUATION_POINTER,
+        NUMBER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
         int64,
         int64,
-        _vector,
-        _counts,
+        VECTOR,
+        COUNTS,
     )
 )
 def solve_by_splitting(
@@ -476,7 +486,7 @@ def solve_by_splitting(
         for _ in range(rounds):
             _split(shift, resolvent, q, parameters, rho, z, l, r, x, run)
             y = z.copy()
-            _times(W, y, w)
+            times(W, y, w)
             w += q
             error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
             iterations[s] += run + more
@@ -489,7 +499,7 @@ def solve_by_splitting(
         errors[s] = best
 
 
-@_jit(void(_equation, _matrix, _matrix, _matrix, _matrix, _matrix, _number, int64, int64, _number, _vector, _counts))
+@jit(void(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, MATRIX, MATRIX, NUMBER, int64, int64, NUMBER, VECTOR, COUNTS))
 def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
@@ -505,7 +515,7 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
         y = Y[s].copy()
         scale = starting_scale(q)
         w = np.empty_like(q)
-        _times(W, y, w)
+        times(W, y, w)
         w += q
         slip[:] = 0.0
         run = sweeps
@@ -513,7 +523,7 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
         for _ in range(rounds):
             done, _ = gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
             iterations[s] += done
-            _times(W, y, w)
+            times(W, y, w)
             w += q
             guess = y.copy()
             error, more = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, 15, 0, crowd)
@@ -524,13 +534,13 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
             if error <= tol:
                 break
             y[:] = guess
-            _times(W, y, w)
+            times(W, y, w)
             w += q
             run *= 2
         errors[s] = best
 
 
-@_jit(void(_matrix, _matrix, _matrix, _number, int64, _vector, _counts))
+@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS))
 def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 

@@ -1,0 +1,163 @@
+"""Paths of contact with known answers: what is piecewise linear to rounding, what turns to the order of the method."""
+
+import numpy as np
+import pytest
+
+from mic.contact import ContactSolver
+from mic.contact.path import Followed, Increments
+
+MU = 0.5
+
+
+def follow(loads, path=None, S=None, mu=MU, anchor=None, law="coulomb", threads=1):
+    """One sample along straight loads (k + 1, 3m); slip is measured from the origin."""
+    loads = np.asarray(loads, dtype=float)
+    S = np.eye(loads.shape[1]) if S is None else S
+    m = len(S) // 3
+    anchor = np.zeros((1, m, 2)) if anchor is None else anchor
+    return ContactSolver(S, mu, law=law, threads=threads).follow(loads[None], anchor=anchor, path=path)
+
+
+def tractrix(path):
+    """Error of a slider of normal force 1 and compliance 1, dragged across its string: tan(φ/2) falls by e^(-v/l)."""
+    start, drag, string = 1.2, 1.0, MU
+    end = 2 * np.arctan(np.tan(start / 2) * np.exp(-drag / string))
+    first = np.array([-1.0, string * np.cos(start), string * np.sin(start)])
+    found = follow([first, first + [0, drag, 0]], path)
+    exact = np.array([drag + string * (np.cos(start) - np.cos(end)), string * (np.sin(start) - np.sin(end))])
+    return np.linalg.norm(found.anchor[0, 0] - exact) / np.linalg.norm(exact), found, np.linalg.norm(exact)
+
+
+def test_a_slider_dragged_round_a_corner_converges_with_the_second_order():
+    errors = [tractrix(Followed(steps=steps))[0] for steps in (8, 16, 32, 64, 128)]
+    assert all(coarse > 3.5 * fine for coarse, fine in zip(errors, errors[1:]))
+
+
+def test_increments_converge_with_the_first_order_only():
+    errors = [tractrix(Increments(steps))[0] for steps in (16, 32, 64)]
+    assert all(1.8 < coarse / fine < 2.2 for coarse, fine in zip(errors, errors[1:]))
+
+
+def test_a_followed_slider_is_within_a_thousandth_and_its_estimate_covers_that():
+    error, found, size = tractrix(None)
+    assert error < 1e-3
+    assert error * size < found.trace.error[0] < 0.1
+
+
+def test_a_contact_that_closes_while_it_moves_slips_from_where_it_touched():
+    """It touches at s = 0.37, moving along t1 by 0.9 over the path: μ f_n ends at 0.5 · 0.63."""
+    found = follow([[0.37, 0, 0], [-0.63, 0.9, 0]])
+    slip = 0.9 * 0.63 - MU * 0.63
+    np.testing.assert_allclose(found.anchor[0, 0], [0.9 - MU * 0.63, 0], atol=1e-12)
+    np.testing.assert_allclose(found.trace.slip[0, 0], [slip, 0], atol=1e-12)
+    np.testing.assert_allclose(found.trace.work[0, 0], 0.5 * MU * 0.63 * slip, atol=1e-12)  # the force grows from 0
+    np.testing.assert_allclose(found.trace.share[0, 0], [0.37, 0, 0.63], atol=1e-12)
+
+
+def test_a_contact_that_closes_and_sticks_stays_where_it_touched():
+    found = follow([[0.37, 0, 0], [-0.63, 0.4, 0]])
+    np.testing.assert_allclose(found.anchor[0, 0], [0.37 * 0.4, 0], atol=1e-12)
+    np.testing.assert_allclose(found.trace.slip[0, 0], 0, atol=1e-12)
+    assert found.trace.work[0, 0] == pytest.approx(0, abs=1e-12)
+
+
+def test_a_load_that_turns_round_leaves_the_hysteresis_of_a_single_slider():
+    """Drag by 2, then back by 2: the string is taut both ways, so that the slider goes 1.5 forth and 1 back."""
+    found = follow([[-1, 0, 0], [-1, 2, 0], [-1, 0, 0]])
+    np.testing.assert_allclose(found.anchor[0, 0], [0.5, 0], atol=1e-10)
+    assert found.trace.length[0, 0] == pytest.approx(2.5, abs=1e-9)
+    assert found.trace.work[0, 0] == pytest.approx(MU * 2.5, abs=1e-9)
+    np.testing.assert_allclose(found.force[0], [1, MU, 0], atol=1e-10)
+
+
+def test_of_two_contacts_in_series_the_weaker_slips_first():
+    """Both are pulled through the one spring that they share; the second holds until the first has let all load go on.
+
+    S couples the tangential displacements, w1 = y1 + y2/2 + d, w2 = y1/2 + y2 + d/2, with bounds 0.2 and 0.5. The first
+    slips from d = 0.2 on, from where the second's force grows by 1/2 of the drag alone.
+    """
+    S = np.eye(6)
+    S[1, 4] = S[4, 1] = 0.5
+    loads = [[-0.4, 0, 0, -1, 0, 0], [-0.4, 2, 0, -1, 1, 0]]
+    found = follow(loads, S=S)
+    # Until d = 0.2 both stick: y = -(d, 0). Then y1 = -0.2 and w2 = 0: y2 = 0.1 - d/2, at its bound at d = 1.2.
+    # Then y2 = -0.5 and both slip: w1 = d - 0.45, w2 = d/2 - 0.6.
+    np.testing.assert_allclose(found.force[0, [1, 4]], [-0.2, -0.5], atol=1e-9)
+    np.testing.assert_allclose(found.anchor[0, :, 0], [2 - 0.45, 1 - 0.6], atol=1e-9)
+
+
+def test_a_block_pushed_on_an_arc_ends_where_the_finest_path_ends():
+    angle = np.linspace(0, np.pi / 2, 33)
+    loads = np.column_stack([np.full(33, -1.0), 2 * np.sin(angle), 2 - 2 * np.cos(angle)])
+    exact = follow(loads, Followed(steps=256)).anchor[0, 0]
+    found = follow(loads).anchor[0, 0]
+    assert np.linalg.norm(found - exact) < 1e-3 * np.linalg.norm(exact)
+    assert np.linalg.norm(follow(loads[[0, -1]]).anchor[0, 0] - exact) > 0.1  # a straight way is another way
+
+
+def test_overlap_at_the_start_is_resolved_before_the_load_moves():
+    """Pressed together first, the contact sticks under a drag that it could not hold while the force still grew."""
+    found = follow([[-1, 0, 0], [-1, 0.4, 0]])
+    np.testing.assert_allclose(found.force[0], [1, -0.4, 0], atol=1e-12)
+    np.testing.assert_allclose(found.anchor[0, 0], 0, atol=1e-12)
+
+
+def sheets(contacts, samples, seed):
+    """Contacts like those of two sheets: smooth compliance, normal and tangential coupled, gaps, overlaps, drag."""
+    rng = np.random.default_rng(seed)
+    at = rng.random((contacts, 2))
+    near = np.exp(-((at[:, None] - at[None]) ** 2).sum(-1) / 0.05)
+    S = np.kron(near, [[1.0, 0.3, 0.1], [0.3, 1.0, 0.1], [0.1, 0.1, 1.0]]) / 1.2 + np.eye(3 * contacts) / 6
+    b = np.zeros((samples, 2, contacts, 3))
+
+    def wave():
+        return np.cos(4 * rng.normal(size=(samples, 1, 2)) @ at.T + 6 * rng.random((samples, 1, 1)))[:, 0]
+
+    b[:, 0, :, 0] = 0.6 + wave()
+    b[:, 1, :, 0] = b[:, 0, :, 0] - 0.9 + 0.8 * wave()
+    b[:, 1, :, 1], b[:, 1, :, 2] = 0.75 + 1.5 * wave(), 1.5 * wave()
+    return ContactSolver(S, 0.3), b.reshape(samples, 2, -1)
+
+
+@pytest.fixture(scope="module")
+def followed_sheets():
+    solver, b = sheets(30, 24, seed=5)
+    return solver, b, solver.follow(b), solver.follow(b, path=Increments(1024))
+
+
+def test_the_estimate_covers_the_error_of_nearly_every_sample(followed_sheets):
+    _, _, found, fine = followed_sheets
+    error = np.sqrt(((found.anchor - fine.anchor) ** 2).sum(-1).mean(1))
+    assert found.converged.all() and (found.rung == "followed").all()
+    assert (error <= found.trace.error).mean() >= 0.95
+    motion = np.sqrt((fine.anchor**2).sum(-1).mean(1))
+    assert np.median(error / motion) < 1e-2
+
+
+def test_slip_and_work_of_a_followed_path_are_those_of_many_increments(followed_sheets):
+    _, _, found, fine = followed_sheets
+    for name, bar in (("slip", 0.03), ("length", 0.03), ("work", 0.03), ("share", 0.03)):
+        a, b = getattr(found.trace, name).sum(1), getattr(fine.trace, name).sum(1)
+        assert np.linalg.norm(a - b) < bar * np.linalg.norm(b), name
+
+
+def test_a_sample_does_not_hang_on_its_neighbours_nor_on_threads(followed_sheets):
+    solver, b, found, _ = followed_sheets
+    alone = solver.follow(b[7:8])
+    np.testing.assert_array_equal(alone.anchor[0], found.anchor[7])
+    threaded = ContactSolver(solver.S, 0.3, threads=2).follow(b)
+    np.testing.assert_array_equal(threaded.anchor, found.anchor)
+
+
+def test_a_path_in_other_units_is_the_same_path(followed_sheets):
+    solver, b, found, _ = followed_sheets
+    scaled = ContactSolver(1e-3 * 1e-6 * solver.S, 0.3).follow(1e-3 * b)  # metres, and force in micronewtons
+    np.testing.assert_allclose(1e3 * scaled.anchor, found.anchor, atol=1e-9)
+
+
+def test_small_steps_of_the_associated_law_tend_to_coulombs():
+    """Its contacts open by μ times the slip of a step, and steps may be as small as one likes: it has no path of its
+    own."""
+    loads = [[-1, 0, 0], [-1, 2, 0]]
+    gaps = [follow(loads, Increments(count), law="associated").displacement[0, 0] for count in (1, 8, 64)]
+    assert gaps[0] > 0.5 and gaps[1] < gaps[0] / 4 and gaps[2] < gaps[1] / 4
