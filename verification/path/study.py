@@ -328,7 +328,7 @@ STUDY = Study(
         Acceptance("curved", "Round a corner, and on an arc, followed by default: error over the way.", 1e-3),
         Acceptance(
             "cantilever",
-            "The layered cantilever, up and back, against 64 increments each way, which share its mesh: difference over "
+            "The layered cantilever, up and back, against 64 increments each way on the same mesh: difference over "
             "the largest deflection (a third of what the mesh may leave of the closed form).",
             1e-3,
         ),
