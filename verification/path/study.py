@@ -136,7 +136,8 @@ def reversal(context):
     leaves = Leaves(size=5.0, columns=20)
     loads = np.array([2.0, 0.0]) * leaves.slip_load
     skipped = deflections(leaves, context, loads[1:] + 1e-9 * leaves.slip_load)
-    return leaves.exact(loads), deflections(leaves, context, loads), skipped
+    plain = deflections(leaves, context, loads, increments=64)
+    return leaves.exact(loads), plain, deflections(leaves, context, loads), skipped
 
 
 def against_full(context, tolerances, steps):
@@ -194,7 +195,7 @@ def against_full(context, tolerances, steps):
 
 
 def run(context):
-    counts = (16, 64) if context.quick else (64, 128, 256, 512)
+    counts = (16, 128) if context.quick else (64, 128, 256, 512)
     samples = 12 if context.quick else 40
     tasks = [lambda name=name: on_scene(context, name, counts, samples) for name in SCENES]
     tolerances, steps = ((1e-4, 1e-6), (256, 2048)) if context.quick else ((1e-5, 1e-7, 1e-9), (512, 4096, 32768))
@@ -203,7 +204,7 @@ def run(context):
         lambda: reversal(context),
         lambda: against_full(context, tolerances, steps),
     ]
-    *scenes, cases, (exact, found, skipped), full = context.team.map(lambda task: task(), tasks)
+    *scenes, cases, (exact, plain, found, skipped), full = context.team.map(lambda task: task(), tasks)
     table = pd.concat([rows for rows, _, _ in scenes], ignore_index=True)
     true, estimate = (np.concatenate([part[i] for part in scenes]) for i in (1, 2))
     followed = table[table["path"] == "followed"].set_index("scene")
@@ -242,7 +243,7 @@ def run(context):
         ),
         Finding("linear", float(cases.loc[cases["piecewise linear"], "followed"].max())),
         Finding("curved", float(cases.loc[~cases["piecewise linear"], "followed"].max())),
-        Finding("cantilever", float(np.abs(found - exact).max() / np.abs(exact).max())),
+        Finding("cantilever", float(np.abs(found - plain).max() / np.abs(exact).max())),
         Finding(
             "reversal",
             float(abs(skipped[-1] - exact[-1]) / abs(exact[-1])),
@@ -327,7 +328,8 @@ STUDY = Study(
         Acceptance("curved", "Round a corner, and on an arc, followed by default: error over the way.", 1e-3),
         Acceptance(
             "cantilever",
-            "The layered cantilever, up and back: difference over the largest deflection (its mesh leaves as much).",
+            "The layered cantilever, up and back, against 64 increments each way on the same mesh: difference over "
+            "the largest deflection (a third of what the mesh may leave of the closed form).",
             1e-3,
         ),
         Acceptance(
