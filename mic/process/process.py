@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.contact import ContactSolver, laws
+from mic.contact.path import Trace
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
-from mic.process.stage import OUTPUTS, PreparedStage
+from mic.process.plan import plan_stages
+from mic.process.stage import OUTPUTS, PreparedStage, path_of
 from mic.process.state import ProcessState
 
 __all__ = ["TOLERANCE", "Process"]
@@ -35,6 +37,8 @@ class Process:
         Who solves the contacts: the native solver, or the paper's (OSQP for (12), ECOS for (13)).
     threads : int
         Threads of the native solver over the samples of a batch.
+    path_tolerance : float, optional
+        Of the paths that are followed, see :class:`mic.contact.path.Followed`; default: the scene's.
 
     Attributes
     ----------
@@ -47,36 +51,63 @@ class Process:
         If a stage leaves a part free to move.
     """
 
-    def __init__(self, model, law: str, tol: float = TOLERANCE, backend: str = "native", threads: int = 1):
+    def __init__(
+        self,
+        model,
+        law: str,
+        tol: float = TOLERANCE,
+        backend: str = "native",
+        threads: int = 1,
+        path_tolerance: float | None = None,
+    ):
         self.model, self.law = model, law
         contacts = model.contacts
         # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
-        smooth = contacts.dimension == 1 and not contacts.friction.any()
+        smooth = contacts.dimension == 1 and not contacts.frictional
+        obeyed = laws.FRICTIONLESS if smooth else laws.find(law)
         solver_name = laws.find(law).paper_backend if backend == "paper" else "native"
+        solvers: dict[tuple, ContactSolver] = {}
 
-        def solver(stage):
-            if not stage.plan.resolves or not len(contacts):
-                return None
-            return ContactSolver(
-                stage.response.S,
-                contacts.friction,
-                law=laws.FRICTIONLESS if smooth else law,
-                backend=solver_name,
-                tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
-                threads=threads,
-                dimension=contacts.dimension,
+        def solver(stage, eliminated):
+            """Steps that hold the same rows under the same friction share it."""
+            friction = contacts.friction_in(stage)
+            key = eliminated.step.bilateral, friction.coefficient.tobytes()
+            if key not in solvers:
+                solvers[key] = ContactSolver(
+                    eliminated.response.S,
+                    friction,
+                    law=obeyed,
+                    backend=solver_name,
+                    tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
+                    threads=threads,
+                    dimension=contacts.dimension,
+                )
+            return solvers[key]
+
+        path_tolerance = path_tolerance or model.scene.path.tolerance
+        self.stages = [
+            PreparedStage(
+                plan,
+                model.eliminations[plan.name],
+                model,
+                partial(solver, plan.name),
+                path_of(plan, obeyed, path_tolerance),
             )
-
-        self.stages = [PreparedStage(stage, model, solver(stage)) for stage in model.eliminations]
+            for plan in plan_stages(model.scene, model.weld_size)
+        ]
 
     @property
     def redundant(self) -> list[str]:
         """One sentence for each row that a stage holds in vain, since its others hold it already."""
         return [
-            f"stage {stage.plan.name}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; "
+            f"stage {stage}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; "
             "its value has no effect"
-            for stage in self.stages
-            for kind, i in (stage.plan.bilateral[j] for j in stage.response.redundant)
+            for stage, kind, i in dict.fromkeys(
+                (stage.plan.name, *each.step.bilateral[j])
+                for stage in self.stages
+                for each in stage.steps
+                for j in each.response.redundant
+            )
         ]
 
     def evaluate(self, deviations: np.ndarray) -> Evaluation:
@@ -101,6 +132,15 @@ class Process:
         force, motion = self._equilibrium(state, deviations)
         return Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
 
+    def attempt(self, deviations: np.ndarray) -> Evaluation:
+        """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
+        try:
+            return self.evaluate(deviations)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            if len(deviations) == 1:
+                return self.blank(deviations, str(error))
+            return Evaluation.join([self.attempt(row[None]) for row in deviations])
+
     def blank(self, deviations: np.ndarray, reason: str) -> Evaluation:
         """The evaluation of samples that could not be computed: failed, all values NaN, the reason as their status."""
         model = self.model
@@ -115,6 +155,7 @@ class Process:
                 force=nan(m, d),
                 displacement=nan(m, d),
                 state=np.zeros((n, m), np.int8),
+                trace=Trace(nan(m, 2), nan(m), nan(m), nan(m, 3), nan(), np.zeros(n, int), np.zeros(n, int)),
                 residual=nan(),
                 converged=np.zeros(n, bool),
                 iterations=np.zeros(n, int),
@@ -123,7 +164,7 @@ class Process:
                 reaction=nan(stage.bilateral.shape[0]),
             )
             for stage in self.stages
-            if stage.solver is not None
+            if stage.resolves
         }
         return Evaluation(
             law=self.law,
