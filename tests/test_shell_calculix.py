@@ -48,7 +48,7 @@ def peer():
 
 
 @needs_ccx
-@pytest.mark.parametrize(("element", "tolerance"), [("dkt-opt", 0.02), ("p2-cr", 0.03)])
+@pytest.mark.parametrize(("element", "tolerance"), [("dkt-opt-curved", 0.02), ("dkt-opt", 0.02), ("p2-cr", 0.03)])
 def test_compliance_of_a_folded_part(element, tolerance, peer):
     """Patch compliances against the largest of their row and column.
 

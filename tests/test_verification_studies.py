@@ -14,10 +14,12 @@ from mic.scene import SETTINGS
 from verification.algebra.study import STUDY as ALGEBRA
 from verification.algebra.study import compare
 from verification.comparison import reduced_and_assembly, relative, zone_slip
+from verification.curved_sheets import study as curved_sheets
 from verification.law import study as law
 from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
 from verification.scenes import going, shipped
+from verification.study import Context, Team
 from verification.trade import study as trade
 
 pytestmark = pytest.mark.fem
@@ -169,6 +171,16 @@ def test_mesh_sequences_without_an_order():
     assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
 
 
+def test_curved_sheets_are_not_bent_by_triangles_that_are_taken_for_flat(monkeypatch, tmp_path):
+    """The study's quick version passes; with the triangles' own normals each of its limits is broken but the finest."""
+    context = Context(quick=True, cache=tmp_path, team=Team())
+    assert all(judged.passed for judged in curved_sheets.STUDY.judge(context))
+    flat = ("dkt-opt", "mesh")
+    monkeypatch.setattr(curved_sheets, "KINDS", dict.fromkeys(curved_sheets.KINDS, flat))
+    broken = {judged.acceptance.name for judged in curved_sheets.STUDY.judge(context) if not judged.passed}
+    assert broken == {name for name, *_ in curved_sheets.JUDGED} - {"panel 2.5 mm"}
+
+
 def test_stretching_of_a_cylinder_by_hand():
     """A strip bent to w = c x²: the added membrane energy is ∫ E t/(1 − ν²)/2 (½ w'²)² dA; turned as a whole, nothing
     is added."""
@@ -176,7 +188,7 @@ def test_stretching_of_a_cylinder_by_hand():
     from mic.geometry.surface import Surface
 
     length, width, c = 100.0, 20.0, 1e-3
-    points, triangles = extrude([(0.0, 0.0), (width, 0.0)], 0.0, length, 1.0)
+    points, triangles, _ = extrude([(0.0, 0.0), (width, 0.0)], 0.0, length, 1.0)
     part = SimpleNamespace(name="strip", surface=Surface(points, triangles), young=2e5, poisson=0.3, thickness=1.0)
     x = points[:, 0]
 

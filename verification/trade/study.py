@@ -62,7 +62,9 @@ QUICK = {
 }
 
 
-def version(size, pairs, increments=None, tolerance=Followed.tolerance, element="dkt-opt", patch="tributary") -> Scene:
+def version(
+    size, pairs, increments=None, tolerance=Followed.tolerance, element="dkt-opt-curved", patch="tributary"
+) -> Scene:
     """The wheelhouse with the knobs that change the reduced model turned."""
     scene = shipped("wheelhouse", size, LAWS)
     zones = [zone.model_copy(update={"pairs": pairs, "patch": patch}) for zone in scene.zones]
