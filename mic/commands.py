@@ -32,6 +32,8 @@ from mic.scene.schema import MonteCarlo
 
 __all__ = ["app", "plain", "sentence"]
 
+ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
+
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -215,8 +217,19 @@ def _print_zones(console, outcome):
 
 @app.command()
 @_on_first
-def check(scene: SceneArgument, law: LawOption = None):
-    """Validate a scene and print what will be modelled, and at what cost, without solving anything."""
+def check(
+    scene: SceneArgument,
+    law: LawOption = None,
+    accuracy: Annotated[
+        bool,
+        typer.Option(
+            "--accuracy",
+            help="Estimate the error that each part's mesh leaves: its influence coefficients are computed on it, and "
+            "at half its size.",
+        ),
+    ] = False,
+):
+    """Validate a scene and print what will be modelled, and at what cost; nothing is solved but for --accuracy."""
     from mic.model.assembly import assemble
     from mic.process.plan import plan_stages
 
@@ -246,6 +259,8 @@ def check(scene: SceneArgument, law: LawOption = None):
         )
     console.print(table)
     _print_cost(console, assembly, plans)
+    if accuracy:
+        _print_accuracy(console, assembly)
     console.print("[green]The scene is valid.[/]")
 
 
@@ -320,6 +335,32 @@ def _print_cost(console, assembly, plans):
     console.print(f"• {forecast(assembly, laws, samples, len(os.sched_getaffinity(0)))}")
     fields = "mean and 6σ fields: a few further solves per part and law"
     console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
+
+
+def _print_accuracy(console, assembly):
+    from mic.model.accuracy import estimate_accuracy  # slow to import, and asked for rarely
+    from mic.report.style import number, percent
+
+    found = estimate_accuracy(assembly, cache_folder(), lambda line: console.print(plain(f"{line} …"), soft_wrap=True))
+    table = Table(
+        "part", "influence coefficients", "set down on six", "on all locators", title="Estimated errors of the meshes"
+    )
+    for part in found:
+        for one in part.estimates:
+            name = "H, across the sheet" if one is part.estimates[0] else one.quantity
+            table.add_row(part.part, name, percent(one.set_down, 1), percent(one.located, 1))
+    console.print(table)
+    for part in found:
+        for words, mesh in (("half the size", part.finer), (f"{percent(ENOUGH, 0)} at most", part.reach(ENOUGH))):
+            memory = f" and {mesh.memory:.0f} MB" if mesh.memory else ""
+            if mesh is part.finer or part.worst > ENOUGH:
+                console.print(
+                    f"• {plain(part.part)}, {words}: {mesh.nodes} nodes, {number(mesh.seconds, 2)} s{memory} beside "
+                    f"{part.mesh.nodes} nodes, {number(part.mesh.seconds, 2)} s",
+                    highlight=False,
+                    soft_wrap=True,
+                )
+    console.print("Time and memory as measured here, at the functionals that were compared, and as they grew.")
 
 
 @app.command()

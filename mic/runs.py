@@ -15,9 +15,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mic.compliance.cache import influence_coefficients
+from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.results.accuracy import write_accuracy
 from mic.results.fields import write_fields
 from mic.results.folder import Block, RunFolder, versions
 from mic.results.forecast import forecast
@@ -98,6 +100,10 @@ def run(
             reused = [name for name, hit in cached.items() if hit]
             if reused:
                 listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
+        if scene.report.accuracy:
+            with clock("accuracy of the meshes"):
+                told = lambda line: listener.say(f"{line} …")
+                on_first(world, lambda: write_accuracy(folder, estimate_accuracy(assembly, cache, told)))
         with clock("reduced model"):
             with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
                 model = ReducedModel.build(assembly, influence)

@@ -22,10 +22,11 @@ from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
 from mic.geometry import structured
 from mic.geometry.opened import Dependencies, opened_files
+from mic.geometry.refinement import halved
 from mic.geometry.surface import Surface
 from mic.store import Format, fingerprint
 
-__all__ = ["fixture_surface", "load_fixture", "load_part", "load_script", "part_surface"]
+__all__ = ["finer_surface", "fixture_surface", "load_fixture", "load_part", "load_script", "part_surface"]
 
 GENERATED = Format("generated mesh", 2, ABSENT)
 
@@ -71,18 +72,23 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
         )
     if part.mesh is not None:
         return _read(f"part {part.name!r}", path, part.mesh)
-    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path)
-    found = meshes.find(key)
-    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
-    if found is not None and read is not None and read.unchanged(path):
-        surface = Surface(found[1]["points"], found[1]["triangles"])
-    else:
-        surface, read = _generate(part, path)
-        meshes.keep(key, read.header(), {"points": surface.points, "triangles": surface.triangles})
+    surface, read = _generated(part, path, cache)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
     return surface, inputs | {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
+
+
+def finer_surface(part: Any, folder: Path, cache: Path) -> Surface:
+    """Surface of a part at half the element size: built anew by its geometry, else its mesh divided on its curvature.
+
+    Parameters and errors are those of :func:`load_part`.
+    """
+    if part.mesh is not None:
+        surface = part_surface(part, folder, cache)
+        points, triangles, _ = halved(surface.points, surface.triangles, _corner_normals(surface))
+        return Surface(points, triangles)
+    return _generated(part, folder / part.geometry, cache, 0.5)[0]
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
@@ -158,19 +164,31 @@ def _read(owner, path, name):
     return surface, {name: fingerprint(path.read_bytes())} | others
 
 
-def _key(part, path):
+def _generated(part, path, cache, share=1.0):
+    """Surface that a script makes at a share of the part's size, from the cache where it fits; and what it read."""
+    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path, share)
+    found = meshes.find(key)
+    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
+    if found is not None and read is not None and read.unchanged(path):
+        return Surface(found[1]["points"], found[1]["triangles"]), read
+    surface, read = _generate(part, path, share)
+    meshes.keep(key, read.header(), {"points": surface.points, "triangles": surface.triangles})
+    return surface, read
+
+
+def _key(part, path, share):
     """Name of a generated mesh in the cache: hash of what it depends on and is known before the script has run."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
     contents = [source.read_bytes().hex() for source in (Path(structured.__file__), *sources) if source.is_file()]
-    return fingerprint([part.name, part.size, path.name, contents])
+    return fingerprint([part.name, part.size, share, path.name, contents])
 
 
-def _generate(part, path):
+def _generate(part, path, share):
     """Run a geometry script; whatever goes wrong in it ends in one sentence. Surface, and what the script read."""
     try:
         with opened_files() as heard:
             script = load_script(path)
-            surface = _surface(script.build(part.name, _size(script, part.size)))
+            surface = _surface(script.build(part.name, share * _size(script, part.size)))
         return surface, Dependencies.of(path, _declared(script), heard)
     except ImportError as problem:
         missing = (problem.name or "").split(".")[0]
@@ -235,3 +253,7 @@ def _surface(built):
     if triangles.dtype.kind == "f" and not (np.isfinite(triangles) & (triangles == np.rint(triangles))).all():
         raise ValueError("build returned triangles that are no whole numbers")
     return Surface(points, triangles)
+
+
+def _corner_normals(surface):
+    return np.repeat(surface.normals[:, None], 3, axis=1)

@@ -311,6 +311,10 @@ class Report(_Table):
         description="report tangential motion even where no law with friction is asked for; "
         "without either, a third of the contact functionals suffices",
     )
+    accuracy: bool = Field(
+        False,
+        description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
+    )
     fields: bool = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
 
     @field_validator("laws")
