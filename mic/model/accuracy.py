@@ -158,6 +158,11 @@ def estimate_accuracy(
     for p, part in enumerate(assembly.parts):
         question = _Question.of(assembly, p)
         finer = finer_surface(assembly.scene.parts[p], assembly.scene.folder, cache)
+        if not len(finer.triangles) > len(part.surface.triangles):
+            raise SceneError(
+                f"part {part.name!r}: geometry: the script makes no more triangles at half the size; let build(part, "
+                "size) take notice of the size"
+            )
         name = fingerprint(
             [part.fingerprint(), _digest(finer), question.labels]
             + [[matrix.indices.tolist(), matrix.data.tolist()] for matrix in question.rows]
@@ -310,8 +315,6 @@ def _estimate(question: _Question, surface: Surface) -> Accuracy:
     _solved(part)  # the first call compiles
     (coarse, mesh), (fine, finer_mesh) = _solved(part), _solved(finer)
     factor = 1 / (1 - (mesh.triangles / finer_mesh.triangles) ** (ORDER / 2))  # r²/(r² − 1)
-    if not finer_mesh.triangles > mesh.triangles:
-        raise SceneError(f"part {part.name!r}: geometry: at half the size it makes no more triangles; see what it does")
     errors: dict[str, list[float]] = {}
     for held in (question.datum, question.locators):
         before, after = (_supported(question, blocks, held) for blocks in (coarse, fine))

@@ -1,0 +1,112 @@
+"""The error that a part's mesh leaves: the estimate against what a much finer mesh tells."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.curved import curved_assembly, curved_scene, held_compliance, mesh_of
+
+import mic
+from mic.compliance import provider
+from mic.compliance.cache import influence_coefficients
+from mic.errors import SceneError
+from mic.model.accuracy import estimate_accuracy
+from mic.process.model import ReducedModel
+from mic.results.accuracy import accuracy_table, read_accuracy
+from mic.results.schema import ACCURACY
+
+pytestmark = pytest.mark.fem
+
+
+def compliance(assembly, cache):
+    return held_compliance(ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0]))
+
+
+@pytest.fixture(scope="module")
+def limit(tmp_path_factory, cache):
+    """Compliance on a mesh of 1.25 mm, H and the measurement's row, on six locators and on all."""
+    return compliance(curved_assembly(tmp_path_factory.mktemp("fine"), cache, size=1.25), cache)
+
+
+def errors(found, limit):
+    """True errors of H and of the key characteristic's influence, on six locators and on all."""
+    relative = lambda a, b: np.linalg.norm(a - b) / np.linalg.norm(b)
+    return np.array([[relative(H[rows], L[rows]) for H, L in zip(found, limit)] for rows in (slice(0, 2), slice(2, 3))])
+
+
+def estimates(accuracy):
+    return np.array([[one.set_down, one.located] for one in accuracy.estimates])
+
+
+@pytest.mark.parametrize("size", [10.0, 5.0])
+def test_the_estimate_is_the_error_within_a_third(size, tmp_path, cache, limit):
+    assembly = curved_assembly(tmp_path, cache, size=size)
+    true = errors(compliance(assembly, cache), limit)
+    (found,) = estimate_accuracy(assembly, cache)
+    effectivity = estimates(found) / true
+    print(size, true.tolist(), effectivity.tolist())
+    assert [one.quantity for one in found.estimates] == ["H", "K"]
+    assert (0.7 < effectivity).all() and (effectivity < 1.4).all()
+
+
+def test_a_mesh_alone_is_divided_on_its_curvature_and_tells_the_same(tmp_path, cache):
+    (built,) = estimate_accuracy(curved_assembly(tmp_path, cache, size=5.0), cache)
+    (read,) = estimate_accuracy(curved_assembly(tmp_path, cache, mesh=mesh_of(tmp_path, 5.0)), cache)
+    assert read.finer.triangles == built.finer.triangles == 4 * built.mesh.triangles
+    assert estimates(read) == pytest.approx(estimates(built), rel=0.15)
+
+
+def test_a_finer_mesh_costs_more_and_is_measured(tmp_path, cache):
+    (found,) = estimate_accuracy(curved_assembly(tmp_path, cache, size=4.0), cache)
+    assert found.finer.nodes > 3.5 * found.mesh.nodes and found.ratio == pytest.approx(2, rel=0.01)
+    assert found.finer.seconds > found.mesh.seconds > 0 and found.finer.memory > 3 * found.mesh.memory > 0
+    reached = found.reach(found.worst / 4)
+    assert reached.nodes == pytest.approx(4 * found.mesh.nodes) and reached.seconds >= 3.99 * found.mesh.seconds
+    assert reached.memory == pytest.approx(found.finer.memory, rel=0.1)
+
+
+def test_an_estimate_is_kept_and_made_anew_where_the_part_changes(tmp_path, cache, monkeypatch):
+    assembly = curved_assembly(tmp_path, cache, size=10.0)
+    first = estimate_accuracy(assembly, cache)
+    told = []
+    assert estimate_accuracy(assembly, cache, told.append) == first and not told
+
+    def refuse(part):
+        raise AssertionError("computed again")
+
+    monkeypatch.setattr(provider, "find", refuse)
+    assert estimate_accuracy(assembly, cache) == first
+    with pytest.raises(AssertionError, match="computed again"):
+        estimate_accuracy(curved_assembly(tmp_path, cache, size=8.0), cache)
+
+
+def test_a_script_that_takes_no_notice_of_the_size_is_found_out(tmp_path, cache):
+    scene = curved_scene(tmp_path, size=10.0)
+    (tmp_path / "panel.py").write_text((tmp_path / "panel.py").read_text().replace("/ size", "/ 10"))
+    from mic.model.assembly import assemble
+
+    with pytest.raises(SceneError, match="'sheet': geometry: .*half the size"):
+        estimate_accuracy(assemble(scene, cache), cache)
+
+
+def test_a_run_that_is_asked_for_it_keeps_the_estimate_and_reports_it(tmp_path, cache):
+    from mic.report.page import write_report
+
+    scene = curved_scene(tmp_path, size=10.0, keys="[monte_carlo]\nsamples = 3\n[report]\naccuracy = true\n")
+    outcome = mic.run(scene, tmp_path / "results", cache)
+    expected = accuracy_table(estimate_accuracy(curved_assembly(tmp_path, cache, size=10.0), cache))
+    pd.testing.assert_frame_equal(read_accuracy(tmp_path / "results"), expected, rtol=1e-8)
+    page = write_report(tmp_path / "results", outcome).read_text()
+    table = page[page.index('id="accuracy"') : page.index("Estimated from the same functionals")]
+    for value in (*expected["set_down"], *expected["located"]):
+        assert f"{100 * value:.1f} %" in table
+
+
+def test_a_run_that_is_not_asked_for_it_neither_computes_nor_shows_it(tmp_path, cache, monkeypatch):
+    from mic.report.page import write_report
+
+    monkeypatch.setattr("mic.runs.estimate_accuracy", lambda *arguments: pytest.fail("estimated"))
+    outcome = mic.run(
+        curved_scene(tmp_path, size=10.0, keys="[monte_carlo]\nsamples = 3\n"), tmp_path / "results", cache
+    )
+    assert read_accuracy(tmp_path / "results") is None and not (tmp_path / "results" / ACCURACY.place).exists()
+    assert 'id="accuracy"' not in write_report(tmp_path / "results", outcome).read_text()
