@@ -63,7 +63,7 @@ def test_the_diagonals_that_meet_are_the_shorter_ones_of_the_two_choices():
     points[:, 0] += 0.15 * np.sin(np.pi * points[:, 0]) + 0.1 * (points.sum(axis=1) % 2 == 0) * points[:, 1] / 6
     length = {}
     for first in (0, 1):  # number the points from another corner: another colour comes first
-        order = np.arange(len(points)) if first == 0 else np.roll(np.arange(len(points)), 1)
+        order = np.arange(len(points)) if first == 0 else np.roll(np.arange(len(points)), 2)
         number = np.argsort(order)
         new, triangles, _ = repair(points[order], np.zeros((0, 3), int), number[quadrilaterals])
         length[first] = Surface(new, triangles).edge_lengths.sum()

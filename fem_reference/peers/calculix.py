@@ -3,7 +3,7 @@
 CalculiX has no shell theory of its own: it expands each quadratic shell into a solid (S6 into a wedge, S8R into a
 brick of reduced integration) and ties them at folds, so that nothing but the geometry is shared with
 `fem_reference.shell.element`. At the sizes at which parts are meshed its shells are themselves several per cent too
-stiff on curved sheets: no single mesh of them is a reference, `benchmarks/references.py` extrapolates three.
+stiff on curved sheets: no single mesh of them is a reference, :mod:`fem_reference.peers.references` extrapolates three.
 """
 
 from __future__ import annotations
