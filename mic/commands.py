@@ -241,7 +241,8 @@ def check(
             highlight=False,
             soft_wrap=True,
         )
-    assembly = assemble(asked, cache_folder())
+    say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
+    assembly = assemble(asked, cache_folder(), progress=say)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_contacts(console, assembly)
@@ -260,7 +261,7 @@ def check(
     console.print(table)
     _print_cost(console, assembly, plans)
     if accuracy:
-        _print_accuracy(console, assembly)
+        _print_accuracy(console, assembly, say)
     console.print("[green]The scene is valid.[/]")
 
 
@@ -337,11 +338,11 @@ def _print_cost(console, assembly, plans):
     console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
 
 
-def _print_accuracy(console, assembly):
+def _print_accuracy(console, assembly, say):
     from mic.model.accuracy import estimate_accuracy  # slow to import, and asked for rarely
     from mic.report.style import number, percent
 
-    found = estimate_accuracy(assembly, cache_folder(), lambda line: console.print(plain(f"{line} …"), soft_wrap=True))
+    found = estimate_accuracy(assembly, cache_folder(), say)
     table = Table(
         "part", "influence coefficients", "set down on six", "on all locators", title="Estimated errors of the meshes"
     )

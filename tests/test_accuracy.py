@@ -10,6 +10,7 @@ from mic.compliance import provider
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
 from mic.model.accuracy import estimate_accuracy
+from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.results.accuracy import accuracy_table, read_accuracy
 from mic.results.schema import ACCURACY
@@ -82,10 +83,56 @@ def test_an_estimate_is_kept_and_made_anew_where_the_part_changes(tmp_path, cach
 def test_a_script_that_takes_no_notice_of_the_size_is_found_out(tmp_path, cache):
     scene = curved_scene(tmp_path, size=10.0)
     (tmp_path / "panel.py").write_text((tmp_path / "panel.py").read_text().replace("/ size", "/ 10"))
-    from mic.model.assembly import assemble
-
     with pytest.raises(SceneError, match="'sheet': geometry: .*half the size"):
         estimate_accuracy(assemble(scene, cache), cache)
+
+
+def test_a_part_that_states_an_accuracy_gets_a_mesh_that_reaches_it(tmp_path, cache, limit):
+    assembly = curved_assembly(tmp_path, cache, accuracy=0.01)
+    true = errors(compliance(assembly, cache), limit)
+    assert true.max() < 0.01 and true.max() > 0.002  # reached, and not by far too fine a mesh
+    assert set(assembly.sizes) == {"sheet"} and 1 < assembly.sizes["sheet"] < 10
+    (found,) = estimate_accuracy(assembly, cache)
+    assert found.worst <= 0.01 and found.mesh.nodes == len(assembly.parts[0].surface.points)
+
+
+def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
+    first = curved_assembly(tmp_path, cache, accuracy=0.03)
+    monkeypatch.setattr("mic.model.meshing.estimate_accuracy", lambda *arguments: pytest.fail("estimated again"))
+    again = curved_assembly(tmp_path, cache, accuracy=0.03)
+    assert again.sizes == first.sizes and again.parts[0].fingerprint() == first.parts[0].fingerprint()
+    with pytest.raises(pytest.fail.Exception):
+        (tmp_path / "panel.py").write_text((tmp_path / "panel.py").read_text().replace("10 * np.sin", "11 * np.sin"))
+        assemble(mic.load_scene(tmp_path), cache)
+
+
+def test_an_accuracy_out_of_reach_is_refused_before_a_mesh_that_large_is_solved(tmp_path, cache):
+    with pytest.raises(SceneError, match="part 'sheet': accuracy: 1e-06 is not reached: .* ask for less"):
+        curved_assembly(tmp_path, cache, accuracy=1e-6)
+
+
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ("size = 5\naccuracy = 0.01", "give either size or accuracy"),
+        ("accuracy = 0", "greater than 0"),
+        ("accuracy = 0.7", "less than or equal to 0.5"),
+        ("", "needs size: .* or accuracy"),
+    ],
+)
+def test_an_accuracy_stands_in_place_of_a_size(tmp_path, keys, words):
+    curved_scene(tmp_path, size=10.0)
+    text = (tmp_path / "scene.toml").read_text()
+    (tmp_path / "scene.toml").write_text(text.replace("size = 10.0", keys))
+    with pytest.raises(SceneError, match=words):
+        mic.load_scene(tmp_path)
+
+
+def test_a_setting_leaves_an_accuracy_alone(tmp_path):
+    scene = curved_scene(tmp_path, accuracy=0.02, keys="")
+    text = (tmp_path / "scene.toml").read_text()
+    (tmp_path / "scene.toml").write_text('setting = "standard"\n' + text)
+    assert mic.load_scene(tmp_path).parts == scene.parts
 
 
 def test_a_run_that_is_asked_for_it_keeps_the_estimate_and_reports_it(tmp_path, cache):

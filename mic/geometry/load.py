@@ -12,6 +12,7 @@ import importlib.util
 import os
 import sys
 import traceback
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,7 +27,15 @@ from mic.geometry.refinement import halved
 from mic.geometry.surface import Surface
 from mic.store import Format, fingerprint
 
-__all__ = ["finer_surface", "fixture_surface", "load_fixture", "load_part", "load_script", "part_surface"]
+__all__ = [
+    "coarsest_size",
+    "finer_surface",
+    "fixture_surface",
+    "load_fixture",
+    "load_part",
+    "load_script",
+    "part_surface",
+]
 
 GENERATED = Format("generated mesh", 2, ABSENT)
 
@@ -38,7 +47,7 @@ def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
     return load_part(part, folder, cache)[0]
 
 
-def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, str | None]]:
+def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> tuple[Surface, dict[str, str | None]]:
     """Surface of a part, from its mesh file or its geometry script, and the content of the files that it was made from.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
@@ -51,6 +60,8 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
     folder : Path
         Of the scene file; the part's paths are relative to it.
     cache : Path
+    size : float, optional
+        Element size, mm, of a part that gives none.
 
     Returns
     -------
@@ -72,14 +83,14 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
         )
     if part.mesh is not None:
         return _read(f"part {part.name!r}", path, part.mesh)
-    surface, read = _generated(part, path, cache)
+    surface, read = _generated(part, path, cache, size or part.size)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
     return surface, inputs | {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
 
 
-def finer_surface(part: Any, folder: Path, cache: Path) -> Surface:
+def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
     """Surface of a part at half the element size: built anew by its geometry, else its mesh divided on its curvature.
 
     Parameters and errors are those of :func:`load_part`.
@@ -88,7 +99,20 @@ def finer_surface(part: Any, folder: Path, cache: Path) -> Surface:
         surface = part_surface(part, folder, cache)
         points, triangles, _ = halved(surface.points, surface.triangles, _corner_normals(surface))
         return Surface(points, triangles)
-    return _generated(part, folder / part.geometry, cache, 0.5)[0]
+    return _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0]
+
+
+def coarsest_size(part: Any, folder: Path) -> float | None:
+    """The largest of the sizes that a part's geometry script names, mm; None where it names none.
+
+    Raises
+    ------
+    SceneError
+    """
+    path = folder / part.geometry
+    with _told(part, path):
+        script = load_script(path)
+        return max((_size(script, name) for name in getattr(script, "SIZES", {})), default=None)
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
@@ -164,32 +188,40 @@ def _read(owner, path, name):
     return surface, {name: fingerprint(path.read_bytes())} | others
 
 
-def _generated(part, path, cache, share=1.0):
-    """Surface that a script makes at a share of the part's size, from the cache where it fits; and what it read."""
-    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path, share)
+def _generated(part, path, cache, size, share=1.0):
+    """Surface that a script makes at a share of a size, from the cache where it fits; and what it read."""
+    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path, size, share)
     found = meshes.find(key)
     read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
     if found is not None and read is not None and read.unchanged(path):
         return Surface(found[1]["points"], found[1]["triangles"]), read
-    surface, read = _generate(part, path, share)
+    surface, read = _generate(part, path, size, share)
     meshes.keep(key, read.header(), {"points": surface.points, "triangles": surface.triangles})
     return surface, read
 
 
-def _key(part, path, share):
+def _key(part, path, size, share):
     """Name of a generated mesh in the cache: hash of what it depends on and is known before the script has run."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
     contents = [source.read_bytes().hex() for source in (Path(structured.__file__), *sources) if source.is_file()]
-    return fingerprint([part.name, part.size, share, path.name, contents])
+    return fingerprint([part.name, size, share, path.name, contents])
 
 
-def _generate(part, path, share):
-    """Run a geometry script; whatever goes wrong in it ends in one sentence. Surface, and what the script read."""
-    try:
+def _generate(part, path, size, share):
+    """Run a geometry script. Surface, and what the script read."""
+    with _told(part, path):
         with opened_files() as heard:
             script = load_script(path)
-            surface = _surface(script.build(part.name, share * _size(script, part.size)))
+            surface = _surface(script.build(part.name, share * _size(script, size)))
         return surface, Dependencies.of(path, _declared(script), heard)
+
+
+@contextmanager
+def _told(part, path):
+    """Whatever goes wrong in a script ends in one sentence."""
+    try:
+        yield
+        return
     except ImportError as problem:
         missing = (problem.name or "").split(".")[0]
         if (path.parent / f"{missing}.py").is_file():

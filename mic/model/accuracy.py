@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -36,9 +36,11 @@ from mic.compliance.support import motion_size
 from mic.errors import SceneError
 from mic.geometry.load import finer_surface
 from mic.geometry.surface import Patch, Surface
-from mic.model.assembly import Assembly
 from mic.model.shape import datum_locators
 from mic.store import Format, fingerprint
+
+if TYPE_CHECKING:
+    from mic.model.assembly import Assembly
 
 __all__ = ["Accuracy", "Estimate", "Mesh", "estimate_accuracy"]
 
@@ -136,7 +138,10 @@ class Accuracy:
 
 
 def estimate_accuracy(
-    assembly: Assembly, cache: Path, progress: Callable[[str], None] | None = None
+    assembly: Assembly,
+    cache: Path,
+    progress: Callable[[str], None] | None = None,
+    parts: Collection[str] | None = None,
 ) -> tuple[Accuracy, ...]:
     """Estimate what the mesh of each part of an assembly leaves.
 
@@ -147,6 +152,8 @@ def estimate_accuracy(
         Folder of generated meshes, and of estimates that were made before.
     progress : callable, optional
         Called with one line of text before each part that is computed.
+    parts : collection of str, optional
+        Names of those that are asked for; default: all.
 
     Raises
     ------
@@ -156,8 +163,10 @@ def estimate_accuracy(
     """
     kept, found = Cache(cache, "influence", KEPT), []
     for p, part in enumerate(assembly.parts):
+        if parts is not None and part.name not in parts:
+            continue
         question = _Question.of(assembly, p)
-        finer = finer_surface(assembly.scene.parts[p], assembly.scene.folder, cache)
+        finer = finer_surface(assembly.scene.parts[p], assembly.scene.folder, cache, assembly.sizes.get(part.name))
         if not len(finer.triangles) > len(part.surface.triangles):
             raise SceneError(
                 f"part {part.name!r}: geometry: the script makes no more triangles at half the size; let build(part, "

@@ -90,10 +90,11 @@ HELD = {
 }
 
 
-def curved_scene(folder, size=None, mesh=None, keys=""):
-    """The scene in a folder, of its script at a size in mm, or of a mesh (points, triangles) that is written there."""
+def curved_scene(folder, size=None, mesh=None, accuracy=None, keys=""):
+    """The scene in a folder, of its script at a size in mm or to an accuracy, or of a mesh (points, triangles) that is
+    written there."""
     (folder / "panel.py").write_text(SCRIPT)
-    source = f'geometry = "panel.py"\nsize = {size}'
+    source = 'geometry = "panel.py"\n' + (f"size = {size}" if accuracy is None else f"accuracy = {accuracy}")
     if mesh is not None:
         write_vtu(folder / "panel.vtu", *mesh)
         source = 'mesh = "panel.vtu"'
