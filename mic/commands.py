@@ -254,9 +254,9 @@ def check(
             plan.name,
             plan.kind,
             str(len(plan.bilateral)),
-            str(len(plan.loads)),
-            str(len(plan.closing)),
-            (f"yes, {plan.increments} increments" if plan.increments > 1 else "yes") if resolves else "no",
+            str(len(plan.steps[-1].loads)),
+            str(sum(len(step.closing) for step in plan.steps)),
+            f"yes, {plan.path}" if resolves else "no",
         )
     console.print(table)
     _print_cost(console, assembly, plans)
@@ -317,7 +317,7 @@ def _print_contacts(console, assembly):
 
 def _print_cost(console, assembly, plans):
     scene, contacts = assembly.scene, assembly.contacts
-    solved = sum(plan.increments for plan in plans if plan.resolves) if len(contacts) else 0
+    solved = sum(plan.solves for plan in plans) if len(contacts) else 0
     sizes = [len(part.functionals) for part in assembly.parts]
     nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
     samples, laws = scene.monte_carlo.samples, scene.report.laws

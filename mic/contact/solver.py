@@ -9,6 +9,7 @@ import numpy as np
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, measure
 from mic.contact.laws import Law, find
+from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
 
 __all__ = ["ContactSolver", "solve"]
@@ -142,6 +143,34 @@ class ContactSolver:
             for name in vars(certificate):
                 values[name] = float(values[name])
         return ContactSolution(**values)
+
+    def follow(
+        self,
+        b: np.ndarray,
+        force: np.ndarray | None = None,
+        anchor: np.ndarray | None = None,
+        path: Path | None = None,
+    ) -> PathSolution:
+        """Follow loads from one to the next; see :mod:`mic.contact.path`.
+
+        Parameters
+        ----------
+        b : (n, k + 1, 3m) array
+            Displacements without contact forces, gaps included, at k + 1 loads; straight in between.
+        force : (n, 3m) array, optional
+            Contact forces at the first load; none, if left out. Where they do not balance it, since parts overlap
+            there, that is resolved first, before the load moves.
+        anchor : (n, m, 2) array, optional
+            Tangential displacements from which slip is measured; those of ``b`` at the first load, if left out.
+        path : Path, optional
+            How it is followed; :class:`mic.contact.path.Followed` if left out. A law whose small steps do not tend to
+            itself takes :class:`mic.contact.path.Increments` only; without friction nothing but the last load counts.
+
+        Returns
+        -------
+        PathSolution
+        """
+        return follow(self, np.asarray(b, dtype=float), force, anchor, path or Followed())
 
     def _measure(self, rows, force):
         return measure(self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)

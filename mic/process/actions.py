@@ -1,8 +1,8 @@
 """What a stage does: a list of actions on what holds the assembly.
 
 An action changes a :class:`Fixture`, the set of rows that hold and push; nothing is solved here. A stage of the scene
-is sugar for a list of actions (:data:`SUGAR`); the production solve and the full finite-element reference both follow
-it.
+is sugar for a list of moves (:data:`SUGAR`), each of them actions that happen together; the production solve and the
+full finite-element reference both follow it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,24 @@ from typing import Protocol
 
 import numpy as np
 
-__all__ = ["SUGAR", "Action", "Close", "Fixture", "Hold", "Joints", "Open", "Push", "Read", "SetDown", "Withdraw"]
+__all__ = [
+    "SUGAR",
+    "Action",
+    "Close",
+    "Fixture",
+    "Hold",
+    "Joints",
+    "Move",
+    "Open",
+    "Push",
+    "Read",
+    "SetDown",
+    "Settle",
+    "Withdraw",
+    "tongs",
+]
+
+OPPOSITE = -0.9  # cosine of the angle between two clamps below which they push against each other
 
 Row = tuple[str, int]  #: a row by its kind and its number
 
@@ -97,20 +114,35 @@ class Close:
 
 @dataclass(frozen=True)
 class Withdraw:
-    """Open all clamps."""
+    """Open clamps."""
+
+    strokes: tuple[int, ...] = ()
+    forces: tuple[int, ...] = ()
 
     def apply(self, fixture):
-        return replace(fixture, strokes=(), forces=())
+        return replace(
+            fixture,
+            strokes=tuple(i for i in fixture.strokes if i not in self.strokes),
+            forces=tuple(i for i in fixture.forces if i not in self.forces),
+        )
 
 
 @dataclass(frozen=True)
 class Open:
-    """Open every locator but those that are kept."""
+    """Open locators."""
 
-    keep: tuple[int, ...]
+    locators: tuple[int, ...]
 
     def apply(self, fixture):
-        return replace(fixture, locators=tuple(i for i in fixture.locators if i in self.keep))
+        return replace(fixture, locators=tuple(i for i in fixture.locators if i not in self.locators))
+
+
+@dataclass(frozen=True)
+class Settle:
+    """Parts that overlap where they were set down come to rest on each other, along the contact normals."""
+
+    def apply(self, fixture):
+        return fixture
 
 
 @dataclass(frozen=True)
@@ -144,43 +176,113 @@ class Joints:
         return [("weld", row) for row in range(start, start + self.size[weld])]
 
 
+Move = tuple[Action, ...]  #: actions that happen together, contact active throughout
+
+
 def _of_stage(items, stage) -> tuple[int, ...]:
     return tuple(i for i, item in enumerate(items) if item.stage == stage.name)
 
 
-def _named(items, names) -> tuple[int, ...]:
-    """Numbers of the items of these names, each of which `mic.scene.checks` has seen to exist."""
-    number = {item.name: i for i, item in enumerate(items)}
-    return tuple(sorted(number[name] for name in names))
+def _locate(scene, stage, before) -> list[Move]:
+    return [(SetDown(_of_stage(scene.locators, stage)),)]
 
 
-def _locate(scene, stage) -> list[Action]:
-    return [SetDown(_of_stage(scene.locators, stage))]
+def _clamp(scene, stage, before) -> list[Move]:
+    """Further locators together, then clamp after clamp as the file has them; or the groups of `order`."""
+    locators, clamps = _of_stage(scene.locators, stage), _of_stage(scene.clamps, stage)
+    if stage.order is None:
+        moves = [(Hold(locators),)] if locators else []
+        return moves + [_close(scene, group) for group in tongs(scene, clamps)]
+    return [
+        _close(scene, _among(scene.clamps, clamps, names), _among(scene.locators, locators, names))
+        for names in stage.order
+    ]
 
 
-def _clamp(scene, stage) -> list[Action]:
-    named = _of_stage(scene.clamps, stage)
-    pushing = tuple(i for i in named if scene.clamps[i].force is not None)
-    holding = tuple(i for i in named if scene.clamps[i].force is None)
-    return [Hold(_of_stage(scene.locators, stage), holding), Push(pushing)]
+def _close(scene, clamps, locators=()) -> Move:
+    pushing = tuple(i for i in clamps if scene.clamps[i].force is not None)
+    holding = tuple(i for i in clamps if scene.clamps[i].force is None)
+    return (Hold(locators, holding),) * bool(locators or holding) + (Push(pushing),) * bool(pushing)
 
 
-def _weld(scene, stage) -> list[Action]:
-    named = _of_stage(scene.welds, stage)
-    return [Close(named, tuple(i for i in named if scene.welds[i].close))]
+def tongs(scene, clamps: Sequence[int]) -> list[tuple[int, ...]]:
+    """Clamps in the order of the file; neighbours there that push two parts together are one pair of tongs.
+
+    They do where they act on different parts, in opposite directions, at points no farther apart than their pads.
+    """
+    groups: list[tuple[int, ...]] = []
+    for i in clamps:
+        if groups and len(groups[-1]) == 1 and _facing(scene.clamps[groups[-1][0]], scene.clamps[i]):
+            groups[-1] += (i,)
+        else:
+            groups.append((i,))
+    return groups
 
 
-def _release(scene, stage) -> list[Action]:
-    everything = [locator.name for locator in scene.locators]
-    return [Withdraw(), Open(_named(scene.locators, everything if stage.keep is None else stage.keep))]
+def _facing(a, b) -> bool:
+    apart = np.linalg.norm(np.subtract(a.point, b.point))
+    return bool(a.part != b.part and np.dot(a.direction, b.direction) < OPPOSITE and apart <= a.radius + b.radius)
 
 
-def _measure(scene, stage) -> list[Action]:
-    return [Read()]
+def _weld(scene, stage, before) -> list[Move]:
+    """All welds together; one after the other in a `sequence`, or in the groups of `order`."""
+    welds = _of_stage(scene.welds, stage)
+    if stage.order is not None:
+        groups = [_among(scene.welds, welds, names) for names in stage.order]
+    else:
+        groups = [(i,) for i in welds] if stage.sequence else [welds]
+    return [(Close(group, tuple(i for i in group if scene.welds[i].close)),) for group in groups]
 
 
-#: Kind of a scene's stage → ``actions(scene, stage)``.
-SUGAR: dict[str, Callable[..., Sequence[Action]]] = {
+def _release(scene, stage, before) -> list[Move]:
+    """What closed last opens first; or the groups of `order`."""
+    kept = set(range(len(scene.locators)) if stage.keep is None else _among(scene.locators, None, stage.keep))
+    fixture = Fixture()
+    for move in before:
+        for action in move:
+            fixture = action.apply(fixture)
+    if stage.order is not None:
+        groups = [
+            (_among(scene.clamps, None, names), tuple(i for i in _among(scene.locators, None, names) if i not in kept))
+            for names in stage.order
+        ]
+    else:
+        groups = [_closed(move) for move in reversed(before)]
+    moves = []
+    for clamps, locators in groups:
+        strokes = tuple(i for i in clamps if i in fixture.strokes)
+        forces = tuple(i for i in clamps if i in fixture.forces)
+        opened = tuple(i for i in locators if i in fixture.locators and i not in kept)
+        move = (Withdraw(strokes, forces),) * bool(strokes or forces) + (Open(opened),) * bool(opened)
+        moves += [move] if move else []
+    return moves
+
+
+def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Clamps and locators that a move closed."""
+    clamps: tuple[int, ...] = ()
+    locators: tuple[int, ...] = ()
+    for action in move:
+        if isinstance(action, Hold):
+            clamps, locators = clamps + action.strokes, locators + action.locators
+        elif isinstance(action, Push):
+            clamps += action.forces
+        elif isinstance(action, SetDown):
+            locators += action.locators
+    return clamps, locators
+
+
+def _among(items, allowed, names) -> tuple[int, ...]:
+    """Numbers of the items of these names, of those allowed; `mic.scene.checks` has seen that every name exists."""
+    return tuple(i for i, item in enumerate(items) if item.name in names and (allowed is None or i in allowed))
+
+
+def _measure(scene, stage, before) -> list[Move]:
+    return [(Read(),)]
+
+
+#: Kind of a scene's stage → ``moves(scene, stage, before)``, with the moves of the stages before.
+SUGAR: dict[str, Callable[..., Sequence[Move]]] = {
     "locate": _locate,
     "clamp": _clamp,
     "weld": _weld,

@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from mic.contact.path import Trace
+
 __all__ = ["Evaluation", "Resolution"]
 
 
@@ -20,18 +22,21 @@ class Resolution:
     force : (n, m, d) array
         N; normal compression positive.
     displacement : (n, m, d) array
-        mm; the normal component is the gap, the tangential ones the slip since the stage before.
+        mm; the normal component is the gap, the tangential ones the tangential displacement since the stage before,
+        that of open contacts included.
     state : (n, m) int8 array
         A :class:`mic.contact.states.ContactState` each.
+    trace : mic.contact.path.Trace
+        What the contacts went through on the way: slip under load, friction's work, shares of the path.
     residual : (n,) array
-        The scale-free natural-map residual, the largest of the stage's increments.
+        The scale-free natural-map residual, the largest of the increments, or of the ends of the steps followed.
     converged : (n,) bool array
-        True where every increment met its tolerance.
+        True where all of these met the tolerance.
     iterations : (n,) int array
     status : (n,) object array
-        Outcome of the last increment.
+        Outcome of the last step.
     rung : (n,) object array
-        Which rung of the ladder found the force of the last increment, see :class:`mic.contact.ContactSolution`.
+        ``"followed"``, or which rung of the ladder found the last force, see :class:`mic.contact.ContactSolution`.
     reaction : (n, b) array
         Forces of the bilateral rows on the parts, N or N mm.
     """
@@ -40,6 +45,7 @@ class Resolution:
     force: np.ndarray
     displacement: np.ndarray
     state: np.ndarray
+    trace: Trace
     residual: np.ndarray
     converged: np.ndarray
     iterations: np.ndarray
@@ -50,7 +56,8 @@ class Resolution:
     @classmethod
     def join(cls, pieces: Sequence[Resolution]) -> Resolution:
         """Resolutions of one stage, put one after the other."""
-        return cls(stage=pieces[0].stage, **_stacked(pieces, cls))
+        trace = Trace(**_stacked([piece.trace for piece in pieces], Trace))
+        return cls(stage=pieces[0].stage, trace=trace, **_stacked(pieces, cls))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from mic.model.reduction import Reduction
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
 from mic.process.process import TOLERANCE, Process
-from mic.process.stage import EliminatedStage, eliminate_stages
+from mic.process.stage import EliminatedStep, eliminate_steps
 
 __all__ = ["ReducedModel"]
 
@@ -29,9 +29,9 @@ class ReducedModel(Reduction):
         return Joints(tuple(self.weld_size))
 
     @cached_property
-    def eliminations(self) -> list[EliminatedStage]:
-        """Every stage with its bilateral rows eliminated, once for all contact laws."""
-        return eliminate_stages(self)
+    def eliminations(self) -> dict[str, list[EliminatedStep]]:
+        """The steps of every stage with their bilateral rows eliminated, once for all contact laws."""
+        return eliminate_steps(self)
 
     @cached_property
     def _processes(self) -> dict[tuple, Process]:

@@ -1,22 +1,21 @@
-"""The path by which a stage's load grows: friction depends on it.
+"""The path by which the load of a step grows: friction depends on it.
 
-With s from 0 to 1 over a stage, bilateral rows go from what they read before to their targets, ``v(s) = v⁰ + s (v¹ −
+With s from 0 to 1 over a step, bilateral rows go from what they read before to their targets, ``v(s) = v⁰ + s (v¹ −
 v⁰)``; clamp forces grow from what they were; rows let go and forces taken away fade, ``p(s) = p⁰ + s (p¹ − p⁰)``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Increments", "Ramp"]
+__all__ = ["Ramp"]
 
 
 @dataclass(frozen=True)
 class Ramp:
-    """Values and loads of n assemblies that grow together over a stage.
+    """Values and loads of n assemblies that grow together over a step.
 
     Attributes
     ----------
@@ -37,15 +36,3 @@ class Ramp:
             self.value_start + s * (self.value_end - self.value_start),
             self.load_start + s * (self.load_end - self.load_start),
         )
-
-
-@dataclass(frozen=True)
-class Increments:
-    """Equal steps, each resolved by one backward-Euler step of the law."""
-
-    count: int
-
-    def steps(self) -> Iterator[float]:
-        """Ends of the steps: 1/count, 2/count, …, 1."""
-        for step in range(1, self.count + 1):
-            yield step / self.count

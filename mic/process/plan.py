@@ -1,32 +1,31 @@
-"""The plan of a process: which rows each stage holds, loads, lets go and makes. Nothing is solved.
+"""The plan of a process: its stages, their steps, and which rows each step holds, loads, lets go and makes.
 
-It follows from the scene alone, so that the reduced model and the full finite-element reference share what the stages
-mean, and nothing of how they are solved.
+It follows from the scene alone, and nothing is solved, so that the reduced model and the full finite-element reference
+share what the stages mean, and nothing of how they are solved.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mic.process.actions import SUGAR, Action, Close, Fixture, Joints, Read, Row, SetDown
+from mic.process.actions import SUGAR, Close, Fixture, Joints, Move, Read, Row, SetDown, Settle
 
-__all__ = ["StagePlan", "plan_stages"]
+__all__ = ["StagePlan", "Step", "plan_stages"]
 
 
 @dataclass(frozen=True)
-class StagePlan:
-    """What one stage holds, loads and resolves.
+class Step:
+    """What moves together within a stage, contact active throughout.
 
     Attributes
     ----------
-    name, kind : str
-    actions : tuple of Action
+    move : tuple of Action
     bilateral : tuple of (str, int)
         Rows held: kind (``"locator"``, ``"clamp"`` with a stroke, ``"weld"``) and row number.
     loads : tuple of int
         Clamp rows that push with a force.
     released : tuple of (str, int)
-        Rows of the stage before that this one lets go.
+        Rows held before that this step lets go.
     dropped_loads : tuple of int
         Clamp rows whose force ends here.
     made : tuple of int
@@ -34,31 +33,75 @@ class StagePlan:
     closing : tuple of int
         Welds that close their gap here.
     sets_down : bool
-        Whether the parts are set down one by one, contact left for the next stage that changes anything.
+        Whether the parts are set down one by one, touching nothing yet.
+    settles : bool
+        Whether overlaps close from touching to what they are, and nothing else moves.
     resolves : bool
         Whether contact is resolved.
+    """
+
+    move: Move
+    bilateral: tuple[Row, ...]
+    loads: tuple[int, ...] = ()
+    released: tuple[Row, ...] = ()
+    dropped_loads: tuple[int, ...] = ()
+    made: tuple[int, ...] = ()
+    closing: tuple[int, ...] = ()
+    sets_down: bool = False
+    settles: bool = False
+    resolves: bool = False
+
+    @property
+    def load_rows(self) -> tuple[Row, ...]:
+        """Rows that carry a load during the step: clamp forces, then rows let go, whose reactions fade."""
+        return tuple(("clamp", i) for i in self.loads + self.dropped_loads) + self.released
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """One stage.
+
+    Attributes
+    ----------
+    name, kind : str
+    steps : tuple of Step
+        At least one.
+    path : {"followed", "increments", "one-step"}
+        How the steps are followed; ``"one-step"`` has no more than one step.
+    increments : int
+        Of each step, where the path has increments.
     reads : bool
         Whether the measurements are read at its end.
-    increments : int
     """
 
     name: str
     kind: str
-    actions: tuple[Action, ...]
-    bilateral: tuple[Row, ...]
-    loads: tuple[int, ...]
-    released: tuple[Row, ...]
-    dropped_loads: tuple[int, ...]
-    made: tuple[int, ...]
-    closing: tuple[int, ...]
-    sets_down: bool
-    resolves: bool
-    reads: bool
+    steps: tuple[Step, ...]
+    path: str
     increments: int
+    reads: bool
+
+    @property
+    def resolves(self) -> bool:
+        """Whether contact is resolved."""
+        return any(step.resolves for step in self.steps)
+
+    @property
+    def solves(self) -> int:
+        """Contact problems that a sample takes, but for those of a path that is followed: as many as it needs."""
+        return self.increments * sum(step.resolves for step in self.steps)
+
+    @property
+    def bilateral(self) -> tuple[Row, ...]:
+        """Rows held at its end."""
+        return self.steps[-1].bilateral
 
 
 def plan_stages(scene, weld_size) -> list[StagePlan]:
-    """Which rows each stage of a scene holds.
+    """The stages of a scene.
+
+    Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
+    anything, before it does.  ``path = "one-step"`` does everything that a stage does at once, what overlaps included.
 
     Parameters
     ----------
@@ -67,25 +110,41 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
         Rows of each weld.
     """
     joints, fixture, plans = Joints(tuple(weld_size)), Fixture(), []
+    before: list[Move] = []
+    unsettled = False
     for stage in scene.stages:
-        before, actions = fixture, tuple(SUGAR[stage.kind](scene, stage))
-        for action in actions:
-            fixture = action.apply(fixture)
-        plans.append(_plan(stage, actions, joints, before, fixture))
+        moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
+        before += moves
+        if stage.path == "one-step":
+            moves = [tuple(action for move in moves for action in move)]
+        steps = []
+        for move in moves or [()]:
+            after = fixture
+            for action in move:
+                after = action.apply(after)
+            step = _step(move, joints, fixture, after)
+            if unsettled and step.resolves:
+                unsettled = False
+                if stage.path != "one-step":
+                    held = _bilateral(fixture, joints)
+                    steps.append(Step((Settle(),), held, fixture.forces, settles=True, resolves=True))
+            unsettled |= step.sets_down
+            steps.append(step)
+            fixture = after
+        reads = any(isinstance(action, Read) for move in moves for action in move)
+        plans.append(StagePlan(stage.name, stage.kind, tuple(steps), stage.path, stage.increments or 1, reads))
     return plans
 
 
-def _plan(stage, actions, joints: Joints, before: Fixture, after: Fixture) -> StagePlan:
+def _step(move, joints: Joints, before: Fixture, after: Fixture) -> Step:
     held, now = _bilateral(before, joints), _bilateral(after, joints)
     added = [row for row in now if row not in held and row[0] != "weld"]  # a weld that is made moves nothing
     released = tuple(row for row in held if row not in now)
-    closing = tuple(i for action in actions if isinstance(action, Close) for i in action.gap)
-    sets_down = any(isinstance(action, SetDown) for action in actions)
+    closing = tuple(i for action in move if isinstance(action, Close) for i in action.gap)
+    sets_down = any(isinstance(action, SetDown) for action in move)
     changed = bool(added or released or closing or set(after.forces) != set(before.forces))
-    return StagePlan(
-        name=stage.name,
-        kind=stage.kind,
-        actions=actions,
+    return Step(
+        move=move,
         bilateral=now,
         loads=after.forces,
         released=released,
@@ -94,8 +153,6 @@ def _plan(stage, actions, joints: Joints, before: Fixture, after: Fixture) -> St
         closing=closing,
         sets_down=sets_down,
         resolves=changed and not sets_down,
-        reads=any(isinstance(action, Read) for action in actions),
-        increments=stage.increments,
     )
 
 

@@ -8,9 +8,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.contact import ContactSolver, laws
+from mic.contact.path import Followed, Trace
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
-from mic.process.stage import OUTPUTS, PreparedStage
+from mic.process.plan import plan_stages
+from mic.process.stage import OUTPUTS, PreparedStage, path_of
 from mic.process.state import ProcessState
 
 __all__ = ["TOLERANCE", "Process"]
@@ -35,6 +37,8 @@ class Process:
         Who solves the contacts: the native solver, or the paper's (OSQP for (12), ECOS for (13)).
     threads : int
         Threads of the native solver over the samples of a batch.
+    path_tolerance : float
+        Of the paths that are followed, see :class:`mic.contact.path.Followed`.
 
     Attributes
     ----------
@@ -47,36 +51,55 @@ class Process:
         If a stage leaves a part free to move.
     """
 
-    def __init__(self, model, law: str, tol: float = TOLERANCE, backend: str = "native", threads: int = 1):
+    def __init__(
+        self,
+        model,
+        law: str,
+        tol: float = TOLERANCE,
+        backend: str = "native",
+        threads: int = 1,
+        path_tolerance: float = Followed.tolerance,
+    ):
         self.model, self.law = model, law
         contacts = model.contacts
         # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
         smooth = contacts.dimension == 1 and not contacts.friction.any()
+        obeyed = laws.FRICTIONLESS if smooth else laws.find(law)
         solver_name = laws.find(law).paper_backend if backend == "paper" else "native"
+        solvers: dict[tuple, ContactSolver] = {}
 
-        def solver(stage):
-            if not stage.plan.resolves or not len(contacts):
-                return None
-            return ContactSolver(
-                stage.response.S,
-                contacts.friction,
-                law=laws.FRICTIONLESS if smooth else law,
-                backend=solver_name,
-                tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
-                threads=threads,
-                dimension=contacts.dimension,
-            )
+        def solver(eliminated):
+            """Steps that hold the same rows share it."""
+            held = eliminated.step.bilateral
+            if held not in solvers:
+                solvers[held] = ContactSolver(
+                    eliminated.response.S,
+                    contacts.friction,
+                    law=obeyed,
+                    backend=solver_name,
+                    tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
+                    threads=threads,
+                    dimension=contacts.dimension,
+                )
+            return solvers[held]
 
-        self.stages = [PreparedStage(stage, model, solver(stage)) for stage in model.eliminations]
+        self.stages = [
+            PreparedStage(plan, model.eliminations[plan.name], model, solver, path_of(plan, obeyed, path_tolerance))
+            for plan in plan_stages(model.scene, model.weld_size)
+        ]
 
     @property
     def redundant(self) -> list[str]:
         """One sentence for each row that a stage holds in vain, since its others hold it already."""
         return [
-            f"stage {stage.plan.name}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; "
+            f"stage {stage}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; "
             "its value has no effect"
-            for stage in self.stages
-            for kind, i in (stage.plan.bilateral[j] for j in stage.response.redundant)
+            for stage, kind, i in dict.fromkeys(
+                (stage.plan.name, *each.step.bilateral[j])
+                for stage in self.stages
+                for each in stage.steps
+                for j in each.response.redundant
+            )
         ]
 
     def evaluate(self, deviations: np.ndarray) -> Evaluation:
@@ -115,6 +138,7 @@ class Process:
                 force=nan(m, d),
                 displacement=nan(m, d),
                 state=np.zeros((n, m), np.int8),
+                trace=Trace(nan(m, 2), nan(m), nan(m), nan(m, 3), nan(), np.zeros(n, int), np.zeros(n, int)),
                 residual=nan(),
                 converged=np.zeros(n, bool),
                 iterations=np.zeros(n, int),
@@ -123,7 +147,7 @@ class Process:
                 reaction=nan(stage.bilateral.shape[0]),
             )
             for stage in self.stages
-            if stage.solver is not None
+            if stage.resolves
         }
         return Evaluation(
             law=self.law,

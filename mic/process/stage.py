@@ -1,14 +1,18 @@
-"""One stage, prepared: its bilateral rows eliminated, its contacts ready to be solved; it takes the state one step on.
+"""One stage, prepared: the bilateral rows of its steps eliminated, its contacts ready; it takes the state on.
 
-In stage z, with S, T and L of :class:`mic.compliance.elimination.Response`, prescribed values v and loads p,
+In each step of a stage, with S, T and L of :class:`mic.compliance.elimination.Response`, prescribed values v and
+loads p,
 
-    δ = S f + T v + L p,        b_n = g + (T v + L p)_n,        b_t = (T v + L p)_t − δ_t where the contact was left,
+    δ = S f + T v + L p,        b_n = g + (T v + L p)_n,        b_t = (T v + L p)_t,
 
-and the contact law ties f to ``u = S f + b``.
+and the contact law ties f to ``u = S f + b``, its slip measured from the contacts' anchors (`mic.contact.path`). With v
+and p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
+touching: ``b_n(s) = b_n + (1 − s) max(0, −b_n)``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,49 +20,55 @@ from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.elimination import Response, eliminate
 from mic.contact import ContactSolver
+from mic.contact.path import Followed, Increments, Path, PathSolution, Trace
 from mic.contact.states import classify
 from mic.errors import FreeMotion, SceneError
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
-from mic.process.path import Increments, Ramp
-from mic.process.plan import StagePlan, plan_stages
+from mic.process.path import Ramp
+from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.state import ProcessState
 
-__all__ = ["OUTPUTS", "EliminatedStage", "PreparedStage", "eliminate_stages"]
+__all__ = ["OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
 OUTPUTS = ("locator", "clamp", "weld", "measurement")  #: kinds of rows that are read at the end of a stage
 
 
 @dataclass(frozen=True)
-class EliminatedStage:
-    """One stage with its bilateral rows eliminated, whatever the contact law.
+class EliminatedStep:
+    """A step with its bilateral rows eliminated, whatever the contact law.
 
     Attributes
     ----------
-    plan : StagePlan
-    bilateral, load : (b, F), (l, F) csr_matrix
-        Rows held, and rows that push: clamp forces, then rows let go, which fade out.
+    step : Step
+    bilateral : (b, F) csr_matrix
+        Rows held.
     response : Response
-        Its output rows are those of all :data:`OUTPUTS`, in this order.
+        Its output rows are those of all :data:`OUTPUTS`, in this order; its loads are the step's. Steps that hold the
+        same rows share all of it but the loads.
     """
 
-    plan: StagePlan
+    step: Step
     bilateral: csr_matrix
-    load: csr_matrix
     response: Response
 
 
-def eliminate_stages(model) -> list[EliminatedStage]:
-    """Eliminate every stage of a reduced model; all contact laws share the outcome.
+def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
+    """Eliminate every step of every stage of a reduced model; all contact laws share the outcome.
 
     Parameters
     ----------
     model : mic.model.reduction.Reduction
 
+    Returns
+    -------
+    dict of str to list of EliminatedStep
+        By the stage's name.
+
     Raises
     ------
     SceneError
-        If a stage leaves a part free to move.
+        If a step leaves a part free to move.
     """
 
     def rows_of(rows):
@@ -66,20 +76,40 @@ def eliminate_stages(model) -> list[EliminatedStage]:
         return vstack([none, *(model.rows[kind][i] for kind, i in rows)], format="csr")
 
     output = vstack([model.rows[kind] for kind in OUTPUTS], format="csr")
-    stages = []
-    for plan in plan_stages(model.scene, model.weld_size):
-        bilateral = rows_of(plan.bilateral)
-        load = rows_of([("clamp", i) for i in plan.loads + plan.dropped_loads] + list(plan.released))
-        try:
-            response = eliminate(model.compliance, bilateral, model.rows["contact"], load, output)
-        except FreeMotion as error:
-            share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
-            raise SceneError(
-                f"stages ({plan.name}): {error}, mostly of part {model.scene.parts[int(np.argmax(share))].name!r}; "
-                "keep more locators in this stage, or join the part by welds with moment"
-            ) from error
-        stages.append(EliminatedStage(plan, bilateral, load, response))
-    return stages
+    plans = plan_stages(model.scene, model.weld_size)
+    loads: dict[tuple, dict] = {}  # by the rows held, all load rows that any step has with them
+    for plan in plans:
+        for step in plan.steps:
+            loads.setdefault(step.bilateral, {}).update(dict.fromkeys(step.load_rows))
+    shared: dict[tuple, tuple[csr_matrix, Response]] = {}
+    eliminated: dict[str, list[EliminatedStep]] = {}
+    for plan in plans:
+        for step in plan.steps:
+            held = step.bilateral
+            if held not in shared:
+                bilateral = rows_of(held)
+                try:
+                    response = eliminate(
+                        model.compliance, bilateral, model.rows["contact"], rows_of(loads[held]), output
+                    )
+                except FreeMotion as error:
+                    share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
+                    raise SceneError(
+                        f"stages ({plan.name}): {error}, mostly of part "
+                        f"{model.scene.parts[int(np.argmax(share))].name!r}; "
+                        "keep more locators in this stage, or join the part by welds with moment"
+                    ) from error
+                shared[held] = bilateral, response
+            bilateral, response = shared[held]
+            own = [list(loads[held]).index(row) for row in step.load_rows]
+            response = replace(
+                response,
+                L=response.L[:, own],
+                L_out=response.L_out[:, own],
+                reaction_L=response.reaction_L[:, own],
+            )
+            eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response))
+    return eliminated
 
 
 class PreparedStage:
@@ -87,17 +117,39 @@ class PreparedStage:
 
     Parameters
     ----------
-    stage : EliminatedStage
+    plan : StagePlan
+    steps : list of EliminatedStep
+        One for each step of the plan.
     model : mic.model.reduction.Reduction
-    solver : ContactSolver or None
-        None where the stage resolves no contact.
+    solver : function of a step
+        Gives the :class:`mic.contact.ContactSolver` of an :class:`EliminatedStep` that resolves contact.
+    path : mic.contact.path.Path
+        How its steps are followed.
     """
 
-    def __init__(self, stage: EliminatedStage, model, solver: ContactSolver | None):
-        self.plan, self.response, self.bilateral, self.solver = stage.plan, stage.response, stage.bilateral, solver
+    def __init__(
+        self,
+        plan: StagePlan,
+        steps: list[EliminatedStep],
+        model,
+        solver: Callable[[EliminatedStep], ContactSolver],
+        path: Path,
+    ):
+        self.plan, self.steps, self.path, self._solver = plan, steps, path, solver
         self._contacts, self._weld_first = model.contacts, model.joints.first
         edges = np.concatenate([[0], np.cumsum([model.rows[kind].shape[0] for kind in OUTPUTS])])
         self._output = {kind: slice(a, b) for kind, a, b in zip(OUTPUTS, edges, edges[1:])}
+        self.resolves = plan.resolves and len(model.contacts) > 0
+
+    @property
+    def response(self) -> Response:
+        """Of its last step."""
+        return self.steps[-1].response
+
+    @property
+    def bilateral(self) -> csr_matrix:
+        """(b, F) rows held at its end."""
+        return self.steps[-1].bilateral
 
     def advance(self, state: ProcessState, drive: Drive) -> tuple[ProcessState, Resolution | None]:
         """Take n assemblies through the stage.
@@ -109,98 +161,133 @@ class PreparedStage:
         resolution : Resolution or None
             None where no contact is resolved.
         """
-        plan = self.plan
-        frozen = self._make_welds(state, drive)
-        ramp = self._ramp(state, drive, frozen)
-        if self.solver is None:
-            v, p = ramp.at(1.0)
-            force, left, resolution = state.force, self._set_down(v, p, state), None
-        else:
-            force, left, resolution = self._resolve(state, drive, ramp)
+        start, solutions = state, []
+        for eliminated in self._needed():
+            state, solution = self._step(eliminated, state, drive)
+            solutions += [] if solution is None else [solution]
+        return state, self._resolution(start, state, solutions) if self.resolves else None
+
+    def _needed(self) -> list[EliminatedStep]:
+        """Without friction nothing remembers the way: of the steps, only those count that leave a weld behind."""
+        steps = self.steps
+        if not self.resolves or any(self._solver(each).law.frictional for each in steps if each.step.resolves):
+            return steps
+        return [
+            each for each, after in zip(steps, [*steps[1:], None]) if after is None or each.step.made or after.step.made
+        ]
+
+    def _step(self, eliminated, state, drive):
+        """The state after a step, and the path that its contacts went; None where they were not resolved."""
+        step, response = eliminated.step, eliminated.response
+        frozen = self._make_welds(step, state, drive)
+        ramp = self._ramp(step, state, drive, frozen)
         v, p = ramp.at(1.0)
-        reading, reaction = self._outcome(v, p, force)
+        force, left, anchor, solution = state.force, state.left, state.anchor, None
+        if step.resolves and len(self._contacts):
+            solution = self._resolve(eliminated, state, drive, ramp)
+            force = solution.force.reshape(force.shape)
+            left = solution.displacement.reshape(force.shape).copy()
+            left[:, :, 0] -= drive.gap
+            anchor = solution.anchor
+        elif step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
+            left = (v @ response.T.T + p @ response.L.T).reshape(left.shape)
+            anchor = left[:, :, 1:]
+        reading, reaction = self._outcome(response, v, p, force)
         after = ProcessState(
             reading=reading,
             force=force,
             left=left,
-            failed=state.failed if resolution is None else state.failed | ~resolution.converged,
-            value={row: v[:, j] for j, row in enumerate(plan.bilateral)},
-            reaction={row: reaction[:, j] for j, row in enumerate(plan.bilateral)},
-            push={i: drive.push[:, i] for i in plan.loads},
+            anchor=anchor,
+            failed=state.failed if solution is None else state.failed | ~solution.converged,
+            value={row: v[:, j] for j, row in enumerate(step.bilateral)},
+            reaction={row: reaction[:, j] for j, row in enumerate(step.bilateral)},
+            push={i: drive.push[:, i] for i in step.loads},
             frozen=frozen,
         )
-        return after, resolution if resolution is None else replace(resolution, reaction=reaction)
+        return after, solution
 
-    def _make_welds(self, state, drive):
+    def _make_welds(self, step, state, drive) -> Mapping[int, np.ndarray]:
         """What every weld row keeps: rows made here freeze what they find, unless the weld closes its gap first."""
-        frozen = dict(state.frozen) | {row: state.reading["weld"][:, row].copy() for row in self.plan.made}
-        return frozen | {int(self._weld_first[weld]): -drive.weld_gap[:, weld] for weld in self.plan.closing}
+        frozen = dict(state.frozen) | {row: state.reading["weld"][:, row].copy() for row in step.made}
+        return frozen | {int(self._weld_first[weld]): -drive.weld_gap[:, weld] for weld in step.closing}
 
-    def _ramp(self, state, drive, frozen) -> Ramp:
-        """From what the rows read, and the forces that act, to what the stage asks for."""
-        plan, n = self.plan, len(drive)
+    def _ramp(self, step, state, drive, frozen) -> Ramp:
+        """From what the rows read, and the forces that act, to what the step asks for."""
+        n = len(drive)
         none = np.zeros(n)
 
         def columns(arrays):
             return np.column_stack([np.zeros((n, 0)), *arrays])
 
-        start = [state.value.get(row, state.reading[row[0]][:, row[1]]) for row in plan.bilateral]
-        end = [frozen[i] if kind == "weld" else drive.target[kind][:, i] for kind, i in plan.bilateral]
-        fading = [none] * (len(plan.dropped_loads) + len(plan.released))
-        before = [state.push.get(i, none) for i in plan.loads + plan.dropped_loads]
+        start = [state.value.get(row, state.reading[row[0]][:, row[1]]) for row in step.bilateral]
+        end = [frozen[i] if kind == "weld" else drive.target[kind][:, i] for kind, i in step.bilateral]
+        fading = [none] * (len(step.dropped_loads) + len(step.released))
+        before = [state.push.get(i, none) for i in step.loads + step.dropped_loads]
         return Ramp(
             columns(start),
             columns(end),
-            columns(before + [state.reaction[row] for row in plan.released]),
-            columns([drive.push[:, i] for i in plan.loads] + fading),
+            columns(before + [state.reaction[row] for row in step.released]),
+            columns([drive.push[:, i] for i in step.loads] + fading),
         )
 
-    def _set_down(self, v, p, state):
-        """Where the contacts stand: parts set down one by one touch nothing yet; other stages without contact leave
-        them."""
-        if not self.plan.sets_down or not len(self._contacts):
-            return state.left
-        return (v @ self.response.T.T + p @ self.response.L.T).reshape(state.left.shape)
+    def _resolve(self, eliminated, state, drive, ramp) -> PathSolution:
+        """Follow the ramp, or the overlaps that close."""
+        response, n = eliminated.response, len(drive)
 
-    def _resolve(self, state, drive, ramp):
-        """Follow the ramp; returns contact forces, where the contacts were left, and what is known of the solution."""
-        response, solver, shape = self.response, self.solver, state.left.shape
-        n = len(drive)
-        force, left = state.force, state.left
-        converged, residual, iterations = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n, dtype=int)
-        for s in Increments(self.plan.increments).steps():
+        def unloaded(s):
             v, p = ramp.at(s)
-            free = (v @ response.T.T + p @ response.L.T).reshape(shape)
-            b = free - left
-            b[:, :, 0] = drive.gap + free[:, :, 0]
-            # Where Coulomb's law has several solutions, take the one that continues the state before.
-            solution = solver.solve(b.reshape(n, -1), guess=force.reshape(n, -1))
-            force = solution.force.reshape(shape)
-            converged &= solution.converged
-            residual = np.maximum(residual, solution.residual)
-            iterations = iterations + solution.iterations
-            left = free + (solution.force @ response.S).reshape(shape)
-        displacement = solution.displacement.reshape(shape)
-        if self.plan.increments > 1:  # the solver's slip is that of the last increment
-            displacement[:, :, 1:] = (left - state.left)[:, :, 1:]
-        friction = self._contacts.friction if solver.law.frictional else 0.0
-        resolution = Resolution(
-            stage=self.plan.name,
-            force=force.copy(),
-            displacement=displacement,
-            state=classify(force, friction),
-            residual=residual,
-            converged=converged,
-            iterations=iterations,
-            status=np.asarray(solution.status),
-            rung=np.asarray(solution.rung),
-            reaction=np.zeros((n, 0)),
-        )
-        return force, left, resolution
+            b = (v @ response.T.T + p @ response.L.T).reshape(state.left.shape)
+            b[:, :, 0] += drive.gap
+            return b
 
-    def _outcome(self, v, p, force):
+        start, end = unloaded(0.0), unloaded(1.0)
+        if eliminated.step.settles:
+            start[:, :, 0] = np.maximum(start[:, :, 0], 0.0)
+        way = np.stack([start.reshape(n, -1), end.reshape(n, -1)], axis=1)
+        return self._solver(eliminated).follow(way, state.force.reshape(n, -1), state.anchor, self.path)
+
+    def _resolution(self, start, end, solutions) -> Resolution:
+        last, n = solutions[-1], len(end.force)
+        trace = Trace.start(n, len(self._contacts))
+        for solution in solutions:
+            trace = trace + solution.trace
+        displacement = last.displacement.reshape(end.force.shape).copy()
+        displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
+        resolving = next(each for each in reversed(self.steps) if each.step.resolves)
+        solver = self._solver(resolving)
+        return Resolution(
+            stage=self.plan.name,
+            force=end.force.copy(),
+            displacement=displacement,
+            state=classify(end.force, solver.mu),
+            trace=trace.over(len(solutions)),
+            residual=np.max([solution.residual for solution in solutions], axis=0),
+            converged=np.all([solution.converged for solution in solutions], axis=0),
+            iterations=np.sum([solution.iterations for solution in solutions], axis=0),
+            status=last.status,
+            rung=_worst_rung(solutions),
+            reaction=np.column_stack([np.zeros((n, 0)), *(end.reaction[row] for row in self.plan.bilateral)]),
+        )
+
+    def _outcome(self, response, v, p, force):
         """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows."""
-        response, f = self.response, force.reshape(len(force), -1)
+        f = force.reshape(len(force), -1)
         reading = v @ response.T_out.T + p @ response.L_out.T + f @ response.S_out.T
         reaction = v @ response.reaction_T.T + p @ response.reaction_L.T + f @ response.reaction_S.T
         return {kind: reading[:, own] for kind, own in self._output.items()}, reaction
+
+
+def _worst_rung(solutions):
+    """Of each sample, the rung of the last step; one that had to be rescued stays so."""
+    rung = solutions[-1].rung.copy()
+    for solution in solutions:
+        rescued = (solution.rung != "followed") & (rung == "followed")
+        rung[rescued] = solution.rung[rescued]
+    return rung
+
+
+def path_of(plan: StagePlan, law, tolerance: float) -> Path:
+    """How a stage's steps are followed under a law."""
+    if plan.path == "followed" and law.followed:
+        return Followed(tolerance)
+    return Increments(plan.increments)

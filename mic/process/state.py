@@ -28,6 +28,8 @@ class ProcessState:
         Contact forces, N.
     left : (n, m, d) array
         Relative displacement δ at which each contact was left, mm.
+    anchor : (n, m, d - 1) array
+        Where its slip goes on from, mm (`mic.contact.path`).
     value : dict of (str, int) to (n,) array
         Values that the bilateral rows hold.
     reaction : dict of (str, int) to (n,) array
@@ -43,6 +45,7 @@ class ProcessState:
     reading: Mapping[str, np.ndarray]
     force: np.ndarray
     left: np.ndarray
+    anchor: np.ndarray
     failed: np.ndarray
     value: Mapping[Row, np.ndarray] = field(default_factory=dict)
     reaction: Mapping[Row, np.ndarray] = field(default_factory=dict)
@@ -53,4 +56,5 @@ class ProcessState:
     def start(cls, n: int, m: int, d: int, rows: Mapping[str, int]) -> ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and so many rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
-        return cls(reading, np.zeros((n, m, d)), np.zeros((n, m, d)), np.zeros(n, dtype=bool))
+        none = np.zeros((n, m, d))
+        return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool))

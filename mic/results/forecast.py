@@ -68,7 +68,7 @@ def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecas
     """
     contacts = assembly.contacts
     resolved = [plan for plan in plan_stages(assembly.scene, assembly.weld_size) if plan.resolves and len(contacts)]
-    solves = len(contacts) * sum(plan.increments for plan in resolved)
+    solves = len(contacts) * sum(plan.solves for plan in resolved)
     stored = BYTES * len(contacts) * len(resolved) + PER_SAMPLE
     if assembly.scene.report.fields:
         stored += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))

@@ -229,14 +229,27 @@ class Stage(_Table):
     keep: list[Name] | None = Field(
         None, description="release only: the locators that still hold the assembly; all if left out"
     )
-    increments: Annotated[int, Field(ge=1)] = Field(
-        1, description="load increments of the contact resolution; friction depends on the path"
+    order: list[list[Name]] | None = Field(
+        None,
+        description="what closes, or opens, one after the other: groups of names, each group together; left out, "
+        "locators come before clamps, clamps as the file has them, welds together, and a release is the reverse",
+    )
+    sequence: bool = Field(False, description="weld only: one weld after the other, in the order of the file")
+    path: Literal["followed", "increments", "one-step"] = Field(
+        "followed",
+        description="how friction's path is followed: `followed` by steps of controlled error; `increments`, so many "
+        "equal ones for each step of the process; `one-step`, all that the stage does at once, as the paper has it",
+    )
+    increments: Annotated[int, Field(ge=1)] | None = Field(
+        None, description='of each step of the process; makes path = "increments"'
     )
 
     @model_validator(mode="after")
     def _fill(self):
         if self.keep is not None and self.kind != "release":
             raise ValueError(f"keep applies to release stages only, this one is of kind {self.kind!r}: remove it")
+        if self.increments is not None and "path" not in self.model_fields_set:
+            object.__setattr__(self, "path", "increments")
         if self.name is None:
             object.__setattr__(self, "name", self.kind)
         return self

@@ -64,4 +64,5 @@ COULOMB = Law(
     shift=1.0,
     equation=equation,
     gauss_seidel=True,
+    followed=True,
 )

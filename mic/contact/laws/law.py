@@ -82,6 +82,8 @@ class Law(metaclass=_FormerEnumeration):
         so it calls nothing but ``math``, ``numpy`` and what Numba compiled.  None for a law without friction only.
     gauss_seidel : bool
         Whether the exact solution of a single contact in the Gauss-Seidel sweeps is this law's.
+    followed : bool
+        Whether small steps of the law tend to the law itself, so that its path can be followed.
     paper_backend : str
         The backend that the paper used for it; native where the paper had none.
 
@@ -99,6 +101,7 @@ class Law(metaclass=_FormerEnumeration):
     shift: float = 0.0
     equation: Callable | None = None
     gauss_seidel: bool = False
+    followed: bool = False
     paper_backend: str = "native"
 
     def __post_init__(self):

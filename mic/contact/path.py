@@ -1,0 +1,225 @@
+"""How contacts get from one load to the next: friction has memory, so that the way there is part of the answer.
+
+Between two loads the displacements without contact forces go straight from ``b⁰`` to ``b¹``, ``b(s) = b⁰ + s (b¹ -
+b⁰)``, and ``u = S f + b(s)``.  A contact that slips moves against its force, and one that sticks or is open does not
+slip; where each of them stands, the point from which its slip is measured, is the *anchor* ``a`` (m, 2).  One step of
+backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.
+
+:class:`Increments` takes equal steps of this kind, first order.  :class:`Followed` is of second order and controls its
+error (:mod:`mic.contact.native.follower`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+
+import numpy as np
+
+from mic.contact.states import OPEN, SLIP, STICK, classify
+
+__all__ = ["Followed", "Increments", "Path", "PathSolution", "Trace"]
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Equal steps of backward Euler's method.
+
+    Attributes
+    ----------
+    count : int
+    """
+
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Steps of second order, as long as their error allows.
+
+    Attributes
+    ----------
+    tolerance : float
+        Error of a step, of the motion that the load asks of the contacts (root mean squares over the contacts).
+    steps : int or None
+        So many equal steps instead, whatever their error: to show the order of the method.
+    """
+
+    tolerance: float = 1e-3
+    steps: int | None = None
+
+
+Path = Increments | Followed
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What n samples of m contacts went through on a path.
+
+    Attributes
+    ----------
+    slip : (n, m, 2) array
+        Net slip under load: tangential motion of the anchor while the contact was closed, mm.
+    length : (n, m) array
+        Its length along the way, mm.
+    work : (n, m) array
+        Work dissipated by friction, N mm; never negative.
+    share : (n, m, 3) array
+        Shares of the path that the contact was open, stuck and slipping.
+    error : (n,) array
+        Estimate of the error that the path left in the contacts' tangential positions, root mean square over the
+        contacts, mm; NaN where nothing estimates it.
+    steps, factorisations : (n,) int array
+        What it took.
+    """
+
+    slip: np.ndarray
+    length: np.ndarray
+    work: np.ndarray
+    share: np.ndarray
+    error: np.ndarray
+    steps: np.ndarray
+    factorisations: np.ndarray
+
+    @classmethod
+    def start(cls, n: int, m: int) -> Trace:
+        """Nothing has happened yet."""
+        none = np.zeros(n, dtype=np.int64)
+        return cls(
+            np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3)), np.zeros(n), none, none.copy()
+        )
+
+    def __add__(self, other: Trace) -> Trace:
+        """One after the other; shares add up, to be divided by the number of paths."""
+        return Trace(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(Trace)})
+
+    def over(self, paths: int) -> Trace:
+        """The trace of so many paths in a row, its shares those of the whole."""
+        values = {field.name: getattr(self, field.name) for field in fields(Trace)}
+        return Trace(**values | {"share": self.share / max(paths, 1)})
+
+
+@dataclass(frozen=True)
+class PathSolution:
+    """Where n samples ended.
+
+    Attributes
+    ----------
+    force : (n, 3m) array
+    displacement : (n, 3m) array
+        ``u = S f + b¹``.
+    anchor : (n, m, 2) array
+        Where the contacts stand, from which slip goes on.
+    trace : Trace
+    residual : (n,) array
+        The largest of the steps whose certificate was taken: all increments, or the end of a followed path.
+    converged : (n,) bool array
+    iterations : (n,) int array
+    status, rung : (n,) object array
+        Of the last step; the rung is ``"followed"`` where the path was.
+    """
+
+    force: np.ndarray
+    displacement: np.ndarray
+    anchor: np.ndarray
+    trace: Trace
+    residual: np.ndarray
+    converged: np.ndarray
+    iterations: np.ndarray
+    status: np.ndarray
+    rung: np.ndarray
+
+
+def follow(solver, b, force, anchor, path: Path) -> PathSolution:
+    """Path by path, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""
+    n, loads, _ = b.shape
+    m, d = solver.contacts, solver.dimension
+    force = np.zeros((n, d * m)) if force is None else force
+    anchor = b[:, 0].reshape(n, m, d)[:, :, 1:] if anchor is None else anchor
+    if not solver.law.frictional:
+        return _without_memory(solver, b[:, -1], force)
+    legs = []
+    for k in range(loads - 1):
+        leg = increments(
+            solver, b[:, k], b[:, k + 1], force, anchor, path.count if isinstance(path, Increments) else 16
+        )
+        force, anchor = leg.force, leg.anchor
+        legs.append(leg)
+    return reduce(_joined, legs)
+
+
+def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
+    """Equal steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
+    n, m = len(b0), solver.contacts
+    mu = solver.mu
+    trace = Trace.start(n, m)
+    error = np.full(n, np.nan)
+    slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
+    converged, residual = np.ones(n, dtype=bool), np.zeros(n)
+    iterations, factorisations = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    for step in range(1, count + 1):
+        b = b0 + (step / count) * (b1 - b0)
+        b = b.reshape(n, m, 3).copy()
+        b[:, :, 1:] -= anchor
+        # Where Coulomb's law has several solutions, take the one that continues the state before.
+        solution = solver.solve(b.reshape(n, -1), guess=force)
+        moved = solution.displacement.reshape(n, m, 3)[:, :, 1:]
+        before, now = (f.reshape(n, m, 3) for f in (force, solution.force))
+        state = classify(now, mu)
+        closed = state != OPEN
+        slid = np.where((state == SLIP)[:, :, None], moved, 0.0)
+        slip, length = slip + slid, length + np.linalg.norm(slid, axis=-1)
+        # The trapezoidal rule where the contact was closed before, else its force has grown from nothing.
+        work = work - np.sum(0.5 * (before + now)[:, :, 1:] * slid, axis=-1)
+        share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) / count
+        anchor = anchor + moved
+        force = solution.force
+        converged &= solution.converged
+        residual = np.maximum(residual, solution.residual)
+        iterations = iterations + solution.iterations
+    u = (force @ solver.S + b1).reshape(n, -1)
+    steps = np.full(n, count, dtype=np.int64)
+    return PathSolution(
+        force,
+        u,
+        anchor,
+        Trace(slip, length, work, share, error, steps, factorisations),
+        residual,
+        converged,
+        iterations,
+        np.asarray(solution.status),
+        np.asarray(solution.rung),
+    )
+
+
+def _without_memory(solver, b, guess) -> PathSolution:
+    """Without friction nothing but the load at the end counts."""
+    solution = solver.solve(b, guess=guess)
+    n, m = len(b), solver.contacts
+    u = solution.displacement.reshape(n, m, -1)
+    state = classify(solution.force.reshape(n, m, -1), solver.mu)
+    share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
+    trace = replace(Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64))
+    return PathSolution(
+        solution.force,
+        solution.displacement,
+        u[:, :, 1:],
+        trace,
+        solution.residual,
+        solution.converged,
+        solution.iterations,
+        np.asarray(solution.status),
+        np.asarray(solution.rung),
+    )
+
+
+def _joined(a: PathSolution, b: PathSolution) -> PathSolution:
+    """Two paths in a row; the shares of the path are left summed."""
+    return replace(
+        b,
+        trace=a.trace + b.trace,
+        residual=np.maximum(a.residual, b.residual),
+        converged=a.converged & b.converged,
+        iterations=a.iterations + b.iterations,
+        rung=np.where(a.rung == b.rung, b.rung, np.where(a.rung == "followed", b.rung, a.rung)),
+    )
