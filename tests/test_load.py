@@ -72,9 +72,10 @@ BAD = {
     "its build is no function": ("build = 3", "must define build"),
     "nothing returned": (
         "def build(part, size):\n    pass",
-        "must return two arrays, points and triangles, not NoneType",
+        "must return two arrays, points and triangles, or three.* not NoneType",
     ),
-    "three returned": (BUILD + "1, 2, 3", "must return two arrays"),
+    "four returned": (BUILD + "1, 2, 3, 4", "must return two arrays"),
+    "normals of vertices": (BUILD + POINTS + ", [[0, 1, 2]], " + POINTS, "one at each corner of each triangle"),
     "strings": (BUILD + "'points', 'triangles'", "points that are no numbers"),
     "ragged": (BUILD + "[[0, 0, 0], [1, 0]], [[0, 1, 2]]", "differ in length"),
     "plane points": (BUILD + "[[0, 0], [1, 0], [1, 1]], [[0, 1, 2]]", r"shape \(n, 3\), not \(3, 2\)"),

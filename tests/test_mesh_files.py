@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mic.errors import FormatError
+from mic.geometry.normals import Rule
 from mic.geometry.readers import READERS, read_mesh
 from mic.geometry.readers.vtu import read_vtu, write_vtu
-from mic.geometry.surface import Surface
 
 # One square of two sheets' elements: a quadrilateral from x = 0 to 1 and a triangle beside it; areas 1 and 0.5.
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.0]])
@@ -182,16 +182,16 @@ def test_a_file_that_a_library_wrote_is_read(tmp_path, suffix):
         pytest.importorskip(WRITTEN[suffix])
     sheet = meshlane.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [0, 2, 3], [1, 4, 2]]))])
     meshlane.write(tmp_path / f"sheet{suffix}", sheet)
-    points, triangles, _ = read_mesh(tmp_path / f"sheet{suffix}")
-    assert points == pytest.approx(POINTS) and Surface(points, triangles).areas.sum() == pytest.approx(1.5)
+    surface, _ = read_mesh(tmp_path / f"sheet{suffix}")
+    assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_of_each_format_is_read(tmp_path, name):
     (tmp_path / name).write_text(FILES[name])
-    points, triangles, report = read_mesh(tmp_path / name)
-    surface = Surface(points, triangles)
-    assert len(triangles) == 3 and report.pieces == 1 and not report.triangles_turned
+    surface, report = read_mesh(tmp_path / name)
+    points = surface.points
+    assert len(surface.triangles) == 3 and report.pieces == 1 and not report.triangles_turned
     assert surface.areas.sum() == pytest.approx(1.5) and surface.normals[:, 2] == pytest.approx(1)
     assert points[np.lexsort(points.T)] == pytest.approx(POINTS[np.lexsort(POINTS.T)])
 
@@ -201,13 +201,13 @@ def test_a_file_of_each_format_is_read(tmp_path, name):
 )
 def test_no_sheet_element_of_a_deck_is_passed_over(tmp_path, kinds):
     (tmp_path / "a.inp").write_text(ABAQUS.replace("S4R", kinds[0]).replace("S3", kinds[1]))
-    assert len(read_mesh(tmp_path / "a.inp")[1]) == 3
+    assert len(read_mesh(tmp_path / "a.inp")[0].triangles) == 3
 
 
 def test_instances_of_a_deck_are_placed(tmp_path):
     instance = "*Assembly, name=A\n*Instance, name=P-1, part=P\n 0., 0., 7.\n*End Instance\n*End Assembly\n"
     (tmp_path / "a.inp").write_text(ABAQUS + instance)
-    assert read_mesh(tmp_path / "a.inp")[0] == pytest.approx(POINTS + [0, 0, 7])
+    assert read_mesh(tmp_path / "a.inp")[0].points == pytest.approx(POINTS + [0, 0, 7])
 
 
 @pytest.mark.parametrize("name, text", [("a.bdf", NASTRAN_FREE), ("a.inp", ABAQUS)])
@@ -215,8 +215,8 @@ def test_points_keep_the_order_of_the_file_whatever_their_numbers(tmp_path, name
     numbered = re.sub(r"(?<![\w.])3(?![\w.])", "30", text)  # the third of five, and the highest number
     assert numbered.count("30") == 3
     (tmp_path / name).write_text(numbered)
-    points, triangles, _ = read_mesh(tmp_path / name)
-    assert points == pytest.approx(POINTS) and Surface(points, triangles).areas.sum() == pytest.approx(1.5)
+    surface, _ = read_mesh(tmp_path / name)
+    assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("version", [2.2, 4.1])
@@ -238,9 +238,58 @@ def test_gmsh_files_are_read_though_only_some_elements_are_in_a_group(tmp_path, 
         gmsh.write(str(tmp_path / "sheet.msh"))
     finally:
         gmsh.finalize()
-    points, triangles, report = read_mesh(tmp_path / "sheet.msh")
-    assert Surface(points, triangles).areas.sum() == pytest.approx(12)
+    surface, report = read_mesh(tmp_path / "sheet.msh")
+    assert surface.areas.sum() == pytest.approx(12)
     assert report.pieces == 1 and report.quadrilaterals_split
+
+
+#: A part of the sheet's corners with normals: those of the element 2 at 10 and 3, or of the points 2 and 3.
+NORMALS = {
+    "snorm.bdf": (
+        NASTRAN_FREE.replace("CTRIA3", "SNORM,2,,0.,.6,.8\nSNORM,3,0,0.,0.,-2.\nCTRIA3"),
+        {1: (0, 0.6, 0.8), 2: (0, 0, 1)},
+    ),
+    "normal.inp": (
+        ABAQUS.replace("*Elset", "*Normal\n** a comment\n2, 10, 0., .6, .8\n2, 3, 0., 0., -2.\n*Elset"),
+        {4: (0, 0.6, 0.8), 2: (0, 0, 1)},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NORMALS)
+def test_a_deck_s_normals_are_those_of_the_corners(tmp_path, name):
+    text, normals = NORMALS[name]
+    (tmp_path / name).write_text(text)
+    surface, _ = read_mesh(tmp_path / name)
+    triangle = int(np.flatnonzero((surface.triangles == 4).any(axis=1))[0])
+    told = surface.curvature.rule == Rule.GIVEN
+    for corner, point in enumerate(surface.triangles[triangle]):
+        assert told[triangle, corner] == (point in normals)
+        if point in normals:
+            assert surface.corner_normals[triangle, corner] == pytest.approx(normals[point])
+    if name.endswith("inp"):  # one element's alone
+        assert told.sum() == 2
+    else:
+        assert told[surface.triangles == 2].all() and told.sum() == told[np.isin(surface.triangles, (1, 2))].sum()
+
+
+def test_normals_follow_instances_and_repair(tmp_path):
+    """Two placed instances of a part with a quadrilateral and a triangle that runs the other way round."""
+    part = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 2").replace(
+        "*Elset", "*Normal\n2, 10, 0., .6, .8\n1, 4, .6, 0., .8\n*Elset"
+    )
+    instances = "".join(f"*Instance, name=P-{z}, part=P\n 0., 0., {z}.\n*End Instance\n" for z in (0, 7))
+    (tmp_path / "a.inp").write_text(f"{part}*Assembly, name=A\n{instances}*End Assembly\n")
+    surface, report = read_mesh(tmp_path / "a.inp")
+    assert report.pieces == 2 and report.triangles_turned == 2
+    told = surface.curvature.rule == Rule.GIVEN
+    x = surface.points[surface.triangles]
+    assert told.sum() == np.sum((x[told][:, 0] == 2) | (x[told][:, 0] == 0))
+    for place, normal in (((2, 0), (0, 0.6, 0.8)), ((0, 1), (0.6, 0, 0.8))):
+        here = told & (x[..., :2] == place).all(axis=2)
+        assert np.unique(x[here][:, 2]).tolist() == [0, 7] and surface.corner_normals[here] == pytest.approx(
+            np.tile(normal, (here.sum(), 1))
+        )
 
 
 BAD = {
@@ -254,6 +303,20 @@ BAD = {
     "a node that is not there.inp": (
         re.sub(r"\*(End )?Part.*\n", "", ABAQUS).replace("2, 2, 10, 3", "2, 2, 17, 3"),
         "undefined id",
+    ),
+    "normals by set.inp": (
+        ABAQUS.replace("*Elset", "*Normal\nE, 10, 0., 0., 1.\n*Elset"),
+        "is not the numbers of an element",
+    ),
+    "normals of a turned instance.inp": (
+        ABAQUS.replace("*Elset", "*Normal\n2, 10, 0., 0., 1.\n*Elset")
+        + "*Assembly, name=A\n*Instance, name=P-1, part=P\n 0., 0., 7.\n 0., 0., 0., 0., 0., 1., 90.\n*End Instance\n"
+        "*End Assembly\n",
+        "turns an instance",
+    ),
+    "normals in a system.bdf": (
+        NASTRAN_FREE.replace("CTRIA3", "SNORM,2,7,0.,.6,.8\nCTRIA3"),
+        "normals are given in coordinate system 7",
     ),
     "bricks.inp": (ABAQUS.replace("S3", "C3D4").replace("2, 10, 3", "2, 10, 3, 1"), r"solid elements \(C3D4"),
     "continuum shells.inp": (ABAQUS.replace("S3", "SC6R"), r"solid elements \(SC6R"),
@@ -346,8 +409,8 @@ def test_fields_come_back_from_a_vtu_as_they_went_in(tmp_path):
     assert set(found) == set(data)
     assert all(np.array_equal(found[name], data[name]) for name in data)
     assert [file.name for file in path.parent.iterdir()] == [path.name]  # nothing half written stays behind
-    again = read_mesh(path)
-    assert np.array_equal(again[0], points) and np.array_equal(again[1], triangles)
+    again, _ = read_mesh(path)
+    assert np.array_equal(again.points, points) and np.array_equal(again.triangles, triangles)
 
 
 def test_a_damaged_field_file_is_refused(tmp_path):

@@ -141,7 +141,7 @@ def test_stretching_of_a_cylinder_by_hand():
     from mic.geometry.surface import Surface
 
     length, width, c = 100.0, 20.0, 1e-3
-    points, triangles = extrude([(0.0, 0.0), (width, 0.0)], 0.0, length, 1.0)
+    points, triangles, _ = extrude([(0.0, 0.0), (width, 0.0)], 0.0, length, 1.0)
     part = SimpleNamespace(name="strip", surface=Surface(points, triangles), young=2e5, poisson=0.3, thickness=1.0)
     x = points[:, 0]
 

@@ -52,7 +52,7 @@ def build(folder: Path, sheets: dict, turn: np.ndarray | None = None, **tables) 
     parts = []
     for name, sheet in sheets.items():
         x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))
-        points, triangles = extrude([(0.0, z), (width, z)], x, length, size)
+        points, triangles, _ = extrude([(0.0, z), (width, z)], x, length, size)
         mesh = write_mesh(folder, points if turn is None else points @ np.asarray(turn).T, triangles)
         parts.append({"name": name, "mesh": mesh} | {key: sheet[key] for key in ("thickness", "young", "poisson")})
     return Scene(parts=parts, folder=folder, **tables)

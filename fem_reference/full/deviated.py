@@ -14,7 +14,7 @@ __all__ = ["deviated_parts", "opening"]
 
 
 def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
-    """Parts on the meshes that carry the shape deviation, the frames of contacts and welds turned with the surface.
+    """Parts on the meshes that carry the shape deviation, normals and frames of contacts and welds turned with it.
 
     Patches keep their material points. What the fixture prescribes (locators, clamps, measurements) keeps its direction
     in space.
@@ -25,9 +25,7 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
     fields : mapping of str to (n_points, 6) array
         Displacements and rotations of the deviation at the vertices of each part, mm and rad.
     """
-    surfaces = [
-        Surface(part.surface.points + fields[part.name][:, :3], part.surface.triangles) for part in assembly.parts
-    ]
+    surfaces = [_deviated(part.surface, fields[part.name]) for part in assembly.parts]
     direction = [part.functionals.direction.copy() for part in assembly.parts]
     for kind in ("contact", "weld"):
         rows = assembly.rows[kind]
@@ -62,6 +60,12 @@ def opening(assembly, kind: str, parts: list[Part]) -> np.ndarray:
         for version in (assembly.parts, parts)
     )
     return after - before
+
+
+def _deviated(surface, field):
+    """A surface displaced at its vertices, its normals turned by the rotations there: n + θ × n, to first order."""
+    normals, rotation = surface.corner_normals, field[surface.triangles, 3:]
+    return Surface(surface.points + field[:, :3], surface.triangles, normals + np.cross(rotation, normals))
 
 
 def _position(part):

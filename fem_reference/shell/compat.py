@@ -28,6 +28,7 @@ from fem_reference.shell.versions import supported
 
 __all__ = [
     "assemble_matrix",
+    "cell_constants",
     "cell_dofs",
     "cell_points",
     "compile_form",
@@ -89,6 +90,20 @@ def p2_crouzeix_raviart(mesh: dmesh.Mesh) -> fem.FunctionSpace:
     displacement = basix.ufl.element("Lagrange", "triangle", 2, shape=(3,))
     rotation = basix.ufl.element("CR", "triangle", 1, shape=(3,))
     return _function_space(mesh, basix.ufl.mixed_element([displacement, rotation]))
+
+
+def cell_constants(mesh: dmesh.Mesh, values: np.ndarray) -> fem.Function:
+    """A function that is constant in each cell; `values` (c, m) are those of the c cells that this process owns."""
+    m = values.shape[1]
+    if _LEGACY:
+        element = ufl.VectorElement("DG", mesh.ufl_cell(), 0, dim=m)
+    else:
+        element = basix.ufl.element("DG", "triangle", 0, shape=(m,))
+    function = fem.Function(_function_space(mesh, element))
+    dof = cell_dofs(function.function_space)[: len(values), :1]
+    function.x.array[m * dof + np.arange(m)] = values
+    function.x.scatter_forward()  # to the processes that have a cell as a ghost
+    return function
 
 
 def _function_space(mesh, element) -> fem.FunctionSpace:

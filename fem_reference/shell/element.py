@@ -1,4 +1,4 @@
-"""Linear shell elements on flat triangles in space, written as their theory is printed.
+"""Linear shell elements on triangles in space, written as their theory is printed.
 
 The shell carries displacements u and rotations θ (three components each). In the frame (e1, e2, e3) of a
 triangle, e3 normal, u = (u1, u2, w); the normal fibre tilts by β = e3 × θ, so that γ = ∇w − β is the transverse shear
@@ -14,12 +14,13 @@ Two elements, chosen because they share nothing but (1) and (2):
 
 `dkt_opt`
     (u, θ) linear, six freedoms per vertex. Kirchhoff plate theory held at discrete points (DKT: Batoz, Bathe and Ho
-    1980) and Felippa's optimal membrane triangle with drilling freedoms (OPT: Felippa 2003). No shear strain, no
-    penalty.
+    1980) and Felippa's optimal membrane triangle with drilling freedoms (OPT: Felippa 2003), its strain measured on
+    the curved surface that normals at the triangle's corners tell of. No shear strain, no penalty. Where the normals
+    are the triangle's own, what is left is DKT and OPT as published.
 
 `p2_cr`
     u quadratic, θ Crouzeix–Raviart (Campello, Pimenta and Wriggers 2003; Bleyer, Numerical Tours of Computational
-    Mechanics with FEniCS). Reissner–Mindlin theory with a drilling penalty.
+    Mechanics with FEniCS). Reissner–Mindlin theory with a drilling penalty. Its triangles are flat.
 
 All integrands are of degree two at most and one quadrature degree is used throughout: FFCx 0.5 generates
 wrong matrices where one integral mixes degrees.
@@ -42,11 +43,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import ufl
 from ufl import as_matrix, as_vector, cross, dot, grad, inner, outer, sqrt, sym, tr
 
 from fem_reference.shell import compat
 from fem_reference.shell.interpolation import CROUZEIX_RAVIART, P1, P2, Interpolation
+from mic.geometry.surface import Surface
 
 __all__ = [
     "DRILLING_PENALTY",
@@ -60,8 +63,8 @@ __all__ = [
     "dkt_curvature",
     "dkt_opt",
     "kinematics",
+    "membrane_strain",
     "opt_beta0",
-    "opt_strain",
     "p2_cr",
     "plane_stress",
     "triangle",
@@ -98,12 +101,15 @@ class Triangle(NamedTuple):
     edges = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
+def unit(a):
+    return a / sqrt(dot(a, a))
+
+
 def triangle(mesh) -> Triangle:
     """The `Triangle` of each cell of a mesh, as UFL expressions."""
     jacobian = ufl.Jacobian(mesh)  # columns: edges 0→1 and 0→2
     side1, side2 = (as_vector([jacobian[i, c] for i in range(3)]) for c in (0, 1))
     origin = as_vector([ufl.geometry.CellVertices(mesh)[0, i] for i in range(3)])
-    unit = lambda a: a / sqrt(dot(a, a))
     e1, e3 = unit(side1), unit(cross(side1, side2))
     e2 = cross(e3, e1)
     length, (b, height) = sqrt(dot(side1, side1)), (dot(side2, e1), dot(side2, e2))
@@ -174,6 +180,24 @@ def kinematics(T: Triangle, u, θ) -> Kinematics:
 # ---------------------------------------------------------------------------------------------- DKT + OPT
 
 
+class Corners(NamedTuple):
+    """What the curved edges read off the triangle's corners; vectors of space."""
+
+    normal: list  #: n0, n1, n2
+    rotation: list  #: θ0, θ1, θ2
+    relative: list  #: θ′: θ less the rotation of the triangle, which follows from ∇u
+    grad_u: ufl.core.expr.Expr  #: ∂u/∂x_β, (3, 2): times a chord it is the difference of u between its ends
+
+
+def corners(T: Triangle, v: Kinematics, u, θ, normals) -> Corners:
+    P = T.frame
+    grad_θ = dot(grad(θ), P)
+    rotation = [θ + dot(grad_θ, vertex - T.position) for vertex in T.vertex]  # θ is linear
+    e1, e2 = (as_vector([P[i, c] for i in range(3)]) for c in (0, 1))
+    of_triangle = v.grad_w[1] * e1 - v.grad_w[0] * e2 + v.rotation_of_u * T.normal
+    return Corners(normals, rotation, [one - of_triangle for one in rotation], dot(grad(u), P))
+
+
 def dkt_curvature(T: Triangle, v: Kinematics):
     """Curvature of the discrete Kirchhoff triangle.
 
@@ -195,41 +219,89 @@ def dkt_curvature(T: Triangle, v: Kinematics):
     return curvature
 
 
-def opt_strain(T: Triangle, v: Kinematics, material: Material):
-    """Membrane strain of the optimal ANDES triangle with drilling freedoms ω.
+def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material):
+    """Membrane strain of the optimal triangle with drilling freedoms on a curved surface.
 
-    Basic part: the mean of the strain whose edges bow out by the difference of their end rotations (α_b = 1
-    would be Allman's triangle; OPT takes 3/2). With the edge i→j opposite vertex k and the area A,
+    The surface is known by its unit normals n_i at the corners. An edge i→j, L its chord of length l with the unit
+    vector s, is the cubic whose end tangents L + a_i, a_i = −(L·n_i) n_i, lie in the tangent planes there. They turn
+    with the nodal rotations, δa_i = θ_i × (L + a_i) − ΔL, where ΔL = u_j − u_i, and the mean strain along the edge is
 
-        ε_b = sym ∇u + α_b A/3 Σ_k (ωj − ωi) ∇λk ⊗ ∇λk
+        l² ε_e = L·ΔL + r_e,   r_e = q_i·δa_i + q_j·δa_j,   q_i = 2/15 a_i − 1/30 a_j,                              (3)
 
-    Higher-order part, of zero mean: linear in the deviatoric rotations ω̃i = ωi − ½(∂u2/∂x1 − ∂u1/∂x2) and set by the
-    strain along each edge, of which −sym ∇λi ⊗ ∇λj is the tensor that the other two edges do not feel,
+    the same seen from both of its triangles. The constant strain with these three means is
 
-        ε_h = −√β0 A Σ_k s_k sym(∇λi ⊗ ∇λj),     s_k = (1 − 3λj) ω̃i − (1 − 3λi) ω̃j + (λi − λj) ω̃k
+        ε_0 = sym ∇u − Σ_e r_e sym(∇λi ⊗ ∇λj).                                                                       (4)
 
-    This is the ANDES template of Felippa (2003) with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2), in a form free of
-    coordinates: his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on integration, and ε_b, ε_h do not couple.
+    Drilling is the turn of the corner's tangent plane against the chord, in that plane:
+
+        φ_i = m_i·(θ_i × L − ΔL)/l,   m_i = (n_i × L)/|n_i × L|.                                                     (5)
+
+    Basic part: the strain of edges that bow out by the difference of their end rotations (α_b = 1 would be Allman's
+    triangle; OPT takes 3/2). With A the triangle's area and k opposite to the edge,
+
+        ε_b = ε_0 + α_b A/3 Σ_e (φ_j − φ_i) ∇λk ⊗ ∇λk.                                                               (6)
+
+    Higher-order part, of zero mean: linear in the deviatoric rotations ω̃_i and set by the strain along each edge, of
+    which −sym ∇λi ⊗ ∇λj is the tensor that the other two edges do not feel,
+
+        ε_h = −√β0 A Σ_e s_k sym(∇λi ⊗ ∇λj),   s_k = (1 − 3λj) ω̃_i − (1 − 3λi) ω̃_j + (λi − λj) ω̃_k,              (7)
+
+    where ω̃_i is the mean over the corner's two edges of
+
+        φ_i + m·ε_0 s − l²/6 δ(κτ),   m = e3 × s,                                                                    (8)
+
+    the turn of the edge in the mean strain, and the turn of the chord out of the geodesic, whose normal curvature and
+    torsion are κ = −(n_j − n_i)·s/l and τ = −(n_j − n_i)·m/l. With θ′ the rotation relative to that of the triangle,
+    δκ = −(θ′_j × n_j − θ′_i × n_i)·s/l and δτ likewise with m.
+
+    Every quadratic inextensional displacement of every quadratic surface has ε_b = ε_h = 0, whatever the shape of the
+    triangle (docs/curved_triangle.md proves it). With n_i = e3 all a, κ and τ vanish, φ_i = ω_i − m·∇u s, (8) is the
+    drilling freedom less the rotation ½(∂u2/∂x1 − ∂u1/∂x2), and (6) and (7) are the ANDES template of Felippa (2003)
+    with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2): his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on
+    integration, and ε_b, ε_h do not couple.
     """
     α_b = 3 / 2
-    λ, dλ, A = T.barycentric, T.gradient, T.area
-    at_vertex = lambda i: v.omega + dot(v.grad_omega, T.vertex[i] - T.position)  # ω is linear
-    ω_dev = [at_vertex(i) - v.rotation_of_u for i in range(3)]
-    basic, higher = sym(v.grad_u), ufl.zero(2, 2)
+    λ, dλ, A, P = T.barycentric, T.gradient, T.area, T.frame
+    n, θ = at.normal, at.rotation
+    edges = [(i, j, k, T.vertex[j] - T.vertex[i]) for i, j, k in T.edges]
+    mean = sym(v.grad_u)
+    for i, j, _, chord in edges:
+        L, ΔL = dot(P, chord), dot(at.grad_u, chord)
+        a = {c: -dot(L, n[c]) * n[c] for c in (i, j)}
+        q = {c: 2 / 15 * a[c] - 1 / 30 * a[o] for c, o in ((i, j), (j, i))}
+        # q·δa with the product of three vectors turned round: one cross product of constants for each corner
+        r = sum(dot(θ[c], cross(L + a[c], q[c])) for c in (i, j)) - dot(q[i] + q[j], ΔL)
+        mean -= r * sym(outer(dλ[i], dλ[j]))
+    basic, higher, ω_dev = mean, ufl.zero(2, 2), [0, 0, 0]
+    for i, j, k, chord in edges:
+        l2 = dot(chord, chord)
+        L, ΔL = dot(P, chord), dot(at.grad_u, chord)
+        across = as_vector([-chord[1], chord[0]])  # l m
+        M, Δn = dot(P, across), n[j] - n[i]
+        turn = cross(at.relative[j], n[j]) - cross(at.relative[i], n[i])
+        geodesic = (dot(Δn, M) * dot(turn, L) + dot(Δn, L) * dot(turn, M)) / l2  # l² δ(κτ)
+        φ = {c: dot(unit(cross(n[c], L)), cross(θ[c], L) - ΔL) / sqrt(l2) for c in (i, j)}
+        for c in (i, j):
+            ω_dev[c] += (φ[c] + dot(across, dot(mean, chord)) / l2 - geodesic / 6) / 2
+        basic += α_b * A / 3 * (φ[j] - φ[i]) * outer(dλ[k], dλ[k])
     for i, j, k in T.edges:
-        basic += α_b * A / 3 * (ω_dev[j] - ω_dev[i]) * outer(dλ[k], dλ[k])
         s_k = (1 - 3 * λ[j]) * ω_dev[i] - (1 - 3 * λ[i]) * ω_dev[j] + (λ[i] - λ[j]) * ω_dev[k]
         higher -= A * s_k * sym(outer(dλ[i], dλ[j]))
     return basic + sqrt(material.beta0) * higher
 
 
-def dkt_opt(V, material: Material):
-    """Bilinear form of (1) for the six-freedom element on V = [P1]⁶."""
+def dkt_opt(V, material: Material, normals):
+    """Bilinear form of (1) for the six-freedom element on V = [P1]⁶.
+
+    `normals`, of [DG0]⁹, holds n at corners 0, 1, 2 of each cell in turn, on the side of the cell's e3.
+    """
     T, t = triangle(V.mesh), material.thickness
+    n = [as_vector([normals[3 * corner + i] for i in range(3)]) for corner in range(3)]
 
     def strains(v):
-        v = kinematics(T, as_vector([v[i] for i in range(3)]), as_vector([v[i] for i in range(3, 6)]))
-        return opt_strain(T, v, material), dkt_curvature(T, v)
+        u, θ = as_vector([v[i] for i in range(3)]), as_vector([v[i] for i in range(3, 6)])
+        v = kinematics(T, u, θ)
+        return membrane_strain(T, v, corners(T, v, u, θ, n), material), dkt_curvature(T, v)
 
     ε, κ = strains(ufl.TrialFunction(V))
     ε_, κ_ = strains(ufl.TestFunction(V))
@@ -241,8 +313,8 @@ def dkt_opt(V, material: Material):
 # ---------------------------------------------------------------------------------------------- P2 × CR
 
 
-def p2_cr(V, material: Material):
-    """Bilinear form of (1) for quadratic u and Crouzeix–Raviart θ, V = [P2]³ × [CR]³.
+def p2_cr(V, material: Material, normals=None):
+    """Bilinear form of (1) for quadratic u and Crouzeix–Raviart θ, V = [P2]³ × [CR]³; it reads no normals.
 
     Transverse shear energy ``½ · 5/6 G t |∇w − β|²`` and drilling energy ``½ E t³/h² (½ curl u − ω)²``, h the cell's
     diameter. Crouzeix–Raviart rotations contain the gradients of quadratics edge by edge, hence no shear locking.
@@ -275,20 +347,34 @@ class ShellElement:
     Attributes
     ----------
     form : callable
-        ``form(V, material)``, the bilinear form of (1).
+        ``form(V, material, normals)``, the bilinear form of (1).
     space : callable
         ``space(mesh)``, V: one field of six components at the same nodes, or a displacement and a rotation field.
     displacement, rotation : Interpolation
         Of u and of θ, in the order of the space's nodes.
+    normals : callable, optional
+        ``normals(surface)``, the (k, 3, 3) unit normals at the corners of a surface's triangles that the form reads.
     """
 
     form: Callable
     space: Callable
     displacement: Interpolation
     rotation: Interpolation
+    normals: Callable[[Surface], np.ndarray] | None = None
+
+
+def of_triangles(surface: Surface) -> np.ndarray:
+    """At each corner the triangle's own normal: a sheet of flat triangles."""
+    return np.repeat(surface.normals[:, None], 3, axis=1)
+
+
+def of_corners(surface: Surface) -> np.ndarray:
+    """The normals of the curved sheet."""
+    return surface.corner_normals
 
 
 ELEMENTS = {
-    "dkt-opt": ShellElement(dkt_opt, compat.lagrange_6, P1, P1),
+    "dkt-opt-curved": ShellElement(dkt_opt, compat.lagrange_6, P1, P1, of_corners),
+    "dkt-opt": ShellElement(dkt_opt, compat.lagrange_6, P1, P1, of_triangles),
     "p2-cr": ShellElement(p2_cr, compat.p2_crouzeix_raviart, P2, CROUZEIX_RAVIART),
 }

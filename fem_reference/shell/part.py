@@ -52,8 +52,9 @@ class ShellPart:
     poisson : float
         ν, −1 < ν < ½.
     element : str
-        A name of `ELEMENTS`: ``"dkt-opt"``, the six-freedom production element, or ``"p2-cr"``, its independent check
-        (see `fem_reference.shell.element`).
+        A name of `ELEMENTS` (see `fem_reference.shell.element`): ``"dkt-opt-curved"``, the six-freedom production
+        element on the surface's normals, ``"dkt-opt"``, the same on flat triangles, or ``"p2-cr"``, the independent
+        check.
     comm : MPI.Comm
         Processes that share the assembled stiffness. The tables (`functional_matrix`, `rigid_modes`, …) are whole on
         each of them, in the same global order of freedoms; that order depends on the number of processes.
@@ -70,7 +71,7 @@ class ShellPart:
         thickness: float,
         young: float,
         poisson: float,
-        element: str = "dkt-opt",
+        element: str = "dkt-opt-curved",
         comm: MPI.Comm = MPI.COMM_SELF,
     ):
         if element not in ELEMENTS:
@@ -93,7 +94,7 @@ class ShellPart:
                 f"the surface is in {pieces} pieces that share no edge: make each a part of its own, or join them"
             )
         self.surface, self.element, self.comm = surface, element, comm
-        self._kind = ELEMENTS[element]
+        self._kind, self._normals = ELEMENTS[element], None
         self.thickness, self.young, self.poisson = float(thickness), float(young), float(poisson)
         self._build_tables()
 
@@ -122,6 +123,8 @@ class ShellPart:
         # the surface's triangle of each cell, and which of its corners each corner of the cell is
         triangle = np.asarray(topology.original_cell_index)[cells]
         vertex = np.asarray(geometry.input_global_indices)[compat.cell_points(self._mesh)[cells]]
+        if self._kind.normals is not None:
+            self._normals = compat.cell_constants(self._mesh, self._cell_normals(triangle, vertex))
         triangle, vertex, displacement, rotation = (
             np.concatenate(self.comm.allgather(table)) for table in (triangle, vertex, displacement, rotation)
         )
@@ -139,6 +142,14 @@ class ShellPart:
         self._rotation_dofs = in_surface_order(rotation)
         index_map = self._space.dofmap.index_map
         self.ndof = index_map.size_global * self._space.dofmap.index_map_bs
+
+    def _cell_normals(self, triangle, vertex) -> np.ndarray:
+        """(cells, 9) normals at the corners of each cell in the cell's own order, on the side that this order turns
+        about; the cells are these triangles of the surface, with the vertices (cells, 3)."""
+        corner = np.argmax(self.surface.triangles[triangle][:, None, :] == vertex[:, :, None], axis=2)
+        same_side = (corner[:, 1] - corner[:, 0]) % 3 == 1
+        normals = self._kind.normals(self.surface)[triangle[:, None], corner]
+        return (np.where(same_side, 1.0, -1.0)[:, None, None] * normals).reshape(-1, 9)
 
     def _component_dofs(self, field: int, component: int) -> np.ndarray:
         """Global freedoms (cells, nodes) of one component of one field of a mixed space."""
@@ -202,7 +213,7 @@ class ShellPart:
             thickness=constant(self.thickness),
             beta0=constant(opt_beta0(self.poisson)),
         )
-        matrix = compat.assemble_matrix(self._kind.form(self._space, material))
+        matrix = compat.assemble_matrix(self._kind.form(self._space, material, self._normals))
         matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return matrix
 

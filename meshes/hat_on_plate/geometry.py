@@ -39,6 +39,8 @@ def build(part: str, size: float):
         mm.
     triangles : ndarray of int, shape (k, 3)
         Normals point along +z on the plate and on the hat's flanges and top.
+    normals : ndarray, shape (k, 3, 3)
+        Of the sheet at the corners of each triangle.
     """
     if part == "plate":
         return extrude([(-PLATE_WIDTH / 2, 0), (PLATE_WIDTH / 2, 0)], 0.0, LENGTH, size)

@@ -266,7 +266,7 @@ def surface_point(part, region, angle, fraction):
 # --- the mesh ---------------------------------------------------------------------------------------------------------
 
 
-def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray]:
+def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mesh one part's mid-surface.
 
     Parameters
@@ -282,6 +282,8 @@ def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray]:
         Nodes in mm, exactly on the analytic mid-surface.
     triangles : ndarray of int, shape (k, 3)
         Oriented so that normals on the mating flange point from the inner to the outer part.
+    normals : ndarray, shape (k, 3, 3)
+        Those of the analytic mid-surface at the corners of each triangle.
     """
     pieces = _profile(part)
     if not 1.0 <= size <= 30.0:
@@ -303,8 +305,8 @@ def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray]:
     uv, triangles = _mesh_strips(
         ARCH_RADIUS * np.radians([ARCH_START, ARCH_END]), np.interp(lines, l, v), v, target / scale
     )
-    points, _ = _mid_surface(part, uv[:, 0] / ARCH_RADIUS, np.clip(np.interp(uv[:, 1], v, l), 0, lines[-1]))
-    return points, triangles
+    points, normals = _mid_surface(part, uv[:, 0] / ARCH_RADIUS, np.clip(np.interp(uv[:, 1], v, l), 0, lines[-1]))
+    return points, triangles, normals[triangles]
 
 
 def _mesh_strips(u_range, v_lines, v_samples, sizes):

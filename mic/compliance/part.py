@@ -14,7 +14,7 @@ __all__ = ["GENERATION", "Part"]
 
 #: Raised whenever the coefficients of the same part come out otherwise than before, by another formulation of its
 #: element or another meaning of a functional: caches then hold none of them.
-GENERATION = 3
+GENERATION = 4
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class Part:
         f = self.functionals
         digest.update(repr((GENERATION, self.element, self.thickness, self.young, self.poisson)).encode())
         arrays = [self.surface.points, self.surface.triangles, f.patch, f.direction, f.rotation, f.side]
+        if self.surface.given_normals is not None:  # estimated ones follow from points and triangles
+            arrays.append(self.surface.given_normals)
         arrays += [array for patch in f.patches for array in (patch.triangle, patch.barycentric, patch.weight)]
         for array in arrays:
             digest.update(repr((array.shape, array.dtype.str)).encode())

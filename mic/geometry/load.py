@@ -1,8 +1,9 @@
 """Surfaces of a scene's parts and fixtures: read from mesh files, built by geometry scripts, or round pads.
 
-A geometry script is a Python file that defines ``build(part, size) -> (points, triangles)``: the mid-surface of one
-part as points (n, 3) in mm and triangles (k, 3). ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``, a list,
-names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`).
+A geometry script is a Python file that defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface
+of one part as points (n, 3) in mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each
+triangle, which may be left out and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``,
+a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ __all__ = [
     "part_surface",
 ]
 
-GENERATED = Format("generated mesh", 2, ABSENT)
+GENERATED = Format("generated mesh", 3, ABSENT)
 
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
@@ -97,8 +98,7 @@ def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = Non
     """
     if part.mesh is not None:
         surface = part_surface(part, folder, cache)
-        points, triangles, _ = halved(surface.points, surface.triangles, _corner_normals(surface))
-        return Surface(points, triangles)
+        return Surface(*halved(surface.points, surface.triangles, surface.corner_normals))
     return _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0]
 
 
@@ -179,9 +179,8 @@ def _read(owner, path, name):
 
     try:
         with opened_files() as heard:  # a mesh file may include others
-            points, triangles, _ = read_mesh(path)
+            surface, _ = read_mesh(path)
         read = Dependencies.of(path, [path.name], heard)
-        surface = Surface(points, triangles)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem
     others = {other: content for other, content in read.files.items() if other != path.name and content is not None}
@@ -194,9 +193,9 @@ def _generated(part, path, cache, size, share=1.0):
     found = meshes.find(key)
     read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
     if found is not None and read is not None and read.unchanged(path):
-        return Surface(found[1]["points"], found[1]["triangles"]), read
+        return _surface_of(found[1]), read
     surface, read = _generate(part, path, size, share)
-    meshes.keep(key, read.header(), {"points": surface.points, "triangles": surface.triangles})
+    meshes.keep(key, read.header(), _arrays(surface))
     return surface, read
 
 
@@ -273,19 +272,29 @@ def _declared(script):
 
 def _surface(built):
     """The surface that ``build`` returned, its arrays checked: they come from anywhere."""
-    if not isinstance(built, (tuple, list)) or len(built) != 2:
-        raise ValueError(f"build must return two arrays, points and triangles, not {type(built).__name__}")
+    names = ("points", "triangles", "normals")
+    if not isinstance(built, (tuple, list)) or len(built) not in (2, 3):
+        raise ValueError(
+            "build must return two arrays, points and triangles, or three, with the normals at the triangles' corners, "
+            f"not {type(built).__name__}"
+        )
     try:
-        points, triangles = (np.asarray(array) for array in built)
+        points, triangles, *normals = (np.asarray(array) for array in built)
     except ValueError:
         raise ValueError("build returned points or triangles whose rows differ in length") from None
-    for name, array in (("points", points), ("triangles", triangles)):
+    for name, array in zip(names, (points, triangles, *normals)):
         if array.dtype.kind not in "iuf":
             raise ValueError(f"build returned {name} that are no numbers ({array.dtype})")
     if triangles.dtype.kind == "f" and not (np.isfinite(triangles) & (triangles == np.rint(triangles))).all():
         raise ValueError("build returned triangles that are no whole numbers")
-    return Surface(points, triangles)
+    return Surface(points, triangles, *normals)
 
 
-def _corner_normals(surface):
-    return np.repeat(surface.normals[:, None], 3, axis=1)
+def _arrays(surface):
+    """A surface as the cache keeps it."""
+    arrays = {"points": surface.points, "triangles": surface.triangles}
+    return arrays if surface.given_normals is None else arrays | {"normals": surface.given_normals}
+
+
+def _surface_of(arrays):
+    return Surface(arrays["points"], arrays["triangles"], arrays.get("normals"))

@@ -27,7 +27,7 @@ ON_EDGE = 1e-4  # a point nearer to an edge than this share of its length lies o
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What `repair` found. Counts, except `point_map`.
+    """What `repair` found. Counts, except `point_map` and `corner_map`.
 
     Attributes
     ----------
@@ -44,6 +44,9 @@ class MeshReport:
         Sets of triangles that hang together by edges.
     point_map : (n,) int array
         New number of each original point, -1 where it was dropped.
+    corner_map : (k, 3) int array
+        For each corner of the new triangles, which of the original elements' it was: 3 i + c of triangle i, after all
+        triangles 4 i + c of quadrilateral i; -1 for those that splitting made.
     """
 
     quadrilaterals_split: int
@@ -56,6 +59,7 @@ class MeshReport:
     junction_edges: int
     pieces: int
     point_map: np.ndarray
+    corner_map: np.ndarray
 
     @property
     def repaired(self) -> bool:
@@ -114,24 +118,31 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         raise ValueError(
             f"point {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} has a coordinate that is not finite"
         )
-    split = 0
+    split, origin = 0, np.arange(triangles.size).reshape(-1, 3)
     if quadrilaterals is not None:
         quadrilaterals = np.array(quadrilaterals, dtype=np.int64)
         _check_numbers(quadrilaterals, len(points))
-        triangles = np.concatenate([triangles, _split_quadrilaterals(points, _merge(points)[quadrilaterals])])
+        quadrilaterals = _merge(points)[quadrilaterals]  # neighbours share their points
+        triangles = np.concatenate([triangles, _split_quadrilaterals(points, quadrilaterals)])
         split = len(quadrilaterals)
+        halves = np.tile(quadrilaterals, (2, 1))[:, None, :] == triangles[-2 * split :, :, None]
+        corner = triangles.size - 6 * split + 4 * np.tile(np.arange(split), 2)[:, None] + halves.argmax(axis=2)
+        origin = np.concatenate([origin, corner])
     if len(triangles) == 0:
         raise ValueError("the mesh has no triangles")
     _check_numbers(triangles, len(points))
 
     representative = _merge(points)
     triangles = representative[triangles]
-    triangles, flat = _drop_flat(points, triangles)
-    triangles, repeated = _drop_repeated(triangles)
+    sound = _with_area(points, triangles)
+    flat, triangles, origin = int((~sound).sum()), triangles[sound], origin[sound]
+    first = np.sort(np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)[1])
+    repeated, triangles, origin = len(triangles) - len(first), triangles[first], origin[first]
     if len(triangles) == 0:
         raise ValueError("no triangle of the mesh has an area")
-    triangles, divided = _split_at_points_on_edges(points, triangles)
-    triangles, turned = _orient(points, triangles)
+    triangles, origin, divided = _split_at_points_on_edges(points, triangles, origin)
+    turn = _turned(points, triangles)
+    triangles[turn], origin[turn] = triangles[turn][:, ::-1], origin[turn][:, ::-1]
 
     used = np.unique(triangles)
     number = np.full(len(points), -1)
@@ -145,10 +156,11 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         triangles_without_area=flat,
         triangles_repeated=repeated,
         triangles_split=divided,
-        triangles_turned=turned,
+        triangles_turned=int(turn.sum()),
         junction_edges=int((edges.count > 2).sum()),
         pieces=edges.pieces(),
         point_map=number[representative],
+        corner_map=origin,
     )
     return points[used], number[triangles], report
 
@@ -203,17 +215,12 @@ def _merge(points):
     return lowest[cluster]
 
 
-def _drop_flat(points, triangles):
+def _with_area(points, triangles):
+    """(k,) bool."""
     corner = points[triangles]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     double_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    flat = double_area <= FLAT * longest**2
-    return triangles[~flat], int(flat.sum())
-
-
-def _drop_repeated(triangles):
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    return triangles[np.sort(first)], len(triangles) - len(first)
+    return double_area > FLAT * longest**2
 
 
 class _Edges:
@@ -238,8 +245,10 @@ class _Edges:
         return int(connected_components(incidence @ incidence.T, directed=False)[0])
 
 
-def _split_at_points_on_edges(points, triangles):
-    """Fan out every triangle with a point of another triangle's boundary on one of its free sides; pass by pass."""
+def _split_at_points_on_edges(points, triangles, origin):
+    """Fan out every triangle with a point of another triangle's boundary on one of its free sides; pass by pass.
+
+    Triangles, the origin of their corners, and how many were split."""
     divided = 0
     while True:
         edges = _Edges(triangles)
@@ -249,7 +258,7 @@ def _split_at_points_on_edges(points, triangles):
         middle, half = (points[start] + points[end]) / 2, np.linalg.norm(points[end] - points[start], axis=1) / 2
         near = cKDTree(points[candidates]).query_ball_point(middle, half)
         done = set()
-        keep, fans = np.ones(len(triangles), dtype=bool), []
+        keep, fans, origins = np.ones(len(triangles), dtype=bool), [], []
         for side, a, b, length, around in zip(free, start, end, 2 * half, near):
             direction = (points[b] - points[a]) / length
             offset = points[candidates[around]] - points[a]
@@ -261,17 +270,23 @@ def _split_at_points_on_edges(points, triangles):
                 continue
             done.add(triangle)
             keep[triangle] = False
-            apex = triangles[triangle, (side % 3 + 2) % 3]
+            turn = (side % 3 + np.arange(3)) % 3  # a, b and the corner opposite
+            apex = triangles[triangle, turn[2]]
             chain = np.concatenate([[a], candidates[around][on_edge][np.argsort(along[on_edge])], [b]])
             fans.append(np.column_stack([chain[:-1], chain[1:], np.full(len(chain) - 1, apex)]))
+            of_fan = np.full((len(chain) - 1, 3), -1)
+            of_fan[0, 0], of_fan[-1, 1], of_fan[:, 2] = origin[triangle, turn]
+            origins.append(of_fan)
         if not done:
-            return triangles, divided
+            return triangles, origin, divided
         divided += len(done)
-        triangles, _ = _drop_flat(points, np.concatenate([triangles[keep], *fans]))
+        triangles, origin = np.concatenate([triangles[keep], *fans]), np.concatenate([origin[keep], *origins])
+        sound = _with_area(points, triangles)
+        triangles, origin = triangles[sound], origin[sound]
 
 
-def _orient(points, triangles):
-    """Turn triangles so that neighbours across every two-sided edge run along it in opposite senses.
+def _turned(points, triangles):
+    """(k,) bool: which triangles to turn so that neighbours run along every two-sided edge in opposite senses.
 
     Each triangle is taken twice, as given and turned. Linking what agrees across an edge leaves two connected sets per
     sheet, mirror images of each other, unless the sheet is one-sided; the one with the greater area as given is kept.
@@ -294,9 +309,6 @@ def _orient(points, triangles):
     corner = points[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     area_as_given = np.bincount(given, weights=area, minlength=n_sets)
-    turn = (area_as_given[turned] > area_as_given[given]) | (
+    return (area_as_given[turned] > area_as_given[given]) | (
         (area_as_given[turned] == area_as_given[given]) & (turned < given)
     )
-    triangles = triangles.copy()
-    triangles[turn] = triangles[turn][:, ::-1]
-    return triangles, int(turn.sum())

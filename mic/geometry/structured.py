@@ -7,7 +7,7 @@ import numpy as np
 __all__ = ["extrude"]
 
 
-def extrude(profile, start: float, length: float, size: float) -> tuple[np.ndarray, np.ndarray]:
+def extrude(profile, start: float, length: float, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Extrude a polyline of the (y, z) plane along x.
 
     Parameters
@@ -26,6 +26,8 @@ def extrude(profile, start: float, length: float, size: float) -> tuple[np.ndarr
     triangles : ndarray of int, shape (k, 3)
         Diagonals alternate, so the mesh has no preferred direction. Normals point along x cross the direction of the
         profile: up (+z) where the profile runs along +y.
+    normals : ndarray, shape (k, 3, 3)
+        At the corners of each triangle its own: the sheet is flat between its folds.
     """
     if not 0 < size <= length:
         raise ValueError(f"size must be positive and at most {length:g} mm, not {size}")
@@ -44,4 +46,8 @@ def extrude(profile, start: float, length: float, size: float) -> tuple[np.ndarr
     even = ((i + j) % 2 == 0)[:, None]
     first = np.where(even, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
     second = np.where(even, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
-    return points, np.concatenate([first, second])
+    triangles = np.concatenate([first, second])
+    corner = points[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return points, triangles, np.repeat(normal[:, None], 3, axis=1)

@@ -19,6 +19,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mic.geometry.normals import CornerNormals, corner_normals
+
 __all__ = ["EQUAL", "Patch", "Projection", "Surface"]
 
 EQUAL = 1e-7  #: lengths that differ by less than this share of the size of things are equal; so are cosines and ratios
@@ -77,6 +79,9 @@ class Surface:
         Vertices, mm.
     triangles : (k, 3) int array
         Vertex numbers, consistently oriented: the normal is ``(p1 - p0) x (p2 - p0)``.
+    given_normals : (k, 3, 3) array, optional
+        Normals of the sheet at the corners of each triangle, as its geometry or its deck tells; NaN or zero where it
+        tells nothing. Of any length, on either side.
 
     Raises
     ------
@@ -86,6 +91,7 @@ class Surface:
 
     points: np.ndarray
     triangles: np.ndarray
+    given_normals: np.ndarray | None = None
 
     def __post_init__(self):
         points = np.ascontiguousarray(self.points, dtype=float)
@@ -102,6 +108,14 @@ class Surface:
             raise ValueError(f"triangles name vertices outside 0..{len(points) - 1}")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "triangles", triangles)
+        if self.given_normals is not None:
+            given = np.ascontiguousarray(self.given_normals, dtype=float)
+            if given.shape != (len(triangles), 3, 3):
+                raise ValueError(
+                    f"normals must have shape ({len(triangles)}, 3, 3), one at each corner of each triangle, not "
+                    f"{given.shape}"
+                )
+            object.__setattr__(self, "given_normals", given)
         longest = self.edge_lengths.max(1)
         flat = np.flatnonzero(self.areas <= 1e-12 * longest**2)
         if len(flat):
@@ -132,6 +146,16 @@ class Surface:
     def normals(self) -> np.ndarray:
         """(k, 3) unit normals of the triangles."""
         return self._area_vectors / self.areas[:, None]
+
+    @cached_property
+    def curvature(self) -> CornerNormals:
+        """What is known of the curved sheet that the triangles stand for: given normals, and estimates elsewhere."""
+        return corner_normals(self.points, self.triangles, self.given_normals)
+
+    @property
+    def corner_normals(self) -> np.ndarray:
+        """(k, 3, 3) unit normals of the curved sheet at the corners of each triangle, on the side of its own."""
+        return self.curvature.normal
 
     @cached_property
     def vertex_normals(self) -> np.ndarray:

@@ -196,7 +196,8 @@ def _read(table: dict[str, Any]) -> Accuracy:
 
 
 def _digest(surface: Surface) -> str:
-    return fingerprint([array.tobytes().hex() for array in (surface.points, surface.triangles)])
+    arrays = [surface.points, surface.triangles, surface.corner_normals]
+    return fingerprint([array.tobytes().hex() for array in arrays])
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ _RUN = Format("record of a run", 3, _AGAIN)
 _SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", PUBLISHED)
 _TABLES = tuple(table.place for table in (*STATISTICS, ACCURACY))
 _FIELDS = "fields/fields.npz"
-_PARTS = Format("set of parts", 1, _AGAIN)
+_PARTS = Format("set of parts", 2, _AGAIN)
 _FORCES = Format("block of forces", 1, _AGAIN)
 _BLOCK_NAME = re.compile(r"(\d{6,})-(\d{6,})")
 
@@ -400,6 +400,8 @@ class RunFolder:
                 "label": np.array(f.label, dtype=str),
                 "ends": np.cumsum([len(patch.weight) for patch in f.patches]),
             }
+            if part.surface.given_normals is not None:
+                table["given_normals"] = part.surface.given_normals
             table |= {name: np.concatenate([getattr(patch, name) for patch in f.patches]) for name in _PATCH}
             arrays |= {f"{i}_{name}": array for name, array in table.items()}
         save_arrays(self.path / "parts.npz", _PARTS, {"parts": [part.name for part in assembly.parts]}, arrays)
@@ -432,7 +434,7 @@ class RunFolder:
                 get("side"),
                 tuple(str(label) for label in get("label")),
             )
-            surface = Surface(get("points"), get("triangles"))
+            surface = Surface(get("points"), get("triangles"), arrays.get(f"{i}_given_normals"))
             parts.append(Part(part.name, surface, part.thickness, part.young, part.poisson, scene.element, functionals))
         return tuple(parts)
 

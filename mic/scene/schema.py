@@ -67,7 +67,8 @@ class Part(_Table):
     )
     geometry: str | None = Field(
         None,
-        description="or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`; it is executed",
+        description="or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`, or with normals "
+        "(k, 3, 3) at the corners of the triangles as a third; it is executed",
     )
     size: str | Positive | None = Field(
         None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
@@ -368,9 +369,9 @@ class Scene(_Table):
         None, description="fills in what the scene leaves open, and only that"
     )
     element: Name = Field(
-        "dkt-opt",
-        description="shell element, of those that the installed provider of compliance knows: `dkt-opt`, the "
-        "production shell, `p2-cr`, the independent check, …",
+        "dkt-opt-curved",
+        description="shell element, of those that the installed provider of compliance knows: `dkt-opt-curved`, the "
+        "production shell, `dkt-opt`, the same on flat triangles, `p2-cr`, the independent check, …",
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []

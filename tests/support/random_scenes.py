@@ -60,7 +60,7 @@ def random_case(seed: int, patch=None, points: bool = False) -> Case:
     gap = float(pick(0.0, 0.0, 0.1, 0.3))
     z = sum(thickness) / 2 + gap
     length, width = float(pick(40, 60)), float(pick(20, 30, 40))
-    lower = extrude([(0, 0), (width, 0)], 0.0, length, float(pick(5, 4, 6.5)))
+    lower = extrude([(0, 0), (width, 0)], 0.0, length, float(pick(5, 4, 6.5)))[:2]
     start = float(pick(0, 10, 20))
     if kind == "plate":
         low, wide = float(pick(0, 5)), float(pick(20, 25))
@@ -76,7 +76,7 @@ def random_case(seed: int, patch=None, points: bool = False) -> Case:
         profile = [(low, z), (low + foot, z), (low + foot, z + 10), (width - low - foot, z + 10)]
         profile += [(width - low - foot, z), (width - low, z)]
         top = [(width / 2, z + 10)]
-    upper = extrude(profile, start, length, float(pick(5, 4, 6.5)))
+    upper = extrude(profile, start, length, float(pick(5, 4, 6.5)))[:2]
     begin, end = max(start, 0.0), min(start + length, length)
     left, right = max(0.0, profile[0][0]), min(width, profile[-1][0] if kind != "angle" else profile[1][0])
     middle = (begin + end) / 2

@@ -54,7 +54,7 @@ def sliver(context, value):
     sheet = Sheet(size=5.0)
 
     def alter(scene):
-        points, triangles = extrude([(0.0, 0.0), (sheet.width, 0.0)], 0.0, sheet.length, sheet.size)
+        points, triangles, _ = extrude([(0.0, 0.0), (sheet.width, 0.0)], 0.0, sheet.length, sheet.size)
         near = np.abs(points[:, 0] - (sheet.length / 2 + sheet.size)) < 1e-9
         points[near, 0] = sheet.length / 2 + value * sheet.size
         mesh = strips.write_mesh(scene.folder, points, triangles)

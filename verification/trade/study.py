@@ -60,7 +60,7 @@ QUICK = {
 }
 
 
-def version(size, pairs, increments=1, element="dkt-opt", patch="tributary") -> Scene:
+def version(size, pairs, increments=1, element="dkt-opt-curved", patch="tributary") -> Scene:
     """The wheelhouse with the knobs that change the reduced model turned."""
     scene = shipped("wheelhouse", size, LAWS)
     zones = [zone.model_copy(update={"pairs": pairs, "patch": patch}) for zone in scene.zones]

@@ -20,6 +20,7 @@ from mic.errors import FormatError
 from mic.geometry.readers import abaqus, exchange, gmsh, graphics, nastran, vtk, vtu
 from mic.geometry.readers.raw import RawMesh
 from mic.geometry.repair import MeshReport, repair
+from mic.geometry.surface import Surface
 
 __all__ = ["READERS", "RawMesh", "read_mesh"]
 
@@ -44,10 +45,11 @@ READERS: dict[str, Callable[[Path], RawMesh]] = {
 }
 
 
-def read_mesh(path: Path | str) -> tuple[np.ndarray, np.ndarray, MeshReport]:
-    """Points (n, 3) in mm, triangles (k, 3) and a report, of a surface mesh in any of the formats in `READERS`.
+def read_mesh(path: Path | str) -> tuple[Surface, MeshReport]:
+    """The repaired surface of a mesh file in any of the formats in `READERS`, and what the repair took.
 
-    Of elements with mid-side nodes the corners are taken; beams and points are passed over.
+    Of elements with mid-side nodes the corners are taken; beams and points are passed over. Normals that a deck tells
+    (Abaqus ``*NORMAL``, Nastran ``SNORM``) are those of the surface's corners.
 
     Raises
     ------
@@ -87,9 +89,28 @@ def read_mesh(path: Path | str) -> tuple[np.ndarray, np.ndarray, MeshReport]:
             "export the shell elements too"
         )
     try:
-        return repair(mesh.points, mesh.triangles, mesh.quadrilaterals if len(mesh.quadrilaterals) else None)
+        points, triangles, report = repair(
+            mesh.points, mesh.triangles, mesh.quadrilaterals if len(mesh.quadrilaterals) else None
+        )
+        return Surface(points, triangles, _normals(mesh, report)), report
     except ValueError as problem:
         raise FormatError(f"{path}: {problem}") from problem
+
+
+def _normals(mesh: RawMesh, report: MeshReport) -> np.ndarray | None:
+    """(k, 3, 3) what the file tells of the normals at the corners of the repaired triangles."""
+    if mesh.triangle_normals is None and mesh.quadrilateral_normals is None:
+        return None
+    nothing = lambda elements: np.full((*elements.shape, 3), np.nan)
+    told = [
+        nothing(elements) if normals is None else normals
+        for elements, normals in (
+            (mesh.triangles, mesh.triangle_normals),
+            (mesh.quadrilaterals, mesh.quadrilateral_normals),
+        )
+    ]
+    flat = np.concatenate([normals.reshape(-1, 3) for normals in told] + [np.full((1, 3), np.nan)])
+    return flat[report.corner_map]  # -1, a corner that splitting made, finds the row that tells nothing
 
 
 def _words(problem: BaseException) -> str:

@@ -26,7 +26,7 @@ REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))([+-]\d+)")  # 1.5-3: an exponent 
 
 
 def read(path: Path) -> RawMesh:
-    """Grid points and shells of a deck.
+    """Grid points and shells of a deck, and the normals that it gives at its points (``SNORM``).
 
     Raises
     ------
@@ -38,6 +38,7 @@ def read(path: Path) -> RawMesh:
     points: list[list[float]] = []
     triangles: list[list[int]] = []
     quadrilaterals: list[list[int]] = []
+    normals: dict[int, list[float]] = {}
     kinds: set[str] = set()
     for line, card in _cards(path.read_text(encoding="utf-8", errors="replace")):
         name = card[0]
@@ -48,6 +49,9 @@ def read(path: Path) -> RawMesh:
                 points.append([_real(field) for field in card[3:6]])
             elif name == "GRDSET":
                 _basic_system(card[2])
+            elif name == "SNORM":
+                _basic_system(card[2], "normals", "SNORM field CID")
+                normals[int(card[1])] = [_real(field) for field in card[3:6]]
             elif name in TRIANGLES:
                 triangles.append([int(field) for field in card[3:6]])
             elif name in QUADRILATERALS:
@@ -63,6 +67,9 @@ def read(path: Path) -> RawMesh:
     corners = lambda elements, count: np.array(
         [[number[point] for point in element] for element in elements], dtype=np.int64
     ).reshape(-1, count)
+    told = lambda elements, count: np.array(
+        [[normals.get(point, [np.nan] * 3) for point in element] for element in elements], dtype=float
+    ).reshape(-1, count, 3)
     try:
         return RawMesh(
             np.array(points, dtype=float).reshape(-1, 3),
@@ -70,6 +77,8 @@ def read(path: Path) -> RawMesh:
             corners(quadrilaterals, 4),
             tuple(sorted(kinds.intersection(SOLIDS))),
             tuple(sorted(kinds.intersection(OTHERS))),
+            told(triangles, 3) if normals else None,
+            told(quadrilaterals, 4) if normals else None,
         )
     except KeyError as problem:
         raise FormatError(f"an element names the point {problem.args[0]}, which has no GRID") from None
@@ -121,8 +130,8 @@ def _real(field: str) -> float:
     return float(REAL.sub(r"\1e\2", field.upper().replace("D", "E")) if "E" not in field.upper() else field)
 
 
-def _basic_system(field: str) -> None:
+def _basic_system(field: str, what: str = "points", place: str = "GRID field CP") -> None:
     if field not in ("", "0"):
         raise FormatError(
-            f"points are given in coordinate system {field}; write the deck in the basic system (GRID field CP = 0)"
+            f"{what} are given in coordinate system {field}; write the deck in the basic system ({place} = 0)"
         )

@@ -28,6 +28,8 @@ class RawMesh:
         Kinds of solid elements that the file holds.
     others : tuple of str
         Kinds of further elements that were passed over, such as beams.
+    triangle_normals, quadrilateral_normals : (k, 3, 3) and (q, 4, 3) array, optional
+        Normals of the sheet at the elements' corners, where the file tells them; NaN where it does not.
     """
 
     points: np.ndarray
@@ -35,6 +37,8 @@ class RawMesh:
     quadrilaterals: np.ndarray
     solids: tuple[str, ...] = field(default=())
     others: tuple[str, ...] = field(default=())
+    triangle_normals: np.ndarray | None = None
+    quadrilateral_normals: np.ndarray | None = None
 
 
 def from_meshlane(mesh: Any) -> RawMesh:
