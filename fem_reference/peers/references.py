@@ -70,13 +70,19 @@ class Case:
     radius: float
 
 
-def _alternating(quadrilaterals):
-    """Two triangles of each quadrilateral, along diagonals that alternate."""
-    a, b, c, d = quadrilaterals.T
-    odd = (np.arange(len(a)) % 2 == 1)[:, None]
-    first = np.where(odd, np.column_stack([a, b, d]), np.column_stack([a, b, c]))
-    second = np.where(odd, np.column_stack([b, c, d]), np.column_stack([a, c, d]))
-    return np.concatenate([first, second])
+def _cells(n: int, m: int, closed: bool = False):
+    """Quadrilaterals (n m, 4) of a grid of n × m cells whose vertices count along m first; closed: the last row of
+    cells ends in the first vertices. Every other cell begins at its second corner: `_halves` then cuts along
+    diagonals that meet at every other vertex."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+    at = lambda i, j: (i % n if closed else i) * (m + 1) + j
+    cells = np.column_stack([at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)])
+    return np.where(((i + j) % 2 == 1)[:, None], np.roll(cells, -1, axis=1), cells)
+
+
+def _halves(quadrilaterals):
+    """Two triangles of each, along the diagonal from its first corner."""
+    return np.concatenate([quadrilaterals[:, [0, 1, 2]], quadrilaterals[:, [0, 2, 3]]])
 
 
 def _disc_points(centre, direction, radius):
@@ -105,7 +111,7 @@ def _spread(case: Case, points, triangles):
 def by_calculix(case: Case, size: float, corners: int) -> np.ndarray:
     """H (r, r) by S6 (three corners) or S8R (four)."""
     coordinates, quadrilaterals = case.grid(size)
-    triangles = _alternating(quadrilaterals)
+    triangles = _halves(quadrilaterals)
     points = case.shape(coordinates)
     weights = _spread(case, points, triangles)
     nodes, elements = calculix.quadratic(coordinates, quadrilaterals if corners == 4 else triangles, case.shape)
@@ -116,7 +122,7 @@ def by_calculix(case: Case, size: float, corners: int) -> np.ndarray:
 def by_shells(case: Case, size: float, element: str) -> np.ndarray:
     """H (r, r) by an element of `fem_reference`, loads and readings linear between vertices as CalculiX has them."""
     coordinates, quadrilaterals = case.grid(size)
-    triangles, points = _alternating(quadrilaterals), case.shape(coordinates)
+    triangles, points = _halves(quadrilaterals), case.shape(coordinates)
     weights = _spread(case, points, triangles)
     part = ShellPart(Surface(points, triangles), case.thickness, YOUNG, POISSON, element)
     held = case.clamped(part.dof_position)
@@ -149,14 +155,10 @@ def _crowned_panel():
         knots = np.array([0, corner, np.pi / 2, np.pi - corner])
         knots = np.concatenate([knots, knots + np.pi, [2 * np.pi]])
         around, across = 8 * round(60 / size), round(70 / size)
-        i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(across + 1), indexing="ij"))
-        angle = np.interp(8 * i / around, np.arange(9), knots)
-        i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
-        at = lambda i, j: (i % around) * (across + 1) + j
-        a = np.repeat(angle.reshape(around, across + 1)[:, :1], across + 1, axis=1).ravel()
+        angle = np.interp(8 * np.arange(around) / around, np.arange(9), knots)
+        a = np.repeat(angle, across + 1)
         v = np.tile(np.arange(across + 1) / across, around)
-        quadrilaterals = np.column_stack([at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)])
-        return np.column_stack([np.cos(a), np.sin(a), v]), quadrilaterals
+        return np.column_stack([np.cos(a), np.sin(a), v]), _cells(around, across, closed=True)[:, ::-1]
 
     def disc(x, y):
         zx = -50 * x / 14400 * (1 - 0.6 * (y / 80) ** 2) + y / 1600
@@ -179,9 +181,7 @@ def _angle_section():
         x, y = (
             a.ravel() for a in np.meshgrid(np.linspace(0, 60, across + 1), np.linspace(0, 50, along + 1), indexing="ij")
         )
-        i, j = (a.ravel() for a in np.meshgrid(np.arange(across), np.arange(along), indexing="ij"))
-        a = i * (along + 1) + j
-        return np.column_stack([x, y]), np.column_stack([a, a + along + 1, a + along + 2, a + 1])
+        return np.column_stack([x, y]), _cells(across, along)
 
     e = np.eye(3)
     discs = [((15, 30, 0), e[2]), ((30, 15, 0), e[2]), ((40, 25, 10), e[0]), ((40, 40, 10), e[0])]
@@ -210,11 +210,9 @@ def _trough():
             ]
         )
         y = np.linspace(0, 120, round(120 / size) + 1)
-        along = len(y) - 1
-        i, j = (a.ravel() for a in np.meshgrid(np.arange(len(s) - 1), np.arange(along), indexing="ij"))
-        a = i * (along + 1) + j
+        cells = _cells(len(s) - 1, len(y) - 1)
         s, y = (b.ravel() for b in np.meshgrid(s, y, indexing="ij"))
-        return np.column_stack([s, y]), np.column_stack([a, a + along + 1, a + along + 2, a + 1])
+        return np.column_stack([s, y]), cells
 
     def disc(s, y):
         angle = np.clip(s - flat, 0, arc) / R
@@ -302,7 +300,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="compute the references anew; takes CalculiX's ccx")
     parser.add_argument("--case", choices=CASES, help="only this one")
-    parser.add_argument("--element", default="dkt-opt", help="element of fem_reference to hold against them")
+    parser.add_argument("--element", default="dkt-opt-curved", help="element of fem_reference to hold against them")
     options = parser.parse_args()
     kept = load() if KEPT.is_file() else {}
     for name in [options.case] if options.case else CASES:
