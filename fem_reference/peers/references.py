@@ -33,7 +33,18 @@ from fem_reference.shell.factorisation import Factorisation
 from fem_reference.shell.part import ShellPart
 from mic.geometry.surface import Surface
 
-__all__ = ["CASES", "METHODS", "Case", "by_calculix", "by_shells", "errors", "extrapolated", "load", "table"]
+__all__ = [
+    "CASES",
+    "METHODS",
+    "Case",
+    "by_calculix",
+    "by_shells",
+    "errors",
+    "extrapolated",
+    "load",
+    "on_triangles",
+    "table",
+]
 
 KEPT = Path(__file__).with_suffix(".json")
 YOUNG, POISSON = 210e3, 0.3  # MPa
@@ -120,9 +131,22 @@ def by_calculix(case: Case, size: float, corners: int) -> np.ndarray:
 
 
 def by_shells(case: Case, size: float, element: str) -> np.ndarray:
-    """H (r, r) by an element of `fem_reference`, loads and readings linear between vertices as CalculiX has them."""
+    """H (r, r) by an element of `fem_reference` on the triangles of S6."""
     coordinates, quadrilaterals = case.grid(size)
-    triangles, points = _halves(quadrilaterals), case.shape(coordinates)
+    return on_triangles(case, case.shape(coordinates), _halves(quadrilaterals), element)
+
+
+def on_triangles(case: Case, points: np.ndarray, triangles: np.ndarray, element: str) -> np.ndarray:
+    """H (r, r) by an element of `fem_reference`, loads and readings linear between vertices as CalculiX has them.
+
+    Parameters
+    ----------
+    case : Case
+    points : (n, 3) array
+        Vertices on the case's surface, mm.
+    triangles : (k, 3) int array
+    element : str
+    """
     weights = _spread(case, points, triangles)
     part = ShellPart(Surface(points, triangles), case.thickness, YOUNG, POISSON, element)
     held = case.clamped(part.dof_position)
