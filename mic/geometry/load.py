@@ -3,7 +3,8 @@
 A geometry script is a Python file that defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface
 of one part as points (n, 3) in mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each
 triangle, which may be left out and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``,
-a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`).
+a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`). Where the scene states
+an accuracy, the size is a :class:`mic.geometry.grading.GradedSize`, a number that tells smaller ones too.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ import numpy as np
 
 from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
-from mic.geometry import structured
+from mic.geometry import grading, structured
+from mic.geometry.grading import GradedSize
 from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.refinement import halved
 from mic.geometry.surface import Surface
@@ -43,9 +45,9 @@ GENERATED = Format("generated mesh", 3, ABSENT)
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
 
-def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
+def part_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
     """Surface of a part, see :func:`load_part`."""
-    return load_part(part, folder, cache)[0]
+    return load_part(part, folder, cache, size)[0]
 
 
 def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> tuple[Surface, dict[str, str | None]]:
@@ -62,7 +64,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
         Of the scene file; the part's paths are relative to it.
     cache : Path
     size : float, optional
-        Element size, mm, of a part that gives none.
+        Element size, mm, of a part that gives none; may be a :class:`mic.geometry.grading.GradedSize`.
 
     Returns
     -------
@@ -112,7 +114,7 @@ def coarsest_size(part: Any, folder: Path) -> float | None:
     path = folder / part.geometry
     with _told(part, path):
         script = load_script(path)
-        return max((_size(script, name) for name in getattr(script, "SIZES", {})), default=None)
+        return max((_size(script, name, 1.0) for name in getattr(script, "SIZES", {})), default=None)
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
@@ -202,8 +204,10 @@ def _generated(part, path, cache, size, share=1.0):
 def _key(part, path, size, share):
     """Name of a generated mesh in the cache: hash of what it depends on and is known before the script has run."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
-    contents = [source.read_bytes().hex() for source in (Path(structured.__file__), *sources) if source.is_file()]
-    return fingerprint([part.name, size, share, path.name, contents])
+    ours = (Path(structured.__file__), Path(grading.__file__))
+    contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
+    graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
+    return fingerprint([part.name, size, graded, share, path.name, contents])
 
 
 def _generate(part, path, size, share):
@@ -211,7 +215,7 @@ def _generate(part, path, size, share):
     with _told(part, path):
         with opened_files() as heard:
             script = load_script(path)
-            surface = _surface(script.build(part.name, share * _size(script, size)))
+            surface = _surface(script.build(part.name, _size(script, size, share)))
         return surface, Dependencies.of(path, _declared(script), heard)
 
 
@@ -247,16 +251,18 @@ def _words(problem, path):
     return f"{type(problem).__name__}: {text}{where}" if text else f"{type(problem).__name__}{where}"
 
 
-def _size(script, size):
-    """Element size in mm."""
+def _size(script, size, share):
+    """A share of an element size, in mm."""
+    if isinstance(size, GradedSize):
+        return size.times(share)
     if not isinstance(size, str):
-        return size
+        return share * size
     sizes = getattr(script, "SIZES", {})
     if not isinstance(sizes, dict):
         raise ValueError(f"SIZES must be a dict of mm by name, not {type(sizes).__name__}")
     if size not in sizes:
         raise ValueError(f"there is no size called {size!r}; known: {', '.join(map(str, sizes)) or 'none, give mm'}")
-    return sizes[size]
+    return share * sizes[size]
 
 
 def _declared(script):

@@ -7,6 +7,11 @@ coarsest size that the geometry names, or a twentieth of the part's extent,
 
 until the largest estimate of the part keeps to its accuracy: those of H and of each key characteristic's influence, on
 the locators of the first stage and on all. Sizes are rounded down to two digits, so that they do not hang on rounding.
+
+Where locators, clamps, welds, forces and measurements stand on the part by a disc, elements are no larger than its
+radius: else a fixture holds a facet of the mesh rather than the sheet. On a part with soft regions that halves the
+error for a few per cent of the nodes; finer elements in contact zones and at free edges gained nothing where it was
+measured.
 """
 
 from __future__ import annotations
@@ -21,9 +26,11 @@ import numpy as np
 from mic.cache import ABSENT, Cache
 from mic.compliance.part import GENERATION
 from mic.errors import SceneError
+from mic.geometry.grading import GradedSize
 from mic.geometry.load import coarsest_size, load_part
 from mic.model.accuracy import estimate_accuracy
 from mic.scene import Scene
+from mic.scene.schema import ForceDeviation
 from mic.store import Format, fingerprint
 
 if TYPE_CHECKING:
@@ -43,7 +50,7 @@ def chosen_sizes(
     cache: Path,
     assembled: Callable[[Mapping[str, float]], Assembly],
     progress: Callable[[str], None] | None = None,
-) -> dict[str, float]:
+) -> dict[str, GradedSize]:
     """Element size, mm, by name, of every part that states an accuracy.
 
     Parameters
@@ -65,11 +72,12 @@ def chosen_sizes(
     asked = {part.name: part.accuracy for part in scene.parts if part.accuracy is not None}
     if not asked:
         return {}
-    sizes: dict[str, float] = {}
+    sizes: dict[str, GradedSize] = {}
     inputs: dict[str, str | None] = {}
     for part in scene.parts:
         if part.name in asked:
-            sizes[part.name] = coarsest_size(part, scene.folder) or _extent(scene, part.name) / 20
+            size = coarsest_size(part, scene.folder) or _extent(scene, part.name) / 20
+            sizes[part.name] = _graded(scene, part.name, size)
             inputs |= load_part(part, scene.folder, cache, sizes[part.name])[1]
     identity = fingerprint(
         [GENERATION, scene.model_dump_json(exclude={"name", "description", "monte_carlo", "report"}), inputs]
@@ -77,7 +85,7 @@ def chosen_sizes(
     kept = Cache(cache, "meshes", CHOSEN)
     found = kept.find(identity)
     if found is not None:
-        return dict(found[0]["sizes"])
+        return {name: _graded(scene, name, size) for name, size in found[0]["sizes"].items()}
     for _ in range(ROUNDS):
         assembly = assembled(sizes)
         missed = {}
@@ -88,7 +96,7 @@ def chosen_sizes(
             kept.keep(identity, {"sizes": sizes}, {"none": np.zeros(0)})
             return sizes
         finer = {
-            name: _rounded(sizes[name] * min(LEAST, MARGIN * sqrt(asked[name] / one.worst)))
+            name: _graded(scene, name, _rounded(sizes[name] * min(LEAST, MARGIN * sqrt(asked[name] / one.worst))))
             for name, one in missed.items()
         }
         if any(one.mesh.nodes * (sizes[name] / finer[name]) ** 2 > LARGEST for name, one in missed.items()):
@@ -99,6 +107,16 @@ def chosen_sizes(
         f"part {name!r}: accuracy: {asked[name]:g} is not reached: on the mesh of size {sizes[name]:g} mm "
         f"({one.mesh.nodes} nodes) the estimate is still {one.worst:.2g}; ask for less, or give a size"
     )
+
+
+def _graded(scene: Scene, part: str, size: float) -> GradedSize:
+    """The size, no larger than a disc's radius where the scene has discs on a part."""
+    discs = [(item.point, item.radius) for item in scene.welds if part in item.parts]
+    forces = [item for item in scene.deviations if isinstance(item, ForceDeviation)]
+    for table in (scene.locators, scene.clamps, forces, scene.measurements):
+        discs += [(item.point, item.radius) for item in table if item.part == part]
+    places, radii = zip(*[(point, radius) for point, radius in discs if radius > 0] or [((0.0, 0.0, 0.0), size)])
+    return GradedSize(size, places, radii)
 
 
 def _extent(scene: Scene, part: str) -> float:
