@@ -12,6 +12,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, get_args
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
@@ -23,12 +24,14 @@ from mic.compliance.cache import is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
+from mic.geometry.normals import COARSE, Rule
 from mic.results.forecast import forecast
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
 from mic.scene.schema import MonteCarlo
+from mic.store import replacing
 
 __all__ = ["app", "plain", "sentence"]
 
@@ -228,8 +231,18 @@ def check(
             "at half its size.",
         ),
     ] = False,
+    normals: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw into this file, NAME.png, where the parts' normals come from: geometry, deck or estimate.",
+            show_default=False,
+        ),
+    ] = None,
 ):
-    """Validate a scene and print what will be modelled, and at what cost; nothing is solved but for --accuracy."""
+    """Validate a scene and print what will be modelled, and at what cost.
+
+    Nothing is solved but where --accuracy, or a part's own, asks for it.
+    """
     from mic.model.assembly import assemble
     from mic.process.plan import plan_stages
 
@@ -245,6 +258,7 @@ def check(
     assembly = assemble(asked, cache_folder(), progress=say)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
+    _print_normals(console, assembly)
     _print_contacts(console, assembly)
     plans = plan_stages(asked, assembly.weld_size)
     table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
@@ -262,6 +276,12 @@ def check(
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
+    if normals is not None:
+        from mic.report.space_pictures import normals_picture  # drawing libraries are slow to import
+
+        with replacing(normals) as temporary:
+            temporary.write_bytes(normals_picture({part.name: part.surface for part in assembly.parts}).data)
+        console.print(f"normals: [bold]{plain(normals)}[/]", soft_wrap=True)
     console.print("[green]The scene is valid.[/]")
 
 
@@ -281,6 +301,33 @@ def _print_parts(console, assembly):
             _coefficients(part),
         )
     console.print(table)
+
+
+def _print_normals(console, assembly):
+    """What decided the normals of the curved sheets, and where the mesh tells too little."""
+    table = Table(
+        "part", "given by", "given", "fitted", "flatter side", "flat", "refused", title="Normals at triangles' corners"
+    )
+    for part, source in zip(assembly.parts, assembly.scene.parts):
+        counts = np.bincount(part.surface.curvature.rule.ravel(), minlength=len(Rule))
+        table.add_row(
+            part.name,
+            ("the geometry" if source.geometry is not None else "the deck") if counts[Rule.GIVEN] else "nobody",
+            *(str(counts[rule]) for rule in Rule),
+        )
+    console.print(table)
+    for part in assembly.parts:
+        for places, words in (
+            (part.surface.curvature.coarse, f"turn by more than {COARSE:g}° and count as curved: mesh the bends finer"),
+            (
+                part.surface.curvature.single,
+                "lie between a bend and a single wide row of triangles, of which it cannot be told whether it is flat: "
+                "give it two rows, or normals",
+            ),
+        ):
+            if len(places):
+                where = ", ".join(f"{x:.1f}" for x in places[0])
+                console.print(f"[yellow]{plain(part.name)}: {len(places)} edges {words}; one is at ({where})[/]")
 
 
 def _coefficients(part):

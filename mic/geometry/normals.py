@@ -2,12 +2,14 @@
 
 A triangle mesh of a sheet with bends says little about its normals: across the line where a bend begins curvature
 jumps, and the mean of the triangles around a point of that line bends the flat beside it. Each edge between two
-triangles is therefore judged by its dihedral angle d and by what the sheet does on either side of it, b the largest
-other dihedral angle of the triangle there and of that triangle's two other neighbours:
+triangles is therefore judged by its dihedral angle d and by what the sheet does on either side of it: b, the largest
+dihedral angle of the edges that meet in the opposite corner of the triangle there, and of those of that triangle's
+neighbours that do not go on along the edge; folds are left out. Where the sheet ends in that corner along the edge, by
+a border or a junction of more than two sheets, nobody knows what b would be, and it hinders nothing:
 
 =======  ============================================================================================================
 smooth   d is small, or no more than three times the smaller b: the sheet curves on both sides alike
-jump     d is no more than three times the larger b: one side is flat, or flatter by far, and a bend begins
+jump     d is no more than three times the larger b, if both are known: one side is flatter by far, and a bend begins
 fold     the rest: both sides are flat, or d is beyond any bend; so are edges whose two triangles disagree which side
          is up, and edges where more than two sheets meet
 =======  ============================================================================================================
@@ -27,9 +29,9 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["GUARD", "CornerNormals", "Rule", "corner_normals"]
+__all__ = ["COARSE", "GUARD", "CornerNormals", "Rule", "corner_normals"]
 
-GUARD = 20.0  # degrees between an estimated normal and the triangle's own; Nastran and Abaqus stop at as much
+GUARD = 30.0  # degrees between an estimated normal and the triangle's own: a triangle between two edges of `_FOLD`
 GIVEN_GUARD = 60.0  # degrees; a given normal beyond belongs to another sheet
 COARSE = 40.0  # degrees from triangle to triangle beyond which a bend is too coarse to be told from a fold
 
@@ -38,6 +40,8 @@ _FOLD = 60.0  # degrees: any sheet of that one is folded
 _UNTOLD = 20.0  # degrees: likewise where both triangles end at a border, and neither side tells
 _ALIKE = 3.0  # dihedral angles within this ratio are of one curve
 _WIDE = 2.0  # triangles whose heights over their edge differ by more belong to a bend and to what it ends in
+_ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # a border at a smaller angle runs along an edge
+_ON = np.cos(np.radians(25)) * (1 - 1e-6)  # edges at a smaller angle are pieces of one line
 _EQUAL = 1e-6  # ratios that differ by less are equal: rounding decides nothing
 _DETERMINED = (
     0.01  # least singular value of a quadratic fit, as a share of the largest; the mean of triangles errs far more
@@ -129,6 +133,8 @@ class _Edges:
         Triangle on the other side; -1 at borders and junctions, and where the two disagree which side is up.
     dihedral : (k, 3) array
         Degrees.
+    beyond : (k, 3) array
+        What the sheet does on the triangle's side of the edge, degrees; infinite where nobody knows.
     smooth, jump, first : (k, 3) bool array
         What the edge is; and whether this triangle's entry stands for both.
     widths : (k, 3) array
@@ -161,23 +167,42 @@ class _Edges:
         self.dihedral, self.widths = dihedral.reshape(k, 3), widths.reshape(k, 3)
         self.first = (has & (np.arange(3 * k) < across)).reshape(k, 3)
 
-        beyond = np.zeros((k, 3))
+        # What the sheet does on the edge's side. The line that the edge may be a piece of says nothing of that.
+        bent, inside = np.zeros(len(points)), has.reshape(k, 3)
+        bend = np.where(self.dihedral < _FOLD, self.dihedral, 0.0)
+        for end_of_edge in (start, end):
+            np.maximum.at(bent, end_of_edge.ravel(), bend.ravel())
+        direction = _unit(points[end] - points[start])
+        beyond = bent[triangles]
         for c in range(3):
             for other in ((c + 1) % 3, (c + 2) % 3):
-                there = has.reshape(k, 3)[:, other]
-                beyond[:, c] = np.maximum(beyond[:, c], np.where(there, self.dihedral[:, other], np.inf))
-                g = self.neighbour[:, other]
+                g, there = self.neighbour[:, other], has.reshape(k, 3)[:, other]
                 for e in range(3):
-                    farther = there & (across.reshape(k, 3)[:, other] != 3 * g + e)
-                    beyond[:, c] = np.maximum(beyond[:, c], np.where(farther, self.dihedral[g, e], 0.0))
-        here, there = beyond.ravel(), np.where(has, beyond.ravel()[across], 0.0)
-        low, high = np.minimum(here, there), np.maximum(here, there)  # infinite where a border does not tell
+                    off = np.abs((direction[g, e] * direction[:, c]).sum(axis=1)) <= _ON
+                    beyond[:, c] = np.maximum(beyond[:, c], np.where(there & off, bend[g, e], 0.0))
+        beyond = beyond.ravel()
+        rim = np.column_stack([np.flatnonzero(~has)] * 2).ravel()
+        at = np.column_stack([start[~inside], end[~inside]]).ravel()
+        touch = csr_matrix((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(points), len(at)))[
+            triangles.ravel()
+        ]
+        corner, which = touch.nonzero()
+        along = np.abs((direction.reshape(-1, 3)[rim[which]] * direction.reshape(-1, 3)[corner]).sum(axis=1)) > _ALONG
+        beyond[corner[along]] = np.inf
+        # A corner in which one edge at most has two sides (each counts twice) tells little, and is heard only where the
+        # other side tells no more.
+        rich = np.bincount(np.concatenate([start[inside], end[inside]]), minlength=len(points)) > 2
+        rich = rich[triangles].ravel()
+        beyond[has & ~rich & rich[across]] = np.inf
+        self.beyond = beyond.reshape(k, 3)
+        here, there = beyond, np.where(has, beyond[across], 0.0)
+        low, high = np.minimum(here, there), np.maximum(here, there)
         alike = dihedral * (1 - _EQUAL) <= _ALIKE * np.stack([low, high])
         small = dihedral < _SMALL * (1 + _EQUAL)
-        bend = dihedral < np.where(np.isinf(low), _UNTOLD, _FOLD) * (1 - _EQUAL)
-        smooth = has & (small | (bend & alike[0]))
+        able = dihedral < np.where(np.isinf(low), _UNTOLD, _FOLD) * (1 - _EQUAL)
+        smooth = has & (small | (able & alike[0]))
         self.smooth = smooth.reshape(k, 3)
-        self.jump = (has & ~smooth & bend & alike[1]).reshape(k, 3)
+        self.jump = (has & ~smooth & able & alike[1] & np.isfinite(high)).reshape(k, 3)
 
 
 def _estimate(points, triangles, own, edges):
@@ -188,16 +213,17 @@ def _estimate(points, triangles, own, edges):
     (n_fans, fan), (n_unions, union) = (_components(pairs, 3 * k) for pairs in (smooth, joined))
     normal = _fitted(points, triangles, own, fan, n_fans)
 
-    # How bent a fan is: the largest dihedral of each triangle in it, but for jumps that end in the fan's own point.
-    around = np.where(edges.smooth, edges.dihedral, 0.0).max(axis=1)[:, None]
-    bent = np.maximum(around, np.where(edges.jump, edges.dihedral, 0.0)).ravel()
-    bent = np.bincount(fan, bent, n_fans) / np.bincount(fan, minlength=n_fans)
+    # How bent a fan is: what the sheet does on its side of the jumps that end in its point, in the mean.
+    f, c = np.nonzero(edges.jump)
+    at = np.concatenate([fan[3 * f + (c + 1) % 3], fan[3 * f + (c + 2) % 3]])
+    jumps = np.bincount(at, minlength=n_fans)
+    bent = np.bincount(at, np.tile(edges.beyond[f, c], 2), n_fans) / np.maximum(jumps, 1)
     of_fan = np.empty(n_fans, dtype=np.int64)
     of_fan[fan] = union
     order = np.lexsort((bent, of_fan))
     first = order[np.r_[True, of_fan[order][1:] != of_fan[order][:-1]]]  # the flattest of each union
     fans = np.bincount(of_fan, minlength=n_unions)
-    equal = np.bincount(of_fan, bent <= bent[first][of_fan] + _SMALL / 4, n_unions)
+    equal = np.bincount(of_fan, bent <= (1 + _EQUAL) * bent[first][of_fan], n_unions)
     decided = (fans > 1) & (equal == 1)  # of several that are equally flat none has a say over the others
     leader = np.where(decided[of_fan], first[of_fan], np.arange(n_fans))
     rule = np.where(leader == np.arange(n_fans), Rule.FITTED, Rule.FLATTER)

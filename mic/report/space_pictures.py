@@ -1,8 +1,8 @@
-"""Pictures of the parts in space: the assembly and what holds it, its variation, displacement fields."""
+"""Pictures of the parts in space: the assembly and what holds it, its variation, displacement fields, normals."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
+from mic.geometry.normals import Rule
 from mic.geometry.surface import Surface
 from mic.report.context import Context
 from mic.report.picture import MOST_PANELS, Picture, png
-from mic.report.style import MARK_COLOURS, number, part_colour, zone_colour
+from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
 from mic.results.outcome import Outcome
 
-__all__ = ["ARROW", "assembly_picture", "field_picture", "overview_picture", "viewpoint"]
+__all__ = ["ARROW", "assembly_picture", "field_picture", "normals_picture", "overview_picture", "viewpoint"]
 
 ARROW = 0.07  # length of the arrow of a locator or clamp, as a share of the largest part
 INK = "#1b1f24"
@@ -130,6 +131,37 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
         + ". Arrows point the way a locator or clamp acts."
     )
     return png(fig, "The assembly", text, 110)
+
+
+def normals_picture(surfaces: Mapping[str, Surface]) -> Picture:
+    """Which `mic.geometry.normals.Rule` decided the normal at each corner of the triangles, by colours."""
+    fig = Figure(figsize=(6.5 * len(surfaces), 6.0), layout="constrained")
+    colours = np.array([to_rgb(RULE_COLOURS[rule]) for rule in Rule])
+    for ax, (name, surface) in zip(fig.subplots(1, len(surfaces), squeeze=False)[0], surfaces.items()):
+        apart = Surface(surface.corners.reshape(-1, 3), np.arange(3 * len(surface.triangles)).reshape(-1, 3))
+        view = _View([apart])
+        view.draw(ax, [colours[surface.curvature.rule.ravel()]], 0.35)
+        for places, mark in ((surface.curvature.coarse, "x"), (surface.curvature.single, "+")):
+            ax.plot(*view.flat(places).T, mark, ms=5, color=INK)
+        ax.set_title(name)
+    counts = np.sum([np.bincount(s.curvature.rule.ravel(), minlength=len(Rule)) for s in surfaces.values()], axis=0)
+    label = lambda rule: f"{RULE_WORDS[rule]}: {counts[rule]}"
+    handles = [
+        Line2D([], [], marker="s", ls="", ms=9, color=RULE_COLOURS[rule], label=label(rule))
+        for rule in Rule
+        if counts[rule]
+    ]
+    handles += [
+        Line2D([], [], marker=mark, ls="", ms=6, color=INK, label=f"{sum(map(len, places))} {words}")
+        for mark, places, words in (
+            ("x", [s.curvature.coarse for s in surfaces.values()], "bends too coarse"),
+            ("+", [s.curvature.single for s in surfaces.values()], "rows that may be flat"),
+        )
+        if any(map(len, places))
+    ]
+    fig.legend(handles=handles, loc="outside lower center", ncols=3)
+    text = f"What decided the normals at {counts.sum()} corners of triangles."
+    return png(fig, "Normals of the sheets", text, 110)
 
 
 def overview_picture(outcome: Outcome, context: Context) -> Picture | None:

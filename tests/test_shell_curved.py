@@ -1,0 +1,188 @@
+"""The curved triangle: it bends quadratic surfaces without stretching them, and is the flat one on flat normals."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from support.panels import NU, PLACES, E, functionals, grid, panel
+from support.processes import on_processes
+
+from fem_reference.shell import compat, element
+from fem_reference.shell.part import ShellPart
+from mic.geometry.surface import Surface
+from verification.curved_sheets import sheets
+
+pytestmark = pytest.mark.fem
+
+
+def turn(seed):
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def membrane_energy(points, normals, u, θ):
+    """Of one triangle under displacements and rotations (3, 3) at its corners, so thin that bending has no share.
+
+    The strain is evaluated before it is squared: the small difference of large terms of dᵀ K d would be rounding.
+    """
+    mesh = compat.shell_mesh(MPI.COMM_SELF, points, [[0, 1, 2]])
+    vertex = np.asarray(mesh.geometry.input_global_indices)[compat.cell_points(mesh)[0]]
+    side = 1.0 if (vertex[1] - vertex[0]) % 3 == 1 else -1.0
+    V = compat.lagrange_6(mesh)
+    constants = [fem.Constant(mesh, PETSc.ScalarType(value)) for value in (E, NU, 1e-12, element.opt_beta0(NU))]
+    d = fem.Function(V)
+    d.x.array[(6 * compat.cell_dofs(V)[0][:, None] + np.arange(6)).ravel()] = np.hstack([u, θ])[vertex].ravel()
+    form = element.dkt_opt(
+        V, element.Material(*constants), compat.cell_constants(mesh, side * normals[vertex].reshape(1, 9))
+    )
+    return fem.assemble_scalar(compat.compile_form(ufl.action(ufl.action(form, d), d)))
+
+
+def isometry(b, k, x, y):
+    """Positions, normals, displacements, rotations (n, 3) of z = ½ (b0 x² + 2 b1 x y + b2 y²) that bends by w = ½ (k0
+    x² + 2 k1 x y + k2 y²) without stretching, to leading order in the slopes; b0 k2 + b2 k0 = 2 b1 k1.
+
+    ∂u = −z_x w_x, ∂v = −z_y w_y, ∂_y u + ∂_x v = −z_x w_y − z_y w_x; a tangent of the surface turns by θ ×.
+    """
+    zx, zy, wx, wy = b[0] * x + b[1] * y, b[1] * x + b[2] * y, k[0] * x + k[1] * y, k[1] * x + k[2] * y
+    c = b[0] * k[0], b[0] * k[1] + b[1] * k[0], b[1] * k[1]  # z_x w_x = c0 x² + c1 x y + c2 y²
+    d = b[1] * k[1], b[1] * k[2] + b[2] * k[1], b[2] * k[2]  # z_y w_y likewise
+    m = b[0] * k[1] + b[1] * k[0], b[1] * k[2] + b[2] * k[1]  # z_x w_y + z_y w_x = m0 x² + … + m1 y²
+    f, g = d[1] / 6 - m[1] / 3, c[1] / 6 - m[0] / 3
+    u = -(c[0] * x**3 / 3 + c[1] * x**2 * y / 2 + c[2] * x * y**2) + f * y**3
+    v = -(d[0] * x**2 * y + d[1] * x * y**2 / 2 + d[2] * y**3 / 3) + g * x**3
+    v_x = -(2 * d[0] * x * y + d[1] * y**2 / 2) + 3 * g * x**2
+    w = (k[0] * x * x + 2 * k[1] * x * y + k[2] * y * y) / 2
+    normal = np.column_stack([-zx, -zy, np.ones_like(x)])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return (
+        np.column_stack([x, y, (b[0] * x * x + 2 * b[1] * x * y + b[2] * y * y) / 2]),
+        normal,
+        np.column_stack([u, v, w]),
+        np.column_stack([wy, -wx, v_x + zx * wy]),
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_quadratic_isometry_of_a_quadratic_surface_costs_no_membrane_energy(seed):
+    """One triangle of any shape, on any quadratic surface, in any position. Bending is left out by the thickness."""
+    random, shallow = np.random.default_rng(seed), 1e-4
+    b, k = random.normal(size=(2, 3))
+    cofactor = np.array([b[2], -2 * b[1], b[0]])
+    k -= (cofactor @ k) / (cofactor @ cofactor) * cofactor
+    x, y = random.uniform(-1, 1, (2, 3))
+    points, normals, u, θ = (field @ turn(seed).T for field in isometry(shallow * b, shallow * k, x, y))
+    own = np.cross(points[1] - points[0], points[2] - points[0])
+    own = np.tile(own / np.linalg.norm(own), (3, 1))
+    normals *= np.sign((normals * own).sum(axis=1, keepdims=True))
+    flat, curved = (membrane_energy(points, n, u, θ) for n in (own, normals))
+    assert curved < 1e-12 * flat
+
+
+def matrices(surface, name):
+    """K in the order of the surface's vertices, six freedoms each."""
+    part = ShellPart(surface, 0.8, E, NU, name)
+    vertex = np.argmin(np.linalg.norm(part.dof_position[:, None] - surface.points, axis=2), axis=1)
+    order = np.argsort(6 * vertex + part.dof_component)
+    return part.stiffness_csr()[order][:, order].toarray()
+
+
+def some_normals(surface, seed=0):
+    """Arbitrary ones, some ten degrees off the triangles' own."""
+    normals = surface.normals[:, None] + 0.2 * np.random.default_rng(seed).normal(size=(len(surface.triangles), 3, 3))
+    return normals / np.linalg.norm(normals, axis=2, keepdims=True)
+
+
+def test_flat_normals_give_back_the_flat_element():
+    surface = panel(4)
+    own = Surface(surface.points, surface.triangles, np.repeat(surface.normals[:, None], 3, axis=1))
+    flat = matrices(own, "dkt-opt")
+    assert abs(matrices(own, "dkt-opt-curved") - flat).max() < 1e-13 * abs(flat).max()
+    assert abs(matrices(surface, "dkt-opt-curved") - flat).max() > 1e-3 * abs(flat).max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_of_a_triangle_s_corners_does_not_matter(seed):
+    """Corners shifted and turned over: normals stay with their points, on either side."""
+    surface = panel(4)
+    normals, random = some_normals(surface), np.random.default_rng(seed)
+    order = np.array([random.permutation(3) for _ in surface.triangles])
+    shuffled = Surface(
+        surface.points,
+        np.take_along_axis(surface.triangles, order, axis=1),
+        np.take_along_axis(normals, order[:, :, None], axis=1) * random.choice([-2, 0.5], (len(order), 3, 1)),
+    )
+    K = matrices(Surface(surface.points, surface.triangles, normals), "dkt-opt-curved")
+    assert abs(matrices(shuffled, "dkt-opt-curved") - K).max() < 1e-13 * abs(K).max()
+
+
+def three_sheets():
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    return Surface(points, [[0, 1, 2], [1, 0, 3], [1, 0, 4]])
+
+
+@pytest.mark.parametrize("surface", [lambda: panel(3), three_sheets])
+def test_rigid_motions_and_no_others_cost_nothing_whatever_the_normals(surface):
+    surface = surface()
+    part = ShellPart(Surface(surface.points, surface.triangles, some_normals(surface)), 0.8, E, NU)
+    K = part.stiffness_csr().toarray()
+    assert abs(K @ part.rigid_modes).max() < 1e-11 * abs(K).max() * abs(part.rigid_modes).max()
+    size = np.where(part.dof_component < 3, 1.0, 1 / np.sqrt(surface.areas.mean()))
+    spectrum = np.linalg.eigvalsh(size[:, None] * K * size)
+    assert abs(spectrum[:6]).max() < 1e-13 * spectrum[-1] and spectrum[6] > 1e-8 * spectrum[-1]
+
+
+PROGRAM = """
+import numpy as np
+from mpi4py import MPI
+from support.panels import NU, PLACES, E, functionals, panel
+
+from fem_reference.shell.part import ShellPart
+
+surface = panel(6)
+rows = functionals(surface, PLACES, 6.0)
+influence = lambda comm: ShellPart(surface, 0.8, E, NU, comm=comm).influence(rows)
+(H, G), (H_alone, G_alone) = influence(MPI.COMM_WORLD), influence(MPI.COMM_SELF)
+balanced = np.linalg.svd(G_alone)[0][:, 6:]
+assert abs(balanced.T @ (H - H_alone) @ balanced).max() < 1e-10 * abs(balanced.T @ H @ balanced).max()
+"""
+
+
+@pytest.mark.parametrize("processes", [2, 4])
+@pytest.mark.slow
+def test_normals_reach_the_cells_of_every_process(processes):
+    outcome = on_processes(processes, "-c", PROGRAM)
+    assert outcome.returncode == 0, outcome.stderr
+
+
+def test_a_curved_sheet_s_compliance_is_that_of_its_surface_turned_mirrored_and_in_other_units():
+    """Estimated normals included: nothing of it hangs on axes or numbers."""
+    surface = panel(5)
+    rows = functionals(surface, PLACES, 6.0)
+
+    def compliance(surface, rows):
+        H, G = ShellPart(surface, 0.8, E, NU).influence(rows)
+        balanced = np.linalg.svd(G)[0][:, 6:]
+        return np.linalg.eigvalsh(balanced.T @ H @ balanced)[-5:]
+
+    frame = turn(4)
+    turned = Surface(surface.points @ frame.T, surface.triangles)
+    assert compliance(turned, functionals(turned, np.array(PLACES) @ frame.T, 6.0)) == pytest.approx(
+        compliance(surface, rows), rel=1e-7
+    )
+
+
+def test_bending_a_jittered_cylinder_costs_no_stretching():
+    """Flat triangles are 54 and 94 % too stiff here; limits as for the study `verification/curved_sheets`."""
+    for rise, limit in ((1.2, 0.01), (5.0, 0.02), (12.0, 0.03)):
+        for normals in ("exact", "mesh"):
+            assert abs(sheets.cylinder("dkt-opt-curved", normals, 5, rise) - 1) < limit
+    assert sheets.cylinder("dkt-opt", "mesh", 5, 5.0) < 0.1
+
+
+def test_deflections_of_flat_sheets_do_not_change():
+    surface = grid(6, 6, lambda X, Y: np.column_stack([20 * X, 20 * Y, 0 * X]), jitter=0.2)
+    K = matrices(surface, "dkt-opt")
+    assert abs(matrices(surface, "dkt-opt-curved") - K).max() < 1e-13 * abs(K).max()
