@@ -26,7 +26,10 @@ from threadpoolctl import threadpool_limits
 
 import mic
 from mic.contact import ContactSolver, certify
+from mic.contact.friction import Friction
+from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.problems import ContactProblem, compliant, manufactured, slip_dominated
+from mic.process import process
 from mic.sampling.draw import draw
 
 #: A solver that is slower than this on one case stops after the samples done so far.
@@ -194,28 +197,25 @@ def cases(quick):
 
 
 def scene_cases(path):
-    """The problems that the Monte Carlo of a scene poses under Coulomb's law, one case for each stage with contact.
+    """The problems that the Monte Carlo of a scene poses under Coulomb's law, one case for each stage with contact, in
+    one step.
 
     The process runs with solvers that record what they are given; the answer of one stage enters the loads of the next.
     """
-    model = mic.reduce(mic.load_scene(path))
+    scene = mic.load_scene(path)
+    whole = [stage.model_copy(update={"path": "one-step", "increments": None}) for stage in scene.stages]
+    model = mic.reduce(scene.model_copy(update={"stages": whole}))
     settings = model.scene.monte_carlo
-    process = model.process("coulomb")
     recorded = []
 
-    def recording(stage, solver):
-        solve = solver.solve
+    class Recording(ContactSolver):
+        def solve(self, b, guess=None):
+            recorded.append((f"{scene.name}, solve {len(recorded) + 1}", ContactProblem(self.S, b, self.mu)))
+            return super().solve(b, guess)
 
-        def record(b, guess=None):
-            recorded.append((f"{model.scene.name}, {stage}", ContactProblem(solver.S, b, solver.mu)))
-            return solve(b, guess)
-
-        return record
-
-    for stage, solver in zip(process.stages, process.solvers):
-        if solver is not None:
-            solver.solve = recording(stage.plan.name, solver)
-    process.evaluate(draw(model.scene, settings.seed, 0, settings.samples))
+    process.ContactSolver = Recording
+    model.process("coulomb").evaluate(draw(scene, settings.seed, 0, settings.samples))
+    process.ContactSolver = ContactSolver
     return recorded
 
 
@@ -238,15 +238,26 @@ def measure(name, problem, competitor, reference, console):
     return _row(name, problem, competitor.name, competitor.law, times, residual, reference)
 
 
-def measure_batch(name, problem, threads, reference):
+def friction(problem):
+    """The problem's contacts with friction of every kind: μ falling as pressure rises about the mean one, and contacts
+    half as compliant as the bodies."""
+    m, own = len(problem.mu), problem.S.diagonal().reshape(-1, 3)
+    pressure = np.abs(problem.b[:, ::3]).mean() / own[:, 0].mean()
+    pieces = pressure_dependent.power(
+        problem.mu.mean(), pressure, 0.3, 0.5 * problem.mu.mean(), 2.0 * problem.mu.mean()
+    )
+    return Friction(problem.mu, np.tile(pieces, (m, 1, 1)), np.full(m, 0.5 * own[:, 1:].mean()))
+
+
+def measure_batch(name, problem, threads, reference, law="coulomb"):
     """The native solver on the whole batch at once, as the Monte Carlo calls it."""
-    solver = ContactSolver(problem.S, problem.mu, threads=threads)
+    solver = ContactSolver(problem.S, friction(problem), law, threads=threads)
     solver.solve(problem.b[:1])
     start = time.perf_counter()
     solution = solver.solve(problem.b)
     times = [(time.perf_counter() - start) / len(problem.b)]
     label = f"native, batch, {threads} thread{'s' * (threads > 1)}"
-    return _row(name, problem, label, "coulomb", times, solution.residual, reference)
+    return _row(name, problem, label, law, times, solution.residual, reference)
 
 
 def _row(name, problem, solver, law, times, residual, reference):
@@ -307,6 +318,7 @@ def main():
             # Ratios are to the native solver on the batch, as the Monte Carlo calls it; nobody else takes batches.
             rows.append(measure_batch(name, problem, 1, None))
             reference = rows[-1]["ms_median"]
+            rows += [measure_batch(name, problem, 1, reference, law.name) for law in LAWS.values() if law.reads]
             for competitor in COMPETITORS:
                 row = measure(name, problem, competitor, reference, console)
                 if row:

@@ -104,7 +104,10 @@ def rows(evaluation: Evaluation, number: np.ndarray) -> Evaluation:
         arrays = [field.name for field in fields(item) if isinstance(getattr(item, field.name), np.ndarray)]
         return replace(item, **{name: getattr(item, name)[number] for name in arrays})
 
-    resolutions = {stage: chosen(resolution) for stage, resolution in evaluation.resolutions.items()}
+    resolutions = {
+        stage: replace(chosen(resolution), trace=chosen(resolution.trace))
+        for stage, resolution in evaluation.resolutions.items()
+    }
     return replace(chosen(evaluation), resolutions=resolutions)
 
 

@@ -1,7 +1,8 @@
-"""The commands: ``mic run``, ``mic check``, ``mic report``, ``mic init``."""
+"""The commands: ``mic run``, ``mic check``, ``mic order``, ``mic report``, ``mic init``."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -20,11 +21,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mic import cache_folder, examples
-from mic.compliance.cache import is_cached
+from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.geometry.normals import COARSE, Rule
+from mic.model.accuracy import estimate_accuracy
+from mic.model.assembly import assemble
+from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
+from mic.orders import variants as read_variants
+from mic.process.model import ReducedModel
+from mic.process.plan import plan_stages
+from mic.process.words import opening, sentences
 from mic.results.forecast import forecast
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
@@ -36,6 +44,7 @@ from mic.store import replacing
 __all__ = ["app", "plain", "sentence"]
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
+LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
 
 app = typer.Typer(
     add_completion=False,
@@ -202,20 +211,58 @@ class _Listener(Listener):
 
 
 def _print_zones(console, outcome):
-    """The paper's Table 1, and how many samples failed."""
-    from mic.report.style import number
+    """The paper's Table 1, slip under load beside it, what the path left, and how many samples failed."""
+    from mic.report.style import change, number
 
-    summary = outcome.summary()
-    zones = list(dict.fromkeys(zone for law in summary["laws"].values() for zone in law["zones"]))
-    if zones:
-        table = Table("zone", *(f"{law}: mean / 6σ" for law in summary["laws"]), title="RMS slip, mm")
+    laws = outcome.summary()["laws"]
+    zones = list(dict.fromkeys(zone for law in laws.values() for zone in law["zones"]))
+    for motion, title in (
+        ("rms_tangential", "RMS tangential displacement, mm"),
+        ("rms_slip", "RMS slip under load, mm"),
+    ):
+        shown = {
+            name: law["zones"]
+            for name, law in laws.items()
+            if any(zone[f"mean_{motion}"] is not None for zone in law["zones"].values())
+        }
+        if not shown:
+            continue
+        table = Table(
+            "zone", *(f"{law}: mean / 6σ" for law in shown), title=f"{title}; path: what a tighter one changes"
+        )
         for zone in zones:
-            found = [law["zones"][zone] for law in summary["laws"].values()]
-            figures = [(number(z["mean_rms_slip"], 4), number(z["six_sigma_rms_slip"], 4)) for z in found]
-            table.add_row(zone, *(f"{mean} / {spread}" for mean, spread in figures))
+            cells = []
+            for found in shown.values():
+                names = [f"{figure}_{motion}" for figure in ("mean", "six_sigma")]
+                cell = " / ".join(number(found[zone][name], 4) for name in names)
+                if found[zone][f"{names[0]}_path"] is not None:
+                    changes = (change(found[zone][f"{name}_path"], found[zone][f"{name}_path_share"]) for name in names)
+                    cell += f"\npath {' / '.join(changes)}"
+                cells.append(cell)
+            table.add_row(zone, *cells)
         console.print(table)
-    for name, law in summary["laws"].items():
-        console.print(f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}")
+    for name, law in laws.items():
+        console.print(
+            f"{name}: worst residual {number(law['worst_residual'], 2)}, failed samples {law['failed']}, "
+            f"rescued by plain increments {law['rescued']}{_hanging(law)}",
+            soft_wrap=True,
+        )
+
+
+def _hanging(law):
+    """What a tighter path changes of the key characteristics, at most."""
+    from mic.report.style import change
+
+    told = []
+    for figure, word in (("mean", "means"), ("six_sigma", "6σ")):
+        found = [item for item in law["measurements"].values() if item[f"{figure}_path"] is not None]
+        if found:
+            most = max(found, key=lambda item: abs(item[f"{figure}_path"]))
+            told.append(f"{word} {change(most[f'{figure}_path'], most[f'{figure}_path_share'])}")
+    if not told:
+        return ""
+    repeated = law["path"]["repeated"]
+    return f"; {repeated} samples on a tighter path change key characteristics by at most: {', '.join(told)}"
 
 
 @app.command()
@@ -239,13 +286,12 @@ def check(
         ),
     ] = None,
 ):
-    """Validate a scene and print what will be modelled, and at what cost.
+    """Validate a scene and print what will be modelled, the process step by step, and at what cost.
 
-    Nothing is solved but where --accuracy, or a part's own, asks for it.
+    Nothing is factorised but where --accuracy, or a part's own, asks for it. Where the influence coefficients are at
+    hand, a few samples show whether friction matters in each stage, and whether the outcome hangs on how the parts are
+    set down.
     """
-    from mic.model.assembly import assemble
-    from mic.process.plan import plan_stages
-
     console = Console()
     asked = _requested(load_scene(scene), law)
     for script in dict.fromkeys(part.geometry for part in asked.parts if part.geometry is not None):
@@ -261,18 +307,8 @@ def check(
     _print_normals(console, assembly)
     _print_contacts(console, assembly)
     plans = plan_stages(asked, assembly.weld_size)
-    table = Table("stage", "kind", "rows held", "clamp forces", "welds closed", "contact resolution", title="Stages")
-    for plan in plans:
-        resolves = plan.resolves and len(assembly.contacts) > 0
-        table.add_row(
-            plan.name,
-            plan.kind,
-            str(len(plan.bilateral)),
-            str(len(plan.steps[-1].loads)),
-            str(sum(len(step.closing) for step in plan.steps)),
-            f"yes, {plan.path}" if resolves else "no",
-        )
-    console.print(table)
+    _print_process(console, assembly, plans)
+    _print_doubts(console, assembly)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
@@ -283,6 +319,30 @@ def check(
             temporary.write_bytes(normals_picture({part.name: part.surface for part in assembly.parts}).data)
         console.print(f"normals: [bold]{plain(normals)}[/]", soft_wrap=True)
     console.print("[green]The scene is valid.[/]")
+
+
+def _print_process(console, assembly, plans):
+    """Step by step, in words."""
+    console.print("[bold]Process[/]")
+    for plan in plans:
+        name = plan.name if plan.name == plan.kind else f"{plan.name} ({plan.kind})"
+        console.print(f"{plain(name)}: {opening(plan, len(assembly.contacts) > 0)}", highlight=False)
+        for number, sentence in enumerate(sentences(assembly.scene, plan), 1):
+            console.print(f"  {number}. {plain(sentence)}", highlight=False, soft_wrap=True)
+
+
+def _print_doubts(console, assembly):
+    """What the process leaves to doubt, if a look at it is cheap."""
+    if not len(assembly.contacts) or not any(LAWS[law].frictional for law in assembly.scene.report.laws):
+        return
+    at_hand = all(is_cached(part, cache_folder()) for part in assembly.parts)
+    if not at_hand or len(assembly.contacts) > LOOKED_AT:
+        why = "" if at_hand else ", once the influence coefficients are computed"
+        console.print(f"How much hangs on the order of the process, mic order tells{why}.", highlight=False)
+        return
+    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
+    for doubt in doubts(model):
+        console.print(f"[yellow]note:[/] {plain(doubt)}; mic order tells more", highlight=False, soft_wrap=True)
 
 
 def _print_parts(console, assembly):
@@ -338,6 +398,21 @@ def _coefficients(part):
     return "to be computed"
 
 
+def _friction_words(zone) -> str:
+    """What a zone says of its friction, in words."""
+    if isinstance(zone.friction, dict):
+        words = ", ".join(f"{stage} {value:g}" for stage, value in zone.friction.items())
+    else:
+        words = f"{zone.friction:g}"
+    if zone.friction_table is not None:
+        words += f"; by pressure, {len(zone.friction_table)} points"
+    if zone.friction_power is not None:
+        words += f"; by pressure, {zone.friction_power.mu0:g} (p/{zone.friction_power.p0:g})^{-zone.friction_power.n:g}"
+    if zone.tangential_stiffness is not None:
+        words += f"; yields, {zone.tangential_stiffness:g} N/mm³"
+    return words
+
+
 def _print_contacts(console, assembly):
     scene, contacts = assembly.scene, assembly.contacts
     if not len(contacts):
@@ -350,9 +425,9 @@ def _print_contacts(console, assembly):
             zone.name,
             " – ".join(zone.parts),
             str(own.sum()),
-            f"{zone.friction:g}",
+            _friction_words(zone),
             f"{contacts.area[own].sum():.0f}",
-            f"{contacts.gap[own].min():.3f} … {contacts.gap[own].max():.3f}",
+            " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max())),
         )
     console.print(table)
     if contacts.dimension == 1:
@@ -364,7 +439,6 @@ def _print_contacts(console, assembly):
 
 def _print_cost(console, assembly, plans):
     scene, contacts = assembly.scene, assembly.contacts
-    solved = sum(plan.solves for plan in plans) if len(contacts) else 0
     sizes = [len(part.functionals) for part in assembly.parts]
     nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
     samples, laws = scene.monte_carlo.samples, scene.report.laws
@@ -373,10 +447,16 @@ def _print_cost(console, assembly, plans):
         f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
         "coefficients"
     )
-    if solved:
+    resolved = [plan for plan in plans if plan.resolves and len(contacts)]
+    if resolved:
+        solves = [sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
+        each = " + ".join(map(str, solves)) if len(set(solves)) > 1 else str(solves[0])
+        followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
         console.print(
-            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {solved} contact resolutions "
-            f"= {samples * len(laws) * solved} contact solves of {contacts.dimension * len(contacts)} unknowns"
+            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {each} contact resolutions "
+            f"= {samples * sum(solves)} contact solves of {contacts.dimension * len(contacts)} unknowns"
+            + ", and more where a path is followed"
+            * followed
         )
     else:
         console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
@@ -386,8 +466,7 @@ def _print_cost(console, assembly, plans):
 
 
 def _print_accuracy(console, assembly, say):
-    from mic.model.accuracy import estimate_accuracy  # slow to import, and asked for rarely
-    from mic.report.style import number, percent
+    from mic.report.style import number, percent  # drawing libraries are slow to import
 
     found = estimate_accuracy(assembly, cache_folder(), say)
     table = Table(
@@ -409,6 +488,120 @@ def _print_accuracy(console, assembly, say):
                     soft_wrap=True,
                 )
     console.print("Time and memory as measured here, at the functionals that were compared, and as they grew.")
+
+
+@app.command()
+@_on_first
+def order(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE|MODEL",
+            help="Scene file, or a folder that holds scene.toml; or a saved model, such as model.npz of a results "
+            "folder, which takes no finite elements.",
+            show_default=False,
+        ),
+    ],
+    samples: Annotated[int, typer.Option(min=3, help="Number of samples, the same for every order.")] = 20,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
+    ] = None,
+    law: Annotated[
+        Law | None,
+        typer.Option(help="Contact law. Default: the scene's first with friction.", show_default=False),
+    ] = None,
+    permutations: Annotated[int, typer.Option(min=0, help="Random orders beside those that have a name.")] = (
+        PERMUTATIONS
+    ),
+    variants: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file of `[[orders]]` to compare instead, each with a `name` and, in `stages`, the keys that "
+            "change by stage: `stages.clamp.order = [[…], […]]`.",
+            show_default=False,
+        ),
+    ] = None,
+    table: Annotated[Path | None, typer.Option(help="Write all numbers to this CSV file.", show_default=False)] = None,
+):
+    """Say how much hangs on the order in which locators, clamps and welds close and open.
+
+    The key characteristics of the same samples under other orders: in reverse, locators first, clamps first, all
+    together, parts that overlap settled before or while the first thing closes, and a few at random.
+    """
+    console = Console()
+    model = _model(console, source)
+    scene = model.scene
+    frictional = [name for name in scene.report.laws if LAWS[name].frictional]
+    asked = law.value if law else (frictional or scene.report.laws)[0]
+    others = read_variants(scene, variants) if variants else orders(scene, permutations)
+    if len(others) == 1:
+        console.print("The process has one order only: nothing to compare.")
+        return
+    threads = len(os.sched_getaffinity(0))
+    with Progress(console=console) as progress:
+        bar = progress.add_task(f"{samples} samples under {asked}", total=len(others))
+        found = compare(
+            model,
+            others,
+            asked,
+            samples,
+            scene.monte_carlo.seed if seed is None else seed,
+            threads,
+            lambda name: progress.advance(bar),
+        )
+    _print_orders(console, others, found)
+    if table:
+        found.to_csv(table, index=False)
+        console.print(f"table: {plain(table)}")
+
+
+def _model(console, source):
+    """The reduced model of a scene, or one that was saved."""
+    if source.is_file() and source.suffix == ".npz":
+        return ReducedModel.load(source)
+    scene = load_scene(source)
+    say = lambda line: console.print(f"{plain(line)} …", highlight=False)
+    assembly = assemble(scene, cache_folder(), progress=say)
+    plan_stages(scene, assembly.weld_size)
+    coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
+    return ReducedModel.build(assembly, coefficients)
+
+
+def _print_orders(console, others, found):
+    """By order, the quantity that changes most; by quantity, the order that changes it most."""
+
+    def change(row, key):
+        share = f" ({100 * abs(row[key]) / row['tolerance']:.1f} %)" if row["tolerance"] > 0 else ""
+        return f"{1000 * row[key]:+.1f} ± {1000 * row[f'{key[:-6]}error']:.1f}{share}".replace("-", "−")
+
+    def largest(rows, key):
+        return rows.loc[rows[key].abs().idxmax()]
+
+    keys = ("mean_change", "six_sigma_change")
+    measured, slips = found[found["tolerance"] > 0], found[found["tolerance"].isna()]
+    for rows, title in (
+        (measured, "Key characteristics: largest change (of the tolerance)"),
+        (slips, "Slip under load"),
+    ):
+        table = Table("order", "mean, µm", "of", "6σ, µm", "of", title=title)
+        for name, own in rows[rows["order"] != STATED].groupby("order", sort=False):
+            worst = [largest(own, key) for key in keys]
+            cells = (cell for row, key in zip(worst, keys) for cell in (change(row, key), row["quantity"]))
+            table.add_row(name, *cells)
+        if table.row_count:
+            console.print(table)
+    table = Table("as stated", "mean, mm", "6σ, mm", "largest change of mean, µm", "of 6σ, µm", title="By quantity")
+    rest = found[found["order"] != STATED]
+    for _, stated in found[found["order"] == STATED].iterrows():
+        own = rest[rest["quantity"] == stated["quantity"]]
+        cells = [f"{change(row, key)}: {row['order']}" for key in keys for row in [largest(own, key)]]
+        table.add_row(stated["quantity"], f"{stated['mean']:.4f}", f"{stated['six_sigma']:.4f}", *cells)
+    console.print(table)
+    for other in others:
+        if other.name.startswith("random"):
+            groups = [f"{stage.name}: order = {json.dumps(stage.order)}" for stage in other.scene.stages if stage.order]
+            console.print(f"{other.name}: {plain('; '.join(groups))}", highlight=False, soft_wrap=True)
 
 
 @app.command()

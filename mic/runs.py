@@ -26,7 +26,7 @@ from mic.results.forecast import forecast
 from mic.results.identity import identity, inputs
 from mic.results.lock import locked
 from mic.results.outcome import Outcome, read_outcome
-from mic.results.summary import write_summary, write_tables
+from mic.results.summary import write_path_study, write_summary, write_tables
 from mic.results.tables import tables
 from mic.sampling.montecarlo import monte_carlo
 from mic.sampling.ranks import communicator, on_first
@@ -248,6 +248,9 @@ def _conclude(folder: Path, clock: _Clock, wall_time: dict[str, float], listener
         outcome = read_outcome(folder)
         for sentence in outcome.damaged:
             listener.say(sentence)
+    with clock("error of the path"):
+        write_path_study(outcome)
+    with clock("statistics"):
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+import mic
 from mic.commands import app
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,7 +46,8 @@ def test_run_check_report(command, tmp_path):
         and "The scene is valid" in checked
     )
     first = command("run", LAP, "--samples", 20).stdout
-    assert "report:" in first
+    assert "report:" in first and "RMS slip under load" in first and "RMS tangential displacement" in first
+    assert "coulomb: worst residual" in first and "12 samples on a tighter path change key characteristics" in first
     folder = tmp_path / "results" / "lap-joint"
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["samples"] == 20 and set(summary["laws"]) == {"coulomb", "associated", "frictionless"}
@@ -55,11 +57,16 @@ def test_run_check_report(command, tmp_path):
         6 * slip.std()
     )
     assert summary["laws"]["coulomb"]["worst_residual"] < 1e-8
+    assert summary["laws"]["coulomb"]["path"]["repeated"] == 12 and zone["six_sigma_rms_slip_path"] is not None
     assert (folder / "report.html").stat().st_size > 10_000
     assert "reused" in command("run", LAP, "--samples", 20).stdout
     (folder / "report.html").unlink()
     command("report", folder)
     assert (folder / "report.html").is_file()
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"format": record["format"] - 1}))
+    old = command("report", folder, check=False)
+    assert old.returncode == 2 and len(old.stderr.strip().splitlines()) == 1 and "an older version" in old.stderr
 
 
 def test_check_shows_what_is_not_modelled(cache, tmp_path):
@@ -72,6 +79,58 @@ def test_check_shows_what_is_not_modelled(cache, tmp_path):
     assert "only normals are modelled, 24 rows instead of 72" in lean
     assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 24 unknowns" in lean
     assert "no field solves" in lean
+
+
+def lap_with(tmp_path, *edits):
+    """The lap joint's scene, edited, in a folder of its own."""
+    text = (LAP / "scene.toml").read_text()
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new, 1)
+    (tmp_path / "scene.toml").write_text(text)
+    (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
+    return str(tmp_path)
+
+
+def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cache, tmp_path, lap_model):
+    """With coefficients at hand (those of the model) a few samples say where friction hardly matters."""
+    scene = lap_with(tmp_path, ('kind = "clamp"', 'kind = "clamp"\norder = [["C1-lower"], ["C1-upper"]]'))
+    environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
+    printed = CliRunner().invoke(app, ["check", scene], env=environment).output
+    process = printed[printed.index("Process") : printed.index("note:")].splitlines()
+    assert process[3:] == [
+        "clamp: contact active, path followed",
+        "  1. parts that overlap come to rest on each other",
+        "  2. clamp C1-lower closes (60 N)",
+        "  3. clamp C1-upper closes (60 N)",
+        "weld: nothing moves",
+        "  1. welds W1 and W2 keep what they find",
+        "release: contact active, path followed",
+        "  1. clamp C1-upper opens",
+        "  2. clamp C1-lower opens",
+        "  3. locators upper-A1, upper-A2, upper-A3, upper-B1, upper-B2 and upper-C1 open",
+        "measure: nothing moves",
+        "  1. 2 key characteristics are read",
+    ]
+    assert "note: stage clamp: friction changes where the contacts end by no more than 5 %" in printed
+    nothing_at_hand = {"MIC_CACHE": str(tmp_path / "empty"), "COLUMNS": "200"}
+    told = CliRunner().invoke(app, ["check", scene], env=nothing_at_hand).output
+    assert "note:" not in told and "mic order tells, once the influence coefficients are computed" in told
+
+
+@pytest.mark.parametrize("order", ["check", "run", "order"])
+def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path, monkeypatch):
+    scene = lap_with(tmp_path, ('keep = ["lower-A1", "lower-A2",', "keep = ["))
+
+    def compute(*_):
+        raise AssertionError("influence coefficients were asked for")
+
+    for module in ("mic.runs", "mic.commands"):
+        monkeypatch.setattr(f"{module}.influence_coefficients", compute)
+    where = ["--out", str(tmp_path / "out")] if order == "run" else []
+    done = CliRunner().invoke(app, [order, scene, *where])
+    assert isinstance(done.exception, mic.SceneError)
+    assert "stages (release): 2 rigid-body motions are free once lower-A1, lower-A2, upper-A1" in str(done.exception)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,10 @@ import pytest
 import mic
 from mic.contact import ContactSolver, Law, Status, certify, ladder, solve
 from mic.contact.backends import BACKENDS
+from mic.contact.friction import Friction
 from mic.contact.ladder import Rung
 from mic.contact.laws import ASSOCIATED, COULOMB, FRICTIONLESS, LAWS, find
+from mic.contact.laws.pressure_dependent import table
 from mic.contact.native import batch, patience
 from mic.contact.native.solver import NativeSolver
 from mic.contact.problems import box_stack, compliant, manufactured, slip_dominated
@@ -157,7 +159,10 @@ def test_a_sliding_contact_opens_by_what_its_law_leaves_of_the_shift(law):
 def test_the_derivative_of_an_equation_is_that_of_its_values(law):
     rng = np.random.default_rng(1)
     m, step = 200, 1e-6
-    parameters = rng.uniform(0.1, 1.0, (m, 1))
+    pieces = np.broadcast_to(table([(0.5, 0.6), (1.5, 0.4), (3.0, 0.5)]), (m, 4, 5))
+    friction = Friction(rng.uniform(0.1, 1.0, m), pieces, rng.uniform(0.1, 1.0, m))
+    d_n, d_t = rng.uniform(0.5, 2.0, (2, m))
+    parameters = law.scaled(law.parameters(friction), d_n, d_t)
     y, w = rng.standard_normal(3 * m), rng.standard_normal(3 * m)
     dy, dw = rng.standard_normal((2, 3 * m))
     A, B, state = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.zeros(m, np.int64)
@@ -179,14 +184,14 @@ def test_the_derivative_of_an_equation_is_that_of_its_values(law):
 
 def test_states_are_read_from_forces():
     force = np.array([[[1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.0, 0.0, 0.0], [1e-12, 1.0, 0.0]]])
-    states = classify(force, 0.3)
+    states = classify(force, 0.3 * force[..., 0])
     assert states.dtype == np.int8 and [STATES[state] for state in states[0]] == ["slip", "stick", "open", "open"]
     assert [ContactState(state).label for state in states[0]] == ["slip", "stick", "open", "open"]
     # Nothing holds a contact without friction.
     np.testing.assert_array_equal(classify(force * [1.0, 0.0, 0.0], 0.0), [[2, 2, 0, 0]])
     np.testing.assert_array_equal(classify(force[..., :1], 0.3), [[2, 2, 0, 0]])
-    np.testing.assert_array_equal(classify(np.zeros((2, 3, 3)), 0.3), 0)
-    assert classify(np.zeros((2, 0, 3)), 0.3).shape == (2, 0)
+    np.testing.assert_array_equal(classify(np.zeros((2, 3, 3)), 0.0), 0)
+    assert classify(np.zeros((2, 0, 3)), np.zeros((2, 0))).shape == (2, 0)
 
 
 def test_a_solution_says_which_rung_found_it():

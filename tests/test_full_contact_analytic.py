@@ -13,6 +13,7 @@ from scipy.sparse import csr_matrix, vstack
 from support.strips import E, bend_leaves, clamped, contact_law, interleave, rest, strip, vertex_rows
 
 from fem_reference.full.equilibrium import SLIP, STICK, Equilibrium, Parts
+from fem_reference.full.friction import ContactFriction
 
 pytestmark = pytest.mark.fem
 
@@ -37,6 +38,21 @@ def test_strip_pressed_on_a_stop(share):
     assert state.force[0, 0] == pytest.approx(max(0.0, P - stiffness * gap), rel=2e-3)
 
 
+def block_on_feet():
+    """A stiff plate on feet at its corners, dragged at its sole.
+
+    x points up the slope. The fixture lies below: the block is the second body, n = +z.
+    """
+    shell = strip(20.0, 20.0, 5.0, 5.0)
+    points = shell.surface.points
+    feet = [
+        int(np.argmin(np.linalg.norm(points - p, axis=1))) for p in ((0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0))
+    ]
+    held = vstack([vertex_rows(shell, feet[:1], (1, 0, 0), side=-1), vertex_rows(shell, feet[:2], (0, 1, 0), side=-1)])
+    C = interleave(*(vertex_rows(shell, feet, axis, side=-1) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))))
+    return shell, Equilibrium(Parts([shell], MPI.COMM_SELF), held, C, 3), C, len(feet)
+
+
 @pytest.mark.parametrize("angle", [10.0, 40.0])
 def test_block_on_an_incline(angle):
     """A block dragged along the slope: R = W (sin α + μ cos α) up, W (sin α − μ cos α) down, W sin α ± friction across
@@ -46,19 +62,12 @@ def test_block_on_an_incline(angle):
     the second motion counts from where the first one left the block.
     """
     μ, α, W = 0.3, np.radians(angle), 50.0
-    shell = strip(20.0, 20.0, 5.0, 5.0)
-    points = shell.surface.points
-    feet = [
-        int(np.argmin(np.linalg.norm(points - p, axis=1))) for p in ((0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0))
-    ]
-    # x points up the slope. The fixture lies below: the block is the second body, n = +z; it is dragged at its sole.
-    held = vstack([vertex_rows(shell, feet[:1], (1, 0, 0), side=-1), vertex_rows(shell, feet[:2], (0, 1, 0), side=-1)])
-    C = interleave(*(vertex_rows(shell, feet, axis, side=-1) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))))
-    system = Equilibrium(Parts([shell], MPI.COMM_SELF), held, C, 3)
+    shell, system, C, feet = block_on_feet()
     p = shell.gravity(W / (shell.surface.areas.sum() * 5.0) * np.array([-np.sin(α), 0, -np.cos(α)]), 1.0)
     # Nothing but contact carries the block, so all forces follow from its balance, whatever the penalty.
-    law = contact_law(μ, np.full(len(feet), -1e-9), E * 5.0, 3, penalty=0.01)
-    state, _ = system.newton(rest(system), p, np.zeros(3), replace(law, friction=np.zeros(len(feet))))
+    law = contact_law(μ, np.full(feet, -1e-9), E * 5.0, 3, penalty=0.01)
+    smooth = replace(law, friction=ContactFriction.constant(np.zeros(feet)))
+    state, _ = system.newton(rest(system), p, np.zeros(3), smooth)
     for x, y, reaction in (
         (1.0, 0.0, W * (np.sin(α) + μ * np.cos(α))),
         (-1.0, 0.0, W * (np.sin(α) - μ * np.cos(α))),
@@ -73,6 +82,38 @@ def test_block_on_an_incline(angle):
     assert f[:, 2].sum() == pytest.approx(
         -μ * W * np.cos(α), rel=1e-4
     )  # across: friction opposes the motion along y alone
+
+
+def test_block_on_feet_that_yield():
+    """``R = Σ min(x/c, μ f_n)``; on the way back the feet unload first, from where their sliders came to stand."""
+    μ, W, c = 0.3, 50.0, 0.01
+    shell, system, C, feet = block_on_feet()
+    p = shell.gravity(W / (shell.surface.areas.sum() * 5.0) * np.array([0, 0, -1.0]), 1.0)
+    law = contact_law(μ, np.full(feet, -1e-9), E * 5.0, 3, penalty=0.01)
+    law = replace(law, friction=replace(law.friction, compliance=np.full(feet, c)))
+    state, anchor = rest(system), np.zeros((feet, 3))
+    for x, pull in ((0.02, 8.0), (0.06, 15.0), (0.04, 7.0), (-0.03, -15.0)):
+        law = replace(law, anchor=anchor)
+        state, _ = system.newton(state, p, np.array([x, 0, 0]), law)
+        δ = (C @ state.u).reshape(-1, 3)
+        assert state.reaction[0] == pytest.approx(pull, abs=5e-3 * μ * W), x  # the plate gives way and rocks a little
+        anchor = np.column_stack([np.zeros(feet), law.friction.slider(δ, state.force)])
+
+
+def test_block_whose_friction_depends_on_its_weight():
+    """Four feet carry W/4 each: ``R = 4 g(W/4)``, ``g(f) = 0.3 f (f/5)^(-0.4)``."""
+    shell, system, C, feet = block_on_feet()
+    law = contact_law(0.9, np.full(feet, -1e-9), E * 5.0, 3, penalty=0.01)
+    g = lambda f: (0.3 * f**0.6 * 5**0.4, 0.18 * (np.maximum(f, 1e-9) / 5) ** -0.4)
+    law = replace(law, friction=replace(law.friction, bounds=((np.arange(feet), g),)))
+    state = rest(system)
+    for W in (10.0, 40.0, 160.0):
+        p = shell.gravity(W / (shell.surface.areas.sum() * 5.0) * np.array([0, 0, -1.0]), 1.0)
+        state, _ = system.newton(state, p, np.array([1.0, 0, 0]), law)
+        assert (law.state((C @ state.u).reshape(-1, 3)) == SLIP).all()
+        # The pull at the sole tilts the block, so feet bear W/4 within a few per cent, and g is nearly straight there.
+        assert state.reaction[0] == pytest.approx(4 * 0.3 * (W / 4) ** 0.6 * 5**0.4, rel=1e-3)
+        np.testing.assert_allclose(-state.force[:, 1], g(state.force[:, 0])[0], rtol=1e-6)
 
 
 @pytest.fixture(scope="module")

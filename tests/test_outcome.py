@@ -1,6 +1,7 @@
 """The outcome of a run, against the evaluation that it came from; failed and missing samples."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -59,14 +60,20 @@ def test_statistics_of_zones_and_measurements_by_hand(folder, evaluation):
     summary = outcome.summary()
     for law in LAWS:
         for stage, resolution in evaluation[law].resolutions.items():
-            slip = np.sqrt((resolution.displacement[:, :, 1:] ** 2).sum(axis=2).mean(axis=1))  # the scene has one zone
+            motions = {"rms_tangential": resolution.displacement[:, :, 1:], "rms_slip": resolution.trace.slip}
             entry = summary["laws"][law]["zones"]["lap"]["stages"][stage]
-            assert entry["mean_rms_slip"] == pytest.approx(slip.mean(), rel=1e-6)
-            assert entry["six_sigma_rms_slip"] == pytest.approx(6 * slip.std(ddof=1), rel=1e-5)
-            assert entry["mean_rms_slip_ci"][0] < entry["mean_rms_slip"] < entry["mean_rms_slip_ci"][1]
+            for motion, moved in motions.items():
+                mean, spread = entry[f"mean_{motion}"], entry[f"six_sigma_{motion}"]
+                if law == "frictionless" and motion == "rms_slip":
+                    assert mean is None and spread is None  # nothing holds, so nothing slips under load
+                    continue
+                x = np.sqrt((moved**2).sum(axis=2).mean(axis=1))  # the scene has one zone
+                assert mean == pytest.approx(x.mean(), rel=1e-6)
+                assert spread == pytest.approx(6 * x.std(ddof=1), rel=1e-5)
+                assert entry[f"mean_{motion}_ci"][0] < mean < entry[f"mean_{motion}_ci"][1]
         zone = summary["laws"][law]["zones"]["lap"]
         assert (
-            zone["mean_rms_slip"] == zone["stages"]["clamp"]["mean_rms_slip"]
+            zone["mean_rms_tangential"] == zone["stages"]["clamp"]["mean_rms_tangential"]
         )  # clamping is the first stage that resolves contact
         x = evaluation[law].measurements[:, 0]
         found = summary["laws"][law]["measurements"]["M1"]
@@ -130,7 +137,8 @@ def test_summary_and_tables_on_disk(folder):
     assert summary["wall_time"] == {"Monte Carlo": 1.5} and summary["seed"] == SEED and summary["scene"] == "lap-joint"
     assert summary["laws"]["coulomb"]["measurements"]["M1"]["min_ci"][0] is None  # nothing bounds a minimum from below
     zones = pd.read_csv(folder / "tables" / "zones.csv")
-    assert len(zones) == 2 * 2 and zones["mean_rms_slip"].gt(0).all()
+    assert len(zones) == 2 * 2 and zones["mean_rms_tangential"].gt(0).all()
+    assert zones["mean_rms_slip"].notna().tolist() == [law == "coulomb" for law in zones["law"]]
 
 
 def test_kept_parts_are_the_parts(folder, lap_scene, cache):
@@ -157,8 +165,16 @@ def test_accessors_give_what_the_evaluation_holds(folder, evaluation, lap_model)
         for j, item in enumerate(lap_model.scene.measurements):
             np.testing.assert_allclose(outcome.measured(law, item.name), evaluation[law].measurements[:, j], rtol=1e-7)
         for stage, resolution in evaluation[law].resolutions.items():
-            slip = np.sqrt((resolution.displacement[:, :, 1:] ** 2).sum(axis=2).mean(axis=1))
-            np.testing.assert_allclose(outcome.slip(law, stage, "lap"), slip, rtol=1e-6)
+            tangential, slip = (
+                np.sqrt((moved**2).sum(axis=2).mean(axis=1))
+                for moved in (resolution.displacement[:, :, 1:], resolution.trace.slip)
+            )
+            np.testing.assert_allclose(outcome.tangential(law, stage, "lap"), tangential, rtol=1e-6)
+            if law == "coulomb":
+                np.testing.assert_allclose(outcome.slip(law, stage, "lap"), slip, rtol=1e-6)
+            else:
+                assert np.isnan(outcome.slip(law, stage, "lap")).all()
+            np.testing.assert_array_equal(outcome.path_error(law, stage), resolution.trace.error)
             assert outcome.residual(law, stage).max() <= outcome.worst_residual(law) < 1e-8
 
 
@@ -172,7 +188,7 @@ def test_the_wide_table_of_old_stays_with_a_warning(folder, evaluation):
     with pytest.warns(DeprecationWarning, match="Outcome.samples"):
         wide = outcome.samples["coulomb"]
     np.testing.assert_array_equal(wide["measurement:M1"], outcome.measured("coulomb", "M1"))
-    np.testing.assert_array_equal(wide["slip:release:lap"], outcome.slip("coulomb", "release", "lap"))
+    np.testing.assert_array_equal(wide["slip:release:lap"], outcome.tangential("coulomb", "release", "lap"))
     assert set(wide["status:clamp"]) == {"converged"} and len(wide) == SAMPLES
 
 
@@ -192,14 +208,29 @@ def test_a_cut_record_is_one_sentence(folder):
         read_outcome(folder)
 
 
+def test_a_run_of_an_older_version_is_one_sentence(folder):
+    """Its slip meant something else."""
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"format": 3}))
+    with pytest.raises(FormatError, match="run.json.*an older version.*run the scene again") as caught:
+        read_outcome(folder)
+    assert str(caught.value).count("\n") == 0
+
+
 def test_the_study_of_friction_is_solved_once_and_read_back(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, ["coulomb", "associated"], 14, SEED)
+    stages = [
+        stage.model_copy(update={"path": "one-step"}) if stage.kind == "clamp" else stage
+        for stage in lap_model.scene.stages
+    ]
+    model = replace(lap_model, scene=lap_model.scene.model_copy(update={"stages": stages}))
+    sample_into(tmp_path, model, ["coulomb", "associated"], 14, SEED)
     assert read_outcome(tmp_path).friction_study is None
     write_tables(read_outcome(tmp_path))
     study = read_outcome(tmp_path).friction_study
     assert set(study["law"]) == {"coulomb", "associated", "frictionless"} and study["sample"].nunique() == 12
-    at_scene = study[(study["mu"] == lap_model.contacts.friction.mean()) & (study["law"] == "coulomb")]
-    stored = read_outcome(tmp_path).contact("coulomb", "clamp", "f_n")  # the scene's own friction: what the run found
+    mu = lap_model.contacts.friction_in("clamp").coefficient.mean()
+    at_scene = study[(study["mu"] == mu) & (study["law"] == "coulomb")]
+    stored = read_outcome(tmp_path).contact("coulomb", "clamp", "f_n")  # the scene's own friction, and one step as here
     assert at_scene["normal_force"].iloc[0] == pytest.approx(stored[0].sum(), rel=1e-6)
 
 
@@ -226,13 +257,18 @@ def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
                     for suffix, whole in (("", estimate.value), ("_low", estimate.low), ("_high", estimate.high)):
                         close(rows[f"{prefix}_{name}{suffix}"], whole)
             close(rows["mean_gap"], outcome.contact(law, stage, "u_n").mean(axis=0))
-            close(rows["mean_slip"], outcome.contact(law, stage, "u_t").mean(axis=0))
+            close(rows["mean_tangential"], outcome.contact(law, stage, "u_t").mean(axis=0))
+            for name in ("path_stick", "path_slip"):
+                close(rows[name], outcome.contact(law, stage, name).astype(float).mean(axis=0))
             state = outcome.contact(law, stage, "state")
             for code, name in enumerate(("open", "stick", "slip")):
                 close(rows[name], (state == code).mean(axis=0))
             (row,) = outcome.zone_statistics.query("law == @law and stage == @stage").to_dict("records")
-            x = outcome.slip(law, stage, "lap")
-            close([row["mean_rms_slip"], row["six_sigma_rms_slip"]], [x.mean(), 6 * x.std(ddof=1)])
+            for motion, x in (
+                ("rms_tangential", outcome.tangential(law, stage, "lap")),
+                ("rms_slip", outcome.slip(law, stage, "lap")),
+            ):
+                close([row[f"mean_{motion}"], row[f"six_sigma_{motion}"]], [x.mean(), 6 * x.std(ddof=1)])
         for row in outcome.measurement_statistics.query("law == @law").to_dict("records"):
             x = outcome.measured(law, row["measurement"])
             close([row["mean"], row["sigma"], row["min"], row["max"]], [x.mean(), x.std(ddof=1), x.min(), x.max()])

@@ -3,17 +3,22 @@
 Comparing the two solves with each other cannot show an error here.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
 import mic
 from mic.compliance.blocks import Blocks
+from mic.contact.laws import LAWS
 from mic.model.assembly import Contacts
 from mic.model.rows import KINDS
+from mic.process.actions import tongs
 from mic.process.drive import drive
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
+from mic.process.words import opening, sentences
 
 FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
 ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]
@@ -69,21 +74,194 @@ def test_locators_hold_from_the_stage_that_they_name(plans):
     assert set(plans["close"].bilateral) - set(plans["set"].bilateral) == {("locator", 12), ("clamp", 0)}
 
 
+def moves(plan):
+    """What each step of a stage adds to what holds, pushes and is made, or takes away from it."""
+    return [
+        (step.settles, step.released, step.dropped_loads, step.closing, step.bilateral, step.loads)
+        for step in plan.steps
+    ]
+
+
+def test_what_overlaps_settles_first_then_locators_close_then_clamps_as_the_file_has_them(plans):
+    set_down = tuple(("locator", i) for i in range(12))
+    located = (*set_down, ("locator", 12))
+    assert moves(plans["close"]) == [
+        (True, (), (), (), set_down, ()),
+        (False, (), (), (), located, ()),
+        (False, (), (), (), (*located, ("clamp", 0)), ()),
+        (False, (), (), (), (*located, ("clamp", 0)), (1,)),
+    ]
+
+
 def test_clamps_with_a_force_push_and_clamps_with_a_stroke_hold(plans):
-    assert plans["close"].loads == (1,) and ("clamp", 0) in plans["close"].bilateral
-    assert plans["close2"].loads == (1, 2) and plans["close2"].increments == 3
+    assert plans["close"].steps[-1].loads == (1,) and ("clamp", 0) in plans["close"].bilateral
+    assert plans["close2"].steps[-1].loads == (1, 2) and plans["close2"].increments == 3
+    assert plans["close"].path == "followed" and plans["close2"].path == "increments"
+
+
+def test_what_has_settled_does_not_settle_again(plans):
+    assert [name for name, plan in plans.items() if any(step.settles for step in plan.steps)] == ["close"]
 
 
 def test_a_weld_freezes_all_its_rows_once_and_a_closing_one_is_named(plans):
-    assert plans["join"].made == tuple(range(9)) and plans["join"].closing == (1,)
-    assert plans["open"].made == () and {("weld", i) for i in range(9)} <= set(plans["open"].bilateral)
+    (join,) = plans["join"].steps
+    assert join.made == tuple(range(9)) and join.closing == (1,)
+    assert not any(step.made for step in plans["open"].steps)
+    assert {("weld", i) for i in range(9)} <= set(plans["open"].bilateral)
 
 
-def test_release_opens_every_clamp_and_every_locator_but_those_kept(plans):
+def test_release_opens_every_clamp_and_every_locator_but_those_kept_the_last_first(plans):
     kept = {("locator", i) for i in range(6)} | {("weld", i) for i in range(9)}
     assert set(plans["open"].bilateral) == kept
-    assert plans["open"].loads == () and plans["open"].dropped_loads == (1, 2)
-    assert set(plans["open"].released) == {("locator", i) for i in range(6, 13)} | {("clamp", 0)}
+    assert [(step.released, step.dropped_loads) for step in plans["open"].steps] == [
+        ((), (2,)),
+        ((), (1,)),
+        ((("clamp", 0),), ()),
+        ((("locator", 12),), ()),
+        (tuple(("locator", i) for i in range(6, 12)), ()),
+    ]
+
+
+def variant(**stages):
+    """The plan of the scene with other keys in some of its stages."""
+    changed = [stage | stages.get(stage["name"], {}) for stage in SCENE["stages"]]
+    return {plan.name: plan for plan in plan_stages(mic.Scene(**SCENE | {"stages": changed}), WELD_SIZE)}
+
+
+def test_an_order_closes_its_groups_one_after_the_other():
+    plan = variant(close={"order": [["press"], ["further", "hold"]]})["close"]
+    added = [set(after.bilateral) - set(before.bilateral) for before, after in zip(plan.steps, plan.steps[1:])]
+    assert added == [set(), {("locator", 12), ("clamp", 0)}] and [step.loads for step in plan.steps] == [(), (1,), (1,)]
+
+
+def test_welds_are_made_together_in_sequence_or_in_the_groups_of_an_order():
+    first, second = tuple(range(6)), tuple(range(6, 9))
+    assert [step.made for step in variant(join={"sequence": True})["join"].steps] == [first, second]
+    assert [step.made for step in variant(join={"order": [["W2"], ["W1"]]})["join"].steps] == [second, first]
+
+
+def test_a_release_opens_its_groups_and_keeps_the_clamps_that_it_names():
+    keep = [f"a{i}" for i in range(6)]
+    rest = [f"b{i}" for i in range(6)]
+    plan = variant(open={"keep": [*keep, "press"], "order": [[*rest, "further"], ["press2", "hold"]]})["open"]
+    assert [step.loads for step in plan.steps] == [(1, 2), (1,)]
+    assert [step.released for step in plan.steps] == [tuple(("locator", i) for i in range(6, 13)), (("clamp", 0),)]
+
+
+def test_a_clamp_that_is_kept_stays_closed_in_the_reverse_order_too():
+    plan = variant(open={"keep": [*(f"a{i}" for i in range(6)), "press", "hold"]})["open"]
+    assert [step.dropped_loads for step in plan.steps] == [(2,), (), ()]
+    assert plan.steps[-1].loads == (1,) and ("clamp", 0) in plan.bilateral
+
+
+def test_all_at_once_is_one_step_overlaps_included():
+    (close,) = variant(close={"path": "one-step"})["close"].steps
+    assert not close.settles and close.loads == (1,) and {("locator", 12), ("clamp", 0)} <= set(close.bilateral)
+    (opened,) = variant(open={"path": "one-step"})["open"].steps
+    assert len(opened.released) == 8 and opened.dropped_loads == (1, 2)
+
+
+def test_parts_may_settle_while_the_first_thing_closes():
+    steps = variant(set={"settle": False})["close"].steps
+    assert [step.settles for step in steps] == [True, False, False]
+    assert ("locator", 12) in steps[0].bilateral
+
+
+def test_clamps_that_press_two_parts_together_close_as_one_and_others_by_themselves():
+    def groups(**changes):
+        lower = clamp("lower", part="a", force=40.0)
+        upper = clamp("upper", force=40.0, direction=[0, 0, -1]) | changes
+        return tongs(mic.Scene(**SCENE | {"clamps": [lower, upper], "deviations": []}), [0, 1])
+
+    assert groups() == [(0, 1)]
+    assert groups(part="a") == groups(direction=[0, 0, 1]) == groups(point=[20, 5, 0]) == [(0,), (1,)]
+
+
+def test_a_release_that_keeps_too_little_is_refused_with_the_part_and_what_opened():
+    with pytest.raises(mic.SceneError, match=r"stages \(open\): 3 rigid-body motions are free once a3, a4.* opened"):
+        variant(open={"keep": ["a0", "a1", "a2"]})
+
+
+def test_the_step_that_frees_a_part_is_the_one_that_is_named():
+    """What still holds the two parts, welded together, then: `hold` and `further`, two supports along z."""
+    opened = {"keep": [], "order": [[f"{part}{i}" for part in "ab" for i in range(6)], ["press2", "press"]]}
+    opened["order"].append(["hold", "further"])
+    with pytest.raises(
+        mic.SceneError, match=r"stages \(open\): 4 rigid-body motions are free once a0, a1, a2, a3 … op"
+    ):
+        variant(open=opened)
+
+
+def test_a_part_that_is_free_between_two_steps_is_refused_though_both_ends_hold_it():
+    """The release before any weld lets go of b's last locator along y, and the next stage would hold it again."""
+    again = {**six("b")[5], "name": "again", "stage": "hold-again"}
+    stages = [
+        {"kind": "locate", "name": "set"},
+        {"kind": "clamp", "name": "close"},
+        {"kind": "release", "name": "early", "keep": [f"{part}{i}" for part in "ab" for i in range(6)][:11]},
+        {"kind": "clamp", "name": "hold-again"},
+        {"kind": "clamp", "name": "close2"},
+        {"kind": "weld", "name": "join"},
+    ]
+    locators = [*SCENE["locators"], again]
+    with pytest.raises(mic.SceneError, match=r"stages \(early\): 1 rigid-body motions are free .*part 'b'"):
+        plan_stages(mic.Scene(**SCENE | {"stages": stages, "locators": locators}), WELD_SIZE)
+    stages[2]["keep"].append("b5")
+    assert plan_stages(mic.Scene(**SCENE | {"stages": stages, "locators": locators}), WELD_SIZE)
+
+
+def test_welds_without_moment_hold_positions_and_no_turn_about_their_point():
+    """b, released, hangs on the three rows of one weld: it may turn about the weld's point, in three ways."""
+    (weld,) = [weld for weld in SCENE["welds"] if weld["name"] == "W2"]
+    stages = [SCENE["stages"][i] for i in (0, 1, 2, 3, 4)]
+    scene = mic.Scene(**SCENE | {"welds": [weld], "stages": stages})
+    with pytest.raises(mic.SceneError, match=r"stages \(open\): 3 rigid-body motions are free .*part 'b'"):
+        plan_stages(scene, (3,))
+    two = [weld, {**weld, "name": "W3", "point": [0, 9, 0]}]
+    with pytest.raises(mic.SceneError, match=r"stages \(open\): 1 rigid-body motions are free .*part 'b'"):
+        plan_stages(mic.Scene(**SCENE | {"welds": two, "stages": stages}), (3, 3))
+    assert plan_stages(mic.Scene(**SCENE | {"welds": [{**weld, "moment": True}], "stages": stages}), (6,))
+
+
+def test_without_friction_only_the_last_step_counts_and_those_about_a_weld(plans):
+    """close: one of four. join: W1 and W2 in sequence, where W2 alone closes a gap and W1 freezes what is there."""
+    solved = {
+        law: {name: plan.solves(LAWS[law]) for name, plan in plans.items()} for law in ("coulomb", "frictionless")
+    }
+    assert solved["coulomb"] == {"set": 0, "close": 4, "close2": 3, "join": 1, "open": 5, "read": 0}
+    assert solved["frictionless"] == {"set": 0, "close": 1, "close2": 1, "join": 1, "open": 1, "read": 0}
+    gone = variant(join={"order": [["W2"], ["W1"]]})["join"]
+    assert gone.solves(LAWS["frictionless"]) == 1 and gone.remembered == (0, 1)
+
+
+def test_the_process_in_words():
+    plans = variant(join={"sequence": True})
+    scene = mic.Scene(**SCENE)
+    assert sentences(scene, plans["close"]) == [
+        "parts that overlap come to rest on each other",
+        "locator further closes",
+        "clamp hold closes to -0.25 mm",
+        "clamp press closes (40 N)",
+    ]
+    assert sentences(scene, plans["join"]) == ["weld W1 keeps what it finds", "weld W2 closes its gap"]
+    assert sentences(scene, plans["open"])[:2] == ["clamp press2 opens", "clamp press opens"]
+    assert sentences(scene, plans["set"]) == [
+        "a is set down on a0, a1, a2, a3, a4 and a5; b is set down on b0, b1, b2, b3, b4 and b5"
+    ]
+    together = variant(set={"settle": False}, close={"order": [["press", "further", "hold"]]})["close"]
+    assert sentences(scene, together) == [
+        "locator further closes, clamp hold closes to -0.25 mm, clamp press closes (40 N); "
+        "meanwhile parts that overlap come to rest on each other"
+    ]
+    said = {name: opening(plan, contacts=True) for name, plan in plans.items()}
+    assert said == {
+        "set": "parts touch nothing yet",
+        "close": "contact active, path followed",
+        "close2": "contact active, 3 increments for each step",
+        "join": "contact active, path followed",
+        "open": "contact active, path followed",
+        "read": "nothing moves",
+    }
 
 
 def test_contact_is_resolved_where_something_changes_and_not_while_parts_are_set_down(plans):
@@ -123,9 +301,10 @@ def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
 STIFFNESS, GAP, PRESS = 50.0, 0.3, 20.0  # N/mm, mm, N
 
 
-def springs():
+def springs(drag=0.0, gap=GAP, settle=True, **close):
     """Two bodies whose faces yield along z on a spring each, one contact between them.
 
+    One clamp presses b's face down, and one drags it along x. `close` gives further keys of the stage that closes them.
     Functionals of each body: its six supports, and its face along n, t1 and t2. What the finite elements would give is
     written down by hand.
     """
@@ -145,7 +324,7 @@ def springs():
         return line
 
     locators = [row((i, 1.0)) for i in range(6)] + [row((count + i, 1.0)) for i in range(6)]
-    press = [row((count + 6, 1.0))]
+    press = [row((count + 6, 1.0)), row((count + 7, 1.0))]
     contact = [row((6 + j, -1.0), (count + 6 + j, 1.0)) for j in range(3)]
     rows = {kind: csr_matrix((0, width)) for kind in KINDS}
     rows |= {"locator": csr_matrix(locators), "clamp": csr_matrix(press), "contact": csr_matrix(contact)}
@@ -154,12 +333,12 @@ def springs():
         name="springs",
         parts=SCENE["parts"],
         locators=[*six("a"), *six("b")],
-        clamps=[clamp("press", force=-PRESS)],
+        clamps=[clamp("press", force=-PRESS), clamp("drag", force=drag, direction=[1, 0, 0])],
         zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
         measurements=[{"name": "M", "part": "b", "point": [5, 5, 0], "direction": [0, 0, 1], "lower": -1, "upper": 1}],
         stages=[
-            {"kind": "locate", "name": "set"},
-            {"kind": "clamp", "name": "close"},
+            {"kind": "locate", "name": "set", "settle": settle},
+            {"kind": "clamp", "name": "close"} | close,
             {"kind": "release", "name": "open"},
             {"kind": "measure", "name": "read"},
         ],
@@ -168,7 +347,7 @@ def springs():
     contacts = Contacts(
         np.zeros(1, int),
         np.array([0.2]),
-        np.array([GAP]),
+        np.array([gap]),
         np.ones(1),
         np.zeros((1, 3)),
         np.eye(3)[None],
@@ -191,3 +370,66 @@ def test_a_clamp_closes_a_gap_against_two_springs_and_release_opens_it():
     assert opened.force[0, 0, 0] == 0.0
     assert opened.displacement[0, 0, 0] == pytest.approx(GAP, rel=1e-12)  # the clamp's force has gone
     assert evaluation.measurements[0, 0] == pytest.approx(0.0, abs=1e-12)
+
+
+# Along x both faces yield by c = 1/(2k) per N. Held by a friction force f_t, b's face moves by (D + f_t) c under the
+# drag D and a's by -f_t c, so that u_t = (D + 2 f_t) c. The face is pressed by N = (P - k g)/2 = 2.5 N, μ N = 0.5 N.
+YIELD, HOLD = 0.5 / STIFFNESS, 0.2 * (PRESS - STIFFNESS * GAP) / 2
+DRAGGED = {
+    "pressed, then dragged: it sticks": (0.8, [["press"], ["drag"]], -0.8 / 2, 0.0),
+    "pressed, then dragged: it slips": (3.0, [["press"], ["drag"]], -HOLD, (3.0 - 2 * HOLD) * YIELD),
+    "dragged, then pressed: nothing is left to hold": (3.0, [["drag"], ["press"]], 0.0, 3.0 * YIELD),
+    "dragged, then pressed, and a little": (0.8, [["drag"], ["press"]], 0.0, 0.8 * YIELD),
+}
+
+
+@pytest.mark.parametrize("case", DRAGGED)
+def test_what_a_drag_leaves_depends_on_whether_the_face_was_pressed_before(case):
+    drag, order, force, slip = DRAGGED[case]
+    closed = springs(drag, order=order).evaluate({}).resolutions["close"]
+    np.testing.assert_allclose(closed.force[0, 0], [2.5, force, 0.0], atol=1e-9)
+    np.testing.assert_allclose(closed.displacement[0, 0], [0.0, slip, 0.0], atol=1e-10)
+    under_load = slip if order[0] == ["press"] else 0.0
+    np.testing.assert_allclose(closed.trace.slip[0, 0], [under_load, 0.0], atol=1e-10)
+
+
+def test_together_the_face_sticks_where_it_touches():
+    """It touches at s = k g/P = 3/4 of both loads; from there D/4 is shared by both springs: f_t = -D/8, D/8 < μ N.
+
+    One step at once, as the paper has it, holds it from where it was set down: f_t = -D/2.
+    """
+    drag, touch = 0.8, STIFFNESS * GAP / PRESS
+    followed = springs(drag, order=[["press", "drag"]]).evaluate({}).resolutions["close"]
+    np.testing.assert_allclose(followed.force[0, 0], [2.5, -(1 - touch) * drag / 2, 0.0], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(followed.displacement[0, 0], [0.0, touch * drag * YIELD, 0.0], rtol=1e-3, atol=1e-9)
+    at_once = springs(drag, path="one-step").evaluate({}).resolutions["close"]
+    np.testing.assert_allclose(at_once.force[0, 0], [2.5, -drag / 2, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("settle, work", [(True, 0.015), (False, 0.0075)])
+def test_what_overlaps_presses_before_the_drag_or_while_it_grows(settle, work):
+    """Faces that overlap by 0.3 mm press on each other by N = 0.3 k/2 = 7.5 N, and a drag of 4 N overcomes μ N = 1.5 N.
+
+    They end slipped by u = (4 - 2 μ N) c = 0.01 mm, against μ N all the way, or against a force that grows with the
+    slip.
+    """
+    model = springs(4.0, gap=-0.3, settle=settle, order=[["drag"], ["press"]], increments=100)
+    closed = model.evaluate({}).resolutions["close"]
+    assert closed.trace.slip[0, 0, 0] == pytest.approx(0.01, rel=1e-9)
+    assert closed.trace.work[0, 0] == pytest.approx(work, rel=0.02)
+
+
+def test_a_release_opens_first_what_closed_last():
+    """The face has slipped by u = (D - 2 μ N) c. Without the drag it slips back while the press still holds it, and the
+    rest of the way as the press fades: by -u. If the press opens first, the drag takes it on to D c, by 2 μ N c.
+    """
+    drag = 3.0
+    model = springs(drag, order=[["press"], ["drag"]])
+    back = model.evaluate({}).resolutions["open"].trace
+    np.testing.assert_allclose(back.slip[0, 0], [-(drag - 2 * HOLD) * YIELD, 0.0], atol=1e-9)
+    stages = [
+        stage.model_copy(update={"order": [["press"], ["drag"]]}) if stage.kind == "release" else stage
+        for stage in model.scene.stages
+    ]
+    on = replace(model, scene=model.scene.model_copy(update={"stages": stages})).evaluate({}).resolutions["open"].trace
+    np.testing.assert_allclose(on.slip[0, 0], [2 * HOLD * YIELD, 0.0], atol=1e-9)

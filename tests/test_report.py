@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.runs import all_fail, fail
+from support.runs import all_fail, edit, fail
 
 import mic.report
 from mic.contact import ContactSolver
@@ -20,10 +20,11 @@ from mic.report.gallery import PICTURES, Entry, draw, draw_all
 from mic.report.law_pictures import law_cost
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.page import write_report
-from mic.report.style import LAWS, RC, number, percent
+from mic.report.style import LAWS, RC, change, number, percent
 from mic.results.fields import write_fields
 from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
+from mic.results.schema import PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
 from mic.scene import Scene
 
@@ -115,6 +116,8 @@ def test_every_figure_is_there(page):
         "assembly",
         "assembly-view",
         "table-1",
+        "path-table",
+        "slip-table",
         "measurement-table",
         "field-view",
         *(entry.name for entry in PICTURES if entry.section != "still"),
@@ -153,8 +156,11 @@ def test_figures_in_the_text_are_those_of_the_summary(page, folder):
     summary = json.loads((folder / "summary.json").read_text())
     zone = summary["laws"]["coulomb"]["zones"]["lap"]
     for value in (
+        zone["mean_rms_tangential"],
+        zone["six_sigma_rms_tangential"],
         zone["mean_rms_slip"],
         zone["six_sigma_rms_slip"],
+        zone["mean_friction_work"],
         summary["laws"]["associated"]["measurements"]["M1"]["mean"],
     ):
         assert number(value) in page.words
@@ -176,6 +182,47 @@ def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder):
         assert page.loads.count(picture.uri) == 1, name
 
 
+def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, tmp_path):
+    """Nothing is known of the placeholder's errors; so they are written into a copy."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    whole = read_outcome(copy)
+
+    def marked(frame):
+        clamped = frame["stage"] == "clamp"
+        error = np.where(clamped, 0.0042 * (1 + frame["sample"] % 4), 0.0)
+        return frame.assign(rescued=clamped & frame["sample"].isin([2, 5, 7]), path_error=error)
+
+    edit(copy, RESOLUTIONS, "coulomb", marked)
+    pairs = whole.path_study.pairs
+    moved = (pairs["law"] == "coulomb") & (pairs["quantity"] == "measurement") & (pairs["name"] == "M1")
+    pairs.loc[moved, "tighter"] = pairs.loc[moved, "value"] + 0.0123
+    pairs.to_csv(copy / PATH.place, index=False)
+    errors = whole.path_study.errors
+    errors.loc[errors["law"] == "coulomb", ["estimate", "measured"]] = [0.006, 0.002]
+    errors.to_csv(copy / PATH_ERRORS.place, index=False)
+    outcome = read_outcome(copy)
+    words = _Page(write_report(copy)).words
+    share = outcome.summary()["laws"]["coulomb"]["measurements"]["M1"]["mean_path_share"]
+    assert f"path +12 µm (+{percent(share, 1)})" in words
+    assert "rescued" in words and outcome.rescued["coulomb"] == [2, 5, 7]
+    picture = draw("path-error", outcome, read_context(outcome))
+    assert "largest 17 µm in clamp" in picture.caption and "covers what a tighter path changes in 24" in picture.caption
+    assert "3.0 times that in the median" in picture.caption
+    assert picture.caption in words
+
+
+def test_work_and_states_along_the_path_are_told_in_numbers(folder, page):
+    outcome = read_outcome(folder)
+    context, table = read_context(outcome), outcome.zone_statistics.set_index(["law", "stage"])
+    work = draw("friction-work", outcome, context).caption
+    assert f"{number(table.loc[('coulomb', 'clamp'), 'mean_friction_work'])} N mm in clamp" in work
+    states = draw("path-states", outcome, context).caption
+    open_ = np.mean([table.loc[("coulomb", stage), "open"] for stage in outcome.stages])
+    assert f"coulomb: {percent(open_)} open" in states
+    assert "frictionless" not in work + states  # where nothing holds, nothing slips under load
+    assert work in page.words and states in page.words
+
+
 def test_every_picture_that_can_be_drawn_is_in_the_report():
     """A function that is called a picture and that no entry calls would never be seen."""
     shown = {getattr(entry.function, "func", entry.function) for entry in PICTURES}
@@ -188,7 +235,7 @@ def test_every_picture_that_can_be_drawn_is_in_the_report():
 
 
 def test_a_picture_of_no_section_is_refused():
-    with pytest.raises(ValueError, match="section must be one of slip, "):
+    with pytest.raises(ValueError, match="section must be one of path, motion, slip, "):
         Entry("lost", "nowhere", lambda outcome, context: None)
 
 
@@ -210,13 +257,13 @@ def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(folder, mon
     law, zone = context.laws[0], outcome.zones[0]
     first = outcome.sample_numbers(law)[:7]
     np.testing.assert_array_equal(
-        outcome.slip(law, context.stage, zone, first), outcome.slip(law, context.stage, zone)[:7]
+        outcome.tangential(law, context.stage, zone, first), outcome.tangential(law, context.stage, zone)[:7]
     )
-    whole = {name: draw(name, outcome, context) for name in ("slip-density", "law-cost", "measurements")}
+    whole = {name: draw(name, outcome, context) for name in ("tangential-density", "law-cost", "measurements")}
     for module in ("contact", "law", "measurement"):
         monkeypatch.setattr(f"mic.report.{module}_pictures.SHOWN", 7)
     few = {name: draw(name, outcome, context) for name in whole}
-    assert "over the first 7 samples" in few["slip-density"].caption
+    assert "over the first 7 samples" in few["tangential-density"].caption
     assert "Over the first 7 samples valid" in few["law-cost"].caption
     assert "The first 7 samples are drawn." in few["measurements"].caption
     for name, picture in whole.items():
@@ -310,16 +357,22 @@ TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
 @pytest.mark.parametrize(
     "name, changes, samples, absent, present",
     [
-        ("no zones", {"zones": []}, 5, {"table-1", "slip-density", "states", "law-cost"}, {"assembly", "measurements"}),
+        (
+            "no zones",
+            {"zones": []},
+            5,
+            {"table-1", "tangential-density", "states", "law-cost", "path-table"},
+            {"assembly", "measurements"},
+        ),
         (
             "normals only",
             {"report": FRICTIONLESS},
             5,
-            {"table-1", "slip-force", "law-cost"},
+            {"table-1", "slip-force", "law-cost", "slip-table", "path-states", "friction-work", "path-table"},
             {"one-sample-f", "states"},
         ),
         ("one sample", {}, 1, set(), {"table-1", "one-sample-u", "measurement-table"}),
-        ("nothing varies", {"deviations": []}, 4, set(), {"table-1", "slip-density", "measurements"}),
+        ("nothing varies", {"deviations": []}, 4, set(), {"table-1", "tangential-density", "measurements"}),
         ("no measurements", {"measurements": []}, 5, {"measurements", "measurement-table"}, {"table-1"}),
         (
             "no fields",
@@ -356,7 +409,7 @@ def test_report_of_a_law_that_failed_throughout(folder, page, tmp_path):
     summary = json.loads((spoilt / "summary.json").read_text())
     assert "coulomb: not converged (40)" in words
     assert (
-        summary["laws"]["coulomb"]["zones"]["lap"]["mean_rms_slip"] is None
+        summary["laws"]["coulomb"]["zones"]["lap"]["mean_rms_tangential"] is None
         and summary["laws"]["coulomb"]["worst_residual"] is None
     )
 
@@ -386,6 +439,24 @@ def test_report_of_a_run_with_no_finished_sample(lap_scene, cache, tmp_path):
 )
 def test_numbers_for_people(value, text):
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    "value, share, text",
+    [
+        (0.0123, 0.031, "+12 µm (+3.1 %)"),
+        (-0.0042, -0.5, "−4.2 µm (−50.0 %)"),
+        (0.0009, 0.0009, "≤ 1 µm (+0.1 %)"),
+        (0.0009, float("nan"), "≤ 1 µm"),
+        (-1e-9, -1e-9, "≤ 1 µm (0.0 %)"),
+        (0.0, 0.0, "≤ 1 µm (0.0 %)"),
+        (0.005, None, "+5.0 µm"),
+        (float("nan"), 0.1, "–"),
+        (None, None, "–"),
+    ],
+)
+def test_changes_for_people_are_never_a_bare_share(value, share, text):
+    assert change(value, share) == text
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Results are what their declaration says: names, types, units, formats."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -17,8 +18,13 @@ from mic.sampling.draw import draw
 
 
 @pytest.fixture(scope="module")
-def found(lap_model):
-    return tables(lap_model, lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3)), first=5)
+def evaluation(lap_model):
+    return lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3))
+
+
+@pytest.fixture(scope="module")
+def found(lap_model, evaluation):
+    return tables(lap_model, evaluation, first=5)
 
 
 def test_an_evaluation_fills_the_tables_as_they_are_declared(found):
@@ -28,23 +34,79 @@ def test_an_evaluation_fills_the_tables_as_they_are_declared(found):
         assert found[table.name]["sample"].unique().tolist() == [5, 6, 7]
 
 
-def test_zone_slip_is_the_rms_over_the_zones_pairs(found):
+def test_tangential_displacement_of_a_zone_is_the_rms_over_its_pairs(found):
     one = found["contacts"].query("sample == 7 and stage == 'clamp'")
     rms = np.sqrt((one["u_t1"] ** 2 + one["u_t2"] ** 2).mean())
-    slip = found["slips"].query("sample == 7 and stage == 'clamp' and zone == 'lap'")["rms_slip"].item()
-    assert slip == pytest.approx(rms, rel=1e-12) and rms > 1e-5
+    moved = found["slips"].query("sample == 7 and stage == 'clamp' and zone == 'lap'")["rms_tangential"].item()
+    assert moved == pytest.approx(rms, rel=1e-12) and rms > 1e-5
 
 
-def test_every_resolution_names_the_rung_that_found_it(found, lap_model):
-    evaluation = lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3))
+def test_slip_of_a_zone_is_that_under_load(found, evaluation):
+    """Whatever slid, rubbed; what was open all the way is told by the tangential displacement alone."""
     for stage, resolution in evaluation.resolutions.items():
-        assert set(resolution.rung) <= set(ladder.rungs(COULOMB))
+        rows = found["slips"][found["slips"]["stage"] == stage].set_index("sample")
+        trace = resolution.trace
+        for i, sample in enumerate((5, 6, 7)):
+            row = rows.loc[sample]
+            net, way = (trace.slip[i] ** 2).sum(axis=1), trace.length[i] ** 2
+            assert row["rms_slip"] == pytest.approx(np.sqrt(net.mean()), rel=1e-12)
+            assert row["slip_length"] == pytest.approx(np.sqrt(way.mean()), rel=1e-12)
+            assert row["slip_length"] >= row["rms_slip"] * (1 - 1e-12)
+            assert row["friction_work"] == pytest.approx(trace.work[i].sum(), rel=1e-12)
+            assert row[["open", "stick", "slip"]].tolist() == pytest.approx(trace.share[i].mean(axis=0))
+            assert row[["open", "stick", "slip"]].sum() == pytest.approx(1.0)
+            assert row["friction_work"] > 0
+    clamped = found["slips"].query("stage == 'clamp'")
+    assert (clamped["rms_slip"] < clamped["rms_tangential"]).all()
+
+
+def test_without_friction_nothing_slips_under_load(lap_model):
+    found = tables(lap_model, lap_model.process("frictionless").evaluate(draw(lap_model.scene, 4, 0, 3)))
+    assert (found["slips"]["rms_tangential"] > 0).all()
+    assert found["slips"][["rms_slip", "slip_length", "friction_work", "open", "stick", "slip"]].isna().all(axis=None)
+    assert found["contacts"][["path_stick", "path_slip"]].isna().all(axis=None)
+
+
+def test_states_of_the_pairs_along_the_path_make_those_of_their_zone(found):
+    zones = found["slips"].set_index(["stage", "sample"])
+    for key, rows in found["contacts"].groupby(["stage", "sample"], observed=True):
+        zone = zones.loc[[key]]
+        for name in ("stick", "slip"):
+            assert rows[f"path_{name}"].mean() == pytest.approx(zone[name].item(), rel=1e-6)
+    assert found["contacts"]["path_slip"].between(0, 1).all() and found["contacts"]["path_slip"].nunique() > 2
+
+
+def test_a_resolution_tells_what_its_path_took_and_left(found, evaluation):
+    for stage, resolution in evaluation.resolutions.items():
+        rows = found["resolutions"][found["resolutions"]["stage"] == stage]
+        np.testing.assert_array_equal(rows["path_error"], resolution.trace.error)
+        assert rows["steps"].tolist() == resolution.trace.steps.tolist() and (rows["steps"] > 0).all()
+        assert rows["factorisations"].tolist() == resolution.trace.factorisations.tolist()
+
+
+def test_every_resolution_names_the_rung_that_found_it(found, evaluation):
+    for stage, resolution in evaluation.resolutions.items():
+        assert set(resolution.rung) <= {"followed", "increments", *ladder.rungs(COULOMB)}
         rows = found["resolutions"][found["resolutions"]["stage"] == stage]
         assert rows["rung"].tolist() == resolution.rung.tolist()
 
 
-def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, lap_model):
-    evaluation = lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 3))
+def test_rescued_is_what_should_have_been_followed_and_was_not(evaluation, lap_model):
+    def rescued(model, law="coulomb", **changes):
+        resolutions = {name: replace(r, **changes) for name, r in evaluation.resolutions.items()}
+        frame = tables(model, replace(evaluation, law=law, resolutions=resolutions))["resolutions"]
+        return frame[frame["stage"] == "clamp"]["rescued"].tolist()
+
+    rung = np.array(["followed", "sweeps", "none"], dtype=object)
+    states = {"rung": rung, "converged": np.array([True, True, False])}
+    assert rescued(lap_model, **states) == [False, True, False]
+    assert rescued(lap_model, "associated", **states) == [False] * 3  # it takes increments, and keeps to them
+    stages = [stage.model_copy(update={"path": "increments", "increments": 2}) for stage in lap_model.scene.stages]
+    plain = replace(lap_model, scene=lap_model.scene.model_copy(update={"stages": stages}))
+    assert rescued(plain, **states) == [False] * 3
+
+
+def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, evaluation, lap_model):
     contacts = found["contacts"].set_index(["stage", "sample", "contact"])
     assert contacts.index.is_unique
     for stage, resolution in evaluation.resolutions.items():
@@ -67,7 +129,7 @@ def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, lap_mo
         (lambda frame: frame.astype({"sample": "int64"}), "'sample' holds int64"),
         (lambda frame: frame.astype({"zone": object}), "'zone' holds object"),
         (lambda frame: frame.assign(more=1.0), "'more' is none of"),
-        (lambda frame: frame[["stage", "sample", "zone", "rms_slip"]], "'stage' is out of order"),
+        (lambda frame: frame[["stage", "sample", *frame.columns[2:]]], "'stage' is out of order"),
     ],
 )
 def test_a_frame_that_is_not_its_table_is_refused(found, change, words, tmp_path):
@@ -79,7 +141,8 @@ def test_a_frame_that_is_not_its_table_is_refused(found, change, words, tmp_path
 
 def test_tangential_columns_may_be_absent_and_no_others(found):
     contacts = found["contacts"]
-    schema.CONTACTS.check(contacts.drop(columns=["f_t1", "f_t2", "u_t1", "u_t2"]), "memory", "mend it")
+    tangential = ["f_t1", "f_t2", "u_t1", "u_t2", "path_stick", "path_slip"]
+    schema.CONTACTS.check(contacts.drop(columns=tangential), "memory", "mend it")
     with pytest.raises(FormatError, match="'f_n'"):
         schema.CONTACTS.check(contacts.drop(columns="f_n"), "memory", "mend it")
 
@@ -144,10 +207,10 @@ def test_a_flipped_number_inside_a_block_is_noticed(found, tmp_path):
 #: Version of each dataset, and a digest of its columns.
 DECLARED = {
     "deviations": (1, "2113a270"),
-    "resolutions": (2, "c96a2e6c"),
-    "slips": (1, "ee3ab1a9"),
+    "resolutions": (3, "03eb5713"),
+    "slips": (2, "802d26ed"),
     "measurements": (1, "00559d48"),
-    "contacts": (1, "6bba7c6a"),
+    "contacts": (2, "f209fc4c"),
     "samples": (1, "5b570156"),
 }
 

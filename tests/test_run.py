@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from mic.compliance.blocks import Blocks
+from mic.contact.path import Followed
 from mic.errors import RunError
 from mic.model.assembly import assemble
 from mic.results.identity import identity
@@ -151,6 +152,12 @@ def test_identity_depends_on_inputs_and_not_on_what_was_computed(lap_model, lap_
     assert identity(replace(lap_model, inputs={**lap_model.inputs, "geometry.py": "0"}), 4) != own
     titles = {"description": "other words", "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 3})}
     assert identity(replace(lap_model, scene=lap_scene.model_copy(update=titles)), 4) == own
+
+
+def test_how_exactly_the_path_is_followed_belongs_to_the_identity(lap_model, monkeypatch):
+    own = identity(lap_model, 4)
+    monkeypatch.setattr(Followed, "tolerance", Followed.tolerance / 2)
+    assert identity(lap_model, 4) != own
 
 
 def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):

@@ -1,6 +1,7 @@
 """Bad input: one clear error that names the file, the key and the remedy."""
 
 import re
+import tomllib
 from pathlib import Path
 from typing import get_args
 
@@ -13,6 +14,7 @@ from mic.process.actions import SUGAR
 from mic.sampling.distributions import DISTRIBUTIONS
 from mic.scene import SETTINGS, schema
 from mic.scene.reference import reference
+from mic.scene.settings import FOLLOWING
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -21,6 +23,56 @@ BROKEN = {
     "negative thickness": (r"thickness = 1\b", "thickness = -1", ["parts[0].thickness", "greater than 0", "-1"]),
     "unknown key": (r"young = 210000", "yung = 210000", ["parts[0].yung", "unknown key"]),
     "negative friction": (r"friction = 0.27", "friction = -0.1", ["zones[0].friction", "greater than or equal to 0"]),
+    "friction of a stage that there is not": (
+        r"friction = 0.27",
+        "friction = { clmp = 0.1, default = 0.2 }",
+        ["zones[0].friction", "no stage called 'clmp'", "did you mean 'clamp'"],
+    ),
+    "friction by stage, negative": (
+        r"friction = 0.27",
+        "friction = { clamp = -0.1, default = 0.2 }",
+        ["zones[0].friction.clamp", "greater than or equal to 0"],
+    ),
+    "friction by stage, not all": (
+        r"friction = 0.27",
+        "friction = { clamp = 0.1 }",
+        ["zones[0]", "friction by stage needs default"],
+    ),
+    "friction that falls too fast": (
+        r"friction = 0.27",
+        "friction_table = [[0, 0.5], [1, 0.1]]",
+        ["zones[0]", "friction_table", "must not fall with pressure", "between 0 and 1 MPa"],
+    ),
+    "a steep power": (
+        r"friction = 0.27",
+        "friction_power = { mu0 = 0.3, p0 = 1, n = 2, mu_min = 0.1, mu_max = 0.5 }",
+        ["zones[0]", "friction_power", "n is at most 1"],
+    ),
+    "two functions of pressure": (
+        r"friction = 0.27",
+        "friction_table = [[0, 0.5]]\nfriction_power = { mu0 = 0.3, p0 = 1, n = 0.2, mu_min = 0.1, mu_max = 0.5 }",
+        ["zones[0]", "friction_table or friction_power, not both"],
+    ),
+    "a pressure without an area": (
+        r"friction = 0.27",
+        "friction_table = [[0, 0.5]]\npatch = 0",
+        ["zones[0]", "friction_table is per area and patch = 0 has none"],
+    ),
+    "a stiffness without an area": (
+        r"friction = 0.27",
+        "tangential_stiffness = 100\npatch = 0",
+        ["zones[0]", "tangential_stiffness is per area and patch = 0 has none"],
+    ),
+    "pressure that nothing depends on": (
+        r'"associated"',
+        '"pressure-dependent"',
+        ["report.laws", "no zone has friction_table or friction_power", 'ask for "coulomb"'],
+    ),
+    "contacts that yield by nothing": (
+        r'"associated"',
+        '"micro-slip"',
+        ["report.laws", "no zone has tangential_stiffness"],
+    ),
     "NaN deviation": (r"mean = -5", "mean = nan", ["deviations[0].mean", "finite"]),
     "infinite sigma": (r"sigma = 1.5", "sigma = inf", ["deviations[0].sigma", "finite"]),
     "zero direction": (
@@ -46,6 +98,106 @@ BROKEN = {
     "not TOML": (r"\[\[parts\]\]", "[[parts]", ["not valid TOML"]),
     "syntax of a name": (r'name = "F1"', 'name = "F 1"', ["deviations[0].name"]),
     "poisson": (r"poisson = 0.3", "poisson = 0.5", ["parts[0].poisson", "less than 0.5"]),
+}
+CLAMP = r'(?<=\n)kind = "clamp"'
+RELEASE = r'(?<=\n)kind = "release"'
+EARLY = '[[stages]]\nkind = "release"\nname = "early"\n'
+BROKEN |= {
+    "order of what does not exist": (
+        CLAMP,
+        'kind = "clamp"\norder = [["C1-upper"], ["C1-lowr"]]',
+        ["stages[1].order", "'C1-lowr'", "did you mean 'C1-lower'"],
+    ),
+    "order that leaves out": (
+        CLAMP,
+        'kind = "clamp"\norder = [["C1-upper"]]',
+        ["stages[1].order", "closes 'C1-lower' too", "add"],
+    ),
+    "order that names twice": (
+        CLAMP,
+        'kind = "clamp"\norder = [["C1-upper"], ["C1-lower", "C1-upper"]]',
+        ["stages[1].order", "'C1-upper' stands more than once", "name it once"],
+    ),
+    "order of another stage's": (
+        CLAMP,
+        'kind = "clamp"\norder = [["C1-upper"], ["C1-lower"], ["W1"]]',
+        ["stages[1].order", "'W1' belongs to stage 'weld'", "remove it", "'C1-upper', 'C1-lower'"],
+    ),
+    "order with an empty group": (
+        CLAMP,
+        'kind = "clamp"\norder = [["C1-upper", "C1-lower"], []]',
+        ["stages[1].order", "a group is empty", "remove it"],
+    ),
+    "empty order": (CLAMP, 'kind = "clamp"\norder = []', ["stages[1].order", "at least 1"]),
+    "order of setting down": (
+        r'(?<=\n)kind = "locate"',
+        'kind = "locate"\norder = [["lower-A1"]]',
+        ["stages[0]", "order applies to clamp, weld, release stages only", "remove it"],
+    ),
+    "order and sequence": (
+        r'(?<=\n)kind = "weld"',
+        'kind = "weld"\nsequence = true\norder = [["W1", "W2"]]',
+        ["stages[2]", "order and sequence", "remove one"],
+    ),
+    "sequence of clamps": (CLAMP, 'kind = "clamp"\nsequence = true', ["stages[1]", "sequence applies to weld stages"]),
+    "settling of clamps": (CLAMP, 'kind = "clamp"\nsettle = false', ["stages[1]", "settle applies to locate stages"]),
+    "path without contact": (
+        r'(?<=\n)kind = "measure"',
+        'kind = "measure"\npath = "followed"',
+        ["stages[4]", "path applies to clamp, weld, release stages only"],
+    ),
+    "increments of a followed path": (
+        CLAMP,
+        'kind = "clamp"\npath = "followed"\nincrements = 4',
+        ["stages[1]", "increments do not go with path = 'followed'", "remove one"],
+    ),
+    "how many increments": (CLAMP, 'kind = "clamp"\npath = "increments"', ["stages[1]", "needs increments", "give it"]),
+    "all at once, one after the other": (
+        CLAMP,
+        'kind = "clamp"\npath = "one-step"\norder = [["C1-upper"], ["C1-lower"]]',
+        ["stages[1]", "does all at once, order one after the other", "remove one"],
+    ),
+    "no increments": (CLAMP, 'kind = "clamp"\nincrements = 0', ["stages[1].increments", "greater than or equal to 1"]),
+    "a tolerance that cannot be kept": (
+        r"\[monte_carlo\]",
+        "[path]\ntolerance = 1e-9\n\n[monte_carlo]",
+        ["path.tolerance", "greater than or equal to 0.00001"],
+    ),
+    "a clamp that opens before it closes": (
+        r'\[\[stages\]\]\nkind = "clamp"',
+        EARLY + 'order = [["C1-upper"]]\n\n[[stages]]\nkind = "clamp"',
+        ["stages[1].order", "'C1-upper' closes only in stage 'clamp', after this one", "remove it"],
+    ),
+    "a clamp that is kept before it closes": (
+        r'\[\[stages\]\]\nkind = "clamp"',
+        EARLY + 'keep = ["C1-upper"]\n\n[[stages]]\nkind = "clamp"',
+        ["stages[1].keep", "'C1-upper' closes only in stage 'clamp', after this one", "cannot stay closed"],
+    ),
+    "a clamp that opens twice": (
+        RELEASE,
+        'kind = "release"\nname = "early"\n\n[[stages]]\nkind = "release"\norder = [["C1-upper"]]',
+        ["stages[4].order", "'C1-upper' has opened before", "remove it"],
+    ),
+    "a weld that opens": (
+        RELEASE,
+        'kind = "release"\norder = [["C1-upper", "C1-lower"], ["W1"]]',
+        ["stages[3].order", "'W1' is a weld, and welds stay"],
+    ),
+    "a kept locator that opens": (
+        RELEASE,
+        'kind = "release"\norder = [["C1-upper", "C1-lower"], ["lower-A1"]]',
+        ["stages[3].order", "'lower-A1' is kept"],
+    ),
+    "a release that forgets": (
+        RELEASE,
+        'kind = "release"\norder = [["C1-upper", "C1-lower"]]',
+        ["stages[3].order", "opens 'upper-A1', 'upper-A2'"],
+    ),
+    "one name for a clamp and a locator": (
+        r'(name = "C1-lower"|name = "lower-A1")((?:.|\n)*?)(?<=\n)kind = "clamp"',
+        r'name = "C1-upper"\2kind = "clamp"\norder = [["C1-upper"], ["C1-lower"]]',
+        ["stages[1].order", "'C1-upper' stands in locators and in clamps", "give each its own name"],
+    ),
 }
 # Found only once the meshes are there, and still before any solve.
 BROKEN_ON_MESH = {
@@ -125,11 +277,25 @@ def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
     draft = SETTINGS["draft"]
     assert [part.size for part in scene.parts] == [draft["size"], "medium"]  # the second part gives its own
     assert scene.zones[0].pairs == draft["pairs"] and scene.monte_carlo.samples == 200
-    assert {stage.increments for stage in scene.stages} == {draft["increments"]}
+    resolving = [stage for stage in scene.stages if stage.kind in FOLLOWING]
+    assert [stage.kind for stage in resolving] == ["clamp", "weld", "release"]
+    assert {stage.increments for stage in resolving} == {draft["increments"]}
+    assert {stage.increments for stage in scene.stages if stage not in resolving} == {None}
     assert mic.Scene(**scene.model_dump(mode="json")) == scene.model_copy(update={"folder": Path(".")})
     (tmp_path / "scene.toml").write_text(text.replace('"draft"', '"hasty"'))
     with pytest.raises(mic.SceneError, match="setting: .*'draft', 'standard' or 'reference'.*'hasty'"):
         mic.load_scene(tmp_path)
+
+
+def test_a_setting_leaves_the_path_of_a_stage_that_states_one(tmp_path):
+    text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\npath = "followed"')
+    draft, reference = (mic.Scene(**tomllib.loads(f'setting = "{name}"\n{text}')) for name in ("draft", "reference"))
+    assert draft.stages[1].path == "followed" and draft.stages[1].increments is None
+    assert draft.stages[3].path is None and draft.stages[3].increments == 1
+    assert [stage.increments for stage in reference.stages] == [None] * 5
+    assert reference.path.tolerance == SETTINGS["reference"]["tolerance"] < draft.path.tolerance
+    own = mic.Scene(**tomllib.loads(f'setting = "reference"\n{text}\n[path]\ntolerance = 0.02'))
+    assert own.path.tolerance == 0.02
 
 
 def test_missing_scene():

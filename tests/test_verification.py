@@ -257,7 +257,7 @@ def friction_ignored(monkeypatch):
     from mic.process import process
 
     solver = process.ContactSolver
-    monkeypatch.setattr(process, "ContactSolver", lambda S, mu, **options: solver(S, 0 * mu, **options))
+    monkeypatch.setattr(process, "ContactSolver", lambda S, mu, **options: solver(S, 0.0, **options))
 
 
 def welds_forgotten(monkeypatch):

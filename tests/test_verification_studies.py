@@ -93,9 +93,15 @@ def test_zone_slip_by_hand():
     assert zone_slip([[9, 3, 4], [9, 0, 0], [9, 0, 2]], contacts, 2) == pytest.approx([np.sqrt(12.5), 2])
 
 
+@pytest.fixture(scope="module")
+def at_once(lap):
+    """The lap joint whose stages do all at once, as the study of laws has it."""
+    return tuple(replace(one, scene=law.on_path(one.scene, law.ONE_STEP)) for one in lap)
+
+
 @pytest.mark.slow
-def test_law_tells_the_programme_from_coulomb(lap):
-    model, _ = law.with_friction(lap, 0.4)
+def test_law_tells_the_programme_from_coulomb(at_once):
+    model, _ = law.with_friction(at_once, 0.4)
     deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, 3)
     associated, itself = law.compare(model, deviations, "associated"), law.compare(model, deviations, "coulomb")
     assert (
@@ -109,10 +115,38 @@ def test_law_tells_the_programme_from_coulomb(lap):
     )  # at least the friction force itself is missing
 
 
-def test_law_is_judged_by_finite_elements_with_the_same_friction(lap):
-    assert law.against_full(lap, 0.1) < 1e-8
-    model, assembly = lap
+def test_law_is_judged_by_finite_elements_with_the_same_friction(at_once):
+    assert law.against_full(at_once, 0.1) < 1e-8
+    model, assembly = at_once
     assert law.against_full((scaled(model, 1.01), assembly), 0.1) > 1e-4
+
+
+@pytest.mark.parametrize(
+    "name, keys, field",
+    [
+        ("pressure-dependent", law.FUNCTIONS["table"], "pressure"),
+        ("pressure-dependent", law.FUNCTIONS["falling power"], "pressure"),
+        ("micro-slip", {"tangential_stiffness": 1e3}, "compliance"),
+        ("coulomb", law.BY_STAGE, "friction"),
+    ],
+    ids=["table", "power", "stiffness", "by stage"],
+)
+@pytest.mark.slow
+def test_law_tells_a_wrong_function_stiffness_or_stage(name, keys, field, cache):
+    """What the reduced model holds of the zone's friction is a tenth too large: the full solve does not agree."""
+    model, assembly = law.variant(keys, law.INCREMENTS, cache)
+    right = law.solved_both_ways((model, assembly), name)
+    assert max(right["force"], right["displacement"], right["measurement"]) < 1e-8 and right["slipping"]
+    wrong = getattr(model.contacts, field).copy()
+    if field == "pressure":
+        wrong[..., 1:4] *= 1.1  # α, β and γ of every piece, and so μ
+    elif field == "friction":
+        wrong[-2:] *= 1.1  # of the release and of the measurement
+    else:
+        wrong *= 1.1
+    planted = replace(model, contacts=replace(model.contacts, **{field: wrong}))
+    found = law.solved_both_ways((planted, assembly), name)
+    assert max(found["force"], found["displacement"], found["measurement"]) > 1e-4
 
 
 @pytest.mark.parametrize("order, sizes", [(1.0, (4, 2, 1)), (2.0, (4, 2, 1)), (2.0, (5, 3, 2)), (1.5, (9.5, 6.0, 4.1))])

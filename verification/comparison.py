@@ -85,7 +85,7 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
     """Residual, by stage, of the full solve's contact forces in the reduced contact problem.
 
     A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however
-    far apart. Stages must be resolved in one increment.
+    far apart. Stages must be resolved in one increment, under a law whose contacts do not yield before they slip.
 
     Parameters
     ----------
@@ -97,12 +97,12 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
         name = prepared.plan.name
         if name in full.resolutions:
             mine = reduced.resolutions[name]
-            b = mine.displacement[sample].ravel() - prepared.response.S @ mine.force[sample].ravel()
             contacts = process.model.contacts
+            b = mine.displacement[sample].ravel() - prepared.response.S @ mine.force[sample].ravel()
             found[name] = certify(
                 prepared.response.S,
                 b,
-                contacts.friction,
+                contacts.friction_in(name),
                 full.resolutions[name].force.ravel(),
                 process.law,
                 contacts.dimension,

@@ -120,7 +120,7 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     folder = Path(folder)
     tell = say if team.rank == 0 else lambda line: None
     scene = _with_truth(scene)
-    truth = "coulomb" if any(zone.friction > 0 for zone in scene.zones) else "frictionless"
+    truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
     samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
     start = time.perf_counter()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -184,7 +184,7 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
 def _with_truth(scene):
     """The scene with Coulomb's law among its laws where it has friction, and without fields."""
     laws = list(scene.report.laws)
-    if any(zone.friction > 0 for zone in scene.zones) and "coulomb" not in laws:
+    if any(zone.frictional for zone in scene.zones) and "coulomb" not in laws:
         laws.insert(0, "coulomb")
     return scene.model_copy(update={"report": scene.report.model_copy(update={"laws": laws, "fields": False})})
 
@@ -226,7 +226,7 @@ def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
 def _quantities(outcome, law) -> pd.DataFrame:
     """Slips and measurements of the valid samples, indexed by sample."""
     columns = {
-        f"slip:{stage}:{zone}": outcome.slip(law, stage, zone)
+        f"slip:{stage}:{zone}": outcome.tangential(law, stage, zone)
         for stage in outcome.stages
         for zone in outcome.zones
         if outcome.has_slip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mic.examples import folder
 from mic.scene import Scene, load_scene
 
-__all__ = ["shipped"]
+__all__ = ["going", "shipped"]
 
 
 def shipped(name: str, size: str | float, laws=("coulomb",)) -> Scene:
@@ -24,3 +24,15 @@ def shipped(name: str, size: str | float, laws=("coulomb",)) -> Scene:
     return scene.model_copy(
         update={"parts": parts, "report": scene.report.model_copy(update={"laws": list(laws), "fields": False})}
     )
+
+
+def going(scene: Scene, path: str, increments: int | None = None) -> Scene:
+    """The scene with another path in all stages that resolve contact; the arguments are the stage's keys."""
+    change = {"path": path, "increments": increments} | (
+        {"order": None, "sequence": False} if path == "one-step" else {}
+    )
+    stages = [
+        stage.model_copy(update=change) if stage.kind in ("clamp", "weld", "release") else stage
+        for stage in scene.stages
+    ]
+    return scene.model_copy(update={"stages": stages})

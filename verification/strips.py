@@ -47,8 +47,15 @@ def build(folder: Path, sheets: dict, turn: np.ndarray | None = None, **tables) 
     turn : (3, 3) array
         Rotation of the meshes about the origin (none by default); the other keys are not turned.
     tables
-        The other keys of the scene.
+        The other keys of the scene; clamps of a stage close together.
     """
+    clamping = [stage for stage in tables["stages"] if stage["kind"] == "clamp"]
+    for stage in clamping:  # a distributed load is many clamps, brought on together
+        name = stage.get("name", "clamp")
+        own = [
+            clamp["name"] for clamp in tables["clamps"] if clamp.get("stage", clamping[0].get("name", "clamp")) == name
+        ]
+        stage["order"] = [own]
     parts = []
     for name, sheet in sheets.items():
         x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))

@@ -20,11 +20,11 @@ model = mic.reduce(scene)
 evaluation = model.evaluate(draw(scene, seed=1, first=0, count=20), "coulomb")
 
 # %%
-# Slip is the tangential displacement of each contact pair, in the stage that resolves contact.
+# Slip is what each contact pair slid under load, in each stage that resolves contact.
 stages = list(evaluation.resolutions)
 figure, axes = plt.subplots(1, len(stages), figsize=(9, 3.2), sharey=True, layout="constrained")
 for axis, stage in zip(np.atleast_1d(axes), stages):
-    slip = np.linalg.norm(evaluation.resolutions[stage].displacement[:, :, 1:], axis=2)
+    slip = np.linalg.norm(evaluation.resolutions[stage].trace.slip, axis=2)
     rms = np.sqrt((slip**2).mean(axis=0))
     dots = axis.scatter(*model.contacts.point[:, :2].T, c=1e3 * rms, s=40, cmap="viridis")
     axis.set(xlabel="x (mm)", title=stage, aspect="equal")

@@ -11,7 +11,7 @@ from mic.report.context import read_context
 from mic.report.gallery import draw
 from mic.results.outcome import read_outcome
 
-FILES = {"overview": "wheelhouse", "slip-density": "slip_density"}  # picture of the report -> file
+FILES = {"overview": "wheelhouse", "tangential-density": "tangential_density"}  # picture of the report -> file
 
 
 def main(folder: Path) -> int:

@@ -12,6 +12,7 @@ from fem_reference.full.equilibrium import Equilibrium, Parts
 from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
+from mic.process.actions import Row
 
 __all__ = ["Discretisation", "System"]
 
@@ -21,7 +22,7 @@ CONTRADICTS = 1e-8  # of the largest value: by so much a redundant row may miss 
 
 @dataclass(frozen=True)
 class System:
-    """A stage's equilibrium: its bilateral rows (b, N), the independent ones, and the rest as combinations of these."""
+    """A step's equilibrium: its bilateral rows (b, N), the independent ones, and the rest as combinations of these."""
 
     rows: csr_matrix
     kept: np.ndarray
@@ -83,7 +84,7 @@ class Discretisation:
         body = np.searchsorted(assembly.offsets, contact.indices, side="right") - 1
         edges = contact.indptr
         self.contact_stiffness = np.array([k[body[edges[i] : edges[i + 1]]].min() for i in range(0, len(edges) - 1, d)])
-        self._systems: dict[str, System] = {}
+        self._systems: dict[tuple[Row, ...], System] = {}
 
     def contact(self, u: np.ndarray) -> np.ndarray:
         """(m, d) relative displacements δ of the contacts."""
@@ -98,23 +99,23 @@ class Discretisation:
             )
         }
 
-    def system(self, plan) -> System:
-        """The system of a stage (`mic.process.plan.StagePlan`), set up once.
+    def system(self, held: tuple[Row, ...]) -> System:
+        """The system with these bilateral rows (`mic.process.plan.Step.bilateral`), set up once.
 
         Raises
         ------
         FreeMotion
             If its rows leave a part free to move.
         """
-        if plan.name not in self._systems:
-            functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in plan.bilateral], format="csr")
+        if held not in self._systems:
+            functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in held], format="csr")
             statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
-            B = vstack([self.rows[kind][i] for kind, i in plan.bilateral], format="csr")
+            B = vstack([self.rows[kind][i] for kind, i in held], format="csr")
             kept, combination = _independent(B)
-            names = [self.assembly.labels[kind][i] for kind, i in plan.bilateral]
+            names = [self.assembly.labels[kind][i] for kind, i in held]
             equilibrium = Equilibrium(self.parts, B[kept], self.rows["contact"], self.assembly.contacts.dimension)
-            self._systems[plan.name] = System(B, kept, combination, names, equilibrium)
-        return self._systems[plan.name]
+            self._systems[held] = System(B, kept, combination, names, equilibrium)
+        return self._systems[held]
 
 
 def _independent(B):

@@ -12,11 +12,17 @@ the gap g = g⁰ + δ_n and the slip s = δ_t − a of each contact, δ = C u, t
 
 and the return mapping, not associated (the bound scales the trial force along itself and leaves f_n alone), is
 
-    f_n = max(0, y_n),            f_t = y_t                  where ‖y_t‖ ≤ μ f_n      (stick)           (3)
-                                  f_t = μ f_n y_t/‖y_t‖      elsewhere                (slip).
+    f_n = max(0, y_n),            f_t = y_t                  where ‖y_t‖ ≤ g(f_n)     (stick)           (3)
+                                  f_t = g(f_n) y_t/‖y_t‖     elsewhere                (slip),
+
+with g(f_n) = μ f_n, or g(f_n) = μ(f_n/A) f_n where the coefficient depends on pressure.
 
 f̂ = (0, f_t of the increment before) is the plain penalty method, whose elastic slip f_t/ε is recovered on reversal;
 repeating f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that (3) becomes Coulomb's law proper whatever ε.
+
+A contact that yields before it slips has a true tangential stiffness k_t A. For its tangential rows ε = k_t A and
+f̂_t = 0, always: the elastic slip −f_t/ε from a, where its slider stands, is then no error to be removed but the
+contact's own. In contact that holds, the slider moves to δ_t + f_t/ε.
 
 Newton's method treats (u, r, f) together. Per contact, multiplied so that each line is a force (k a stiffness of the
 sheets):
@@ -24,7 +30,7 @@ sheets):
     open     f = 0
     closed   k g + (k/ε)(f_n − f̂_n) = 0
     stick    k s + (k/ε)(f_t − f̂_t) = 0                                                                 (4)
-    slip     f_t − μ f_n τ = 0,    τ = y_t/‖y_t‖,    dτ = −ε (I − ττᵀ) ds/‖y_t‖
+    slip     f_t − g(f_n) τ = 0,   τ = y_t/‖y_t‖,    dτ = −ε (I − ττᵀ) ds/‖y_t‖
 
 Eliminating f from (4) gives the consistent tangent K + Cᵀ(−∂f/∂δ)C of the textbooks, so the iterates are the same;
 kept as unknowns, the forces leave the tangent sparse where a contact's patch covers many nodes, its condition does
@@ -41,13 +47,14 @@ problems involving friction, Comput. Struct. 42, 97–116.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse import block_diag, csr_matrix, hstack, vstack
 
+from fem_reference.full.friction import ContactFriction
 from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "State"]
@@ -124,21 +131,20 @@ class ContactLaw:
 
     Attributes
     ----------
-    friction : (m,) array
-        μ; zero for frictionless.
+    friction : ContactFriction
     gap : (m,) array
         g⁰, mm, with the parts' deviations.
     anchor : (m, d) array
-        Where slip is measured from, mm; the normal column is not used.
+        Where slip is measured from, mm, a slider's place where contacts yield; the normal column is not used.
     estimate : (m, d) array
-        f̂, N.
+        f̂, N, but for the tangential rows of contacts that yield.
     penalty : (m,) array
-        ε, N/mm.
+        ε, N/mm, but for the tangential rows of contacts that yield.
     stiffness : (m,) array
         k, N/mm.
     """
 
-    friction: np.ndarray
+    friction: ContactFriction
     gap: np.ndarray
     anchor: np.ndarray
     estimate: np.ndarray
@@ -151,8 +157,28 @@ class ContactLaw:
         moved[:, 0] = self.gap + δ[:, 0]
         return moved
 
+    @property
+    def _ε(self):
+        """(m, d) ε of every row."""
+        ε = np.repeat(self.penalty[:, None], self.estimate.shape[1], axis=1)
+        yields = self.friction.compliance > 0
+        ε[yields, 1:] = 1 / self.friction.compliance[yields, None]
+        return ε
+
+    @property
+    def _held(self):
+        """(m, d) f̂ of every row."""
+        f = self.estimate.copy()
+        f[self.friction.compliance > 0, 1:] = 0.0
+        return f
+
+    def augmented(self, force: np.ndarray) -> ContactLaw:
+        """f̂ ← f."""
+        law = replace(self, estimate=force)
+        return replace(law, estimate=law._held)
+
     def _trial(self, δ):
-        y = self.estimate - self.penalty[:, None] * self.displacement(δ)
+        y = self._held - self._ε * self.displacement(δ)
         return y, np.linalg.norm(y[:, 1:], axis=1)
 
     def force(self, δ: np.ndarray) -> np.ndarray:
@@ -160,7 +186,7 @@ class ContactLaw:
         y, size = self._trial(δ)
         f = y.copy()
         f[:, 0] = np.maximum(0, y[:, 0])
-        bound = self.friction * f[:, 0]
+        bound, _ = self.friction.bound(f[:, 0])
         f[:, 1:] *= np.where(size > bound, bound / np.where(size > 0, size, 1), 1)[:, None]
         return f
 
@@ -168,14 +194,16 @@ class ContactLaw:
         """(m,) open, stick or slip; a closed contact without friction slips."""
         y, size = self._trial(δ)
         closed = y[:, 0] > 0
-        stick = (size <= self.friction * y[:, 0]) & (self.friction > 0)
+        bound, _ = self.friction.bound(np.maximum(y[:, 0], 0))
+        stick = (size <= bound) & (bound > 0)
         return np.where(closed, np.where(stick, STICK, SLIP), OPEN)
 
     def reverses(self, δ: np.ndarray, new: np.ndarray) -> bool:
         """Whether a contact that slips at δ and at `new` turns by more than 90° between them: a kink that Newton
         steps over."""
         (y, _), (z, _) = self._trial(δ), self._trial(new)
-        slips = (self.state(δ) == SLIP) & (self.state(new) == SLIP) & (self.friction > 0)
+        bound, _ = self.friction.bound(np.maximum(y[:, 0], 0))
+        slips = (self.state(δ) == SLIP) & (self.state(new) == SLIP) & (bound > 0)
         return bool((slips & (np.einsum("kj,kj->k", y[:, 1:], z[:, 1:]) < 0)).any())
 
     def linearise(self, δ: np.ndarray, f: np.ndarray, state: np.ndarray):
@@ -184,11 +212,15 @@ class ContactLaw:
         y, size = self._trial(δ)
         moved = self.displacement(δ)
         residual, by_δ, by_f = f.copy(), np.zeros((m, d, d)), np.tile(np.eye(d), (m, 1, 1))
-        k, soft = self.stiffness, self.stiffness / self.penalty
-        closed, stick, slip = state != OPEN, state == STICK, (state == SLIP) & (size > 0) & (self.friction > 0)
+        k, ε = self.stiffness, self._ε
+        g, slope = self.friction.bound(np.maximum(f[:, 0], 0))
+        g = g + slope * np.minimum(f[:, 0], 0)  # on the way, a normal force may pull
+        trial, _ = self.friction.bound(np.maximum(y[:, 0], 0))
+        closed, stick, slip = state != OPEN, state == STICK, (state == SLIP) & (size > 0) & (trial > 0)
 
         def elastic(which, component):
-            residual[which, component] = (k * moved[:, component] + soft * (f - self.estimate)[:, component])[which]
+            soft = k / ε[:, component]
+            residual[which, component] = (k * moved[:, component] + soft * (f - self._held)[:, component])[which]
             by_δ[which, component, component] = k[which]
             by_f[which, component, component] = soft[which]
 
@@ -196,10 +228,9 @@ class ContactLaw:
         for j in range(1, d):
             elastic(stick, j)
         τ = y[slip, 1:] / size[slip, None]
-        μ = self.friction[slip]
-        residual[slip, 1:] = f[slip, 1:] - (μ * f[slip, 0])[:, None] * τ
-        by_f[slip, 1:, 0] = -μ[:, None] * τ
-        turning = μ * np.maximum(y[slip, 0], 0) * self.penalty[slip] / size[slip]
+        residual[slip, 1:] = f[slip, 1:] - g[slip, None] * τ
+        by_f[slip, 1:, 0] = -slope[slip, None] * τ
+        turning = trial[slip] * ε[slip, -1] / size[slip]
         by_δ[slip, 1:, 1:] = turning[:, None, None] * (np.eye(d - 1) - τ[:, :, None] * τ[:, None, :])
         return residual, by_δ, by_f
 
@@ -245,6 +276,11 @@ class State:
     u: np.ndarray
     reaction: np.ndarray
     force: np.ndarray
+
+    @property
+    def stacked(self) -> np.ndarray:
+        """(N + b + m d,) u, r and f, one after the other."""
+        return np.concatenate([self.u, self.reaction, self.force.ravel()])
 
 
 class Equilibrium:
@@ -397,7 +433,7 @@ class Equilibrium:
         right = np.concatenate([p, v, force.ravel()])
         x = self._solve(right)
         x += self._solve(right - self._multiply(x))
-        return self._unpack(x)
+        return self.unpack(x)
 
     def newton(self, start: State, p: np.ndarray, v: np.ndarray, law: ContactLaw) -> tuple[State, list[Iteration]]:
         """Solve (1) and (4) from `start`.
@@ -408,7 +444,7 @@ class Equilibrium:
             After `MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
         N, b = self.N, self.b
-        x = np.concatenate([start.u, start.reaction, start.force.ravel()])
+        x = start.stacked
         δ = self._contact(x)
         state = law.state(δ)
         history = []
@@ -427,7 +463,7 @@ class Equilibrium:
             residual, allowed = self._measure(x, p, v, contact, law)
             history.append(Iteration(residual, α, *(int((state == s).sum()) for s in (OPEN, STICK, SLIP)), changed))
             if residual <= allowed:
-                return self._unpack(x), history
+                return self.unpack(x), history
         worst = int(np.argmax(np.abs(contact).max(axis=1))) if self.m else None
         raise NoConvergence(
             f"no convergence in {MAX_ITERATIONS} iterations: residual {residual:.1e} of the largest force, "
@@ -438,7 +474,8 @@ class Equilibrium:
     def _contact(self, x):
         return (self.C @ x[: self.N]).reshape(self.m, self.d)
 
-    def _unpack(self, x):
+    def unpack(self, x: np.ndarray) -> State:
+        """The unknowns from (u, r, f) stacked."""
         return State(
             x[: self.N].copy(), x[self.N : self.N + self.b].copy(), x[self.N + self.b :].reshape(self.m, self.d).copy()
         )
@@ -464,8 +501,9 @@ class Equilibrium:
             )
         scale = np.abs(x[N:]).max(initial=0.0)
         residual = max(np.abs(F[:N]).max(initial=0.0), np.abs(contact).max(initial=0.0))
-        if scale == 0:
-            return (0.0 if residual <= 1e-13 * rounding else np.inf), 0.0
+        nothing = 1e-13 * max(np.abs(law.stiffness * law.gap).max(initial=0.0), rounding if scale == 0 else 0.0)
+        if scale <= nothing:  # no contact carries anything, nor does a row
+            return (0.0 if residual <= nothing else np.inf), 0.0
         return residual / scale, min(max(_TOLERANCE, 1e-14 * rounding / scale), _WORST_ROUNDING)
 
     def _step_length(self, x, dx, F, law, state, iteration):

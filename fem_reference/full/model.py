@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
+from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.compliance.support import motion_size
 from mic.contact import laws
@@ -90,7 +91,9 @@ class FullModel:
         ε/k, with k = E t of the softer sheet of the pair: the order of a sheet's stiffest response to a force spread
         over an area, so that a relative penetration of about 1/penalty is left.
     augmented : bool
-        Remove that error by augmentation (Uzawa).
+        Remove that error by augmentation (Uzawa); paths that are followed need it.
+    path_tolerance : float
+        Of paths that are followed: largest error of a contact's position in a step, mm.
     """
 
     def __init__(
@@ -100,12 +103,20 @@ class FullModel:
         comm: MPI.Comm = MPI.COMM_WORLD,
         penalty: float = 1e3,
         augmented: bool = True,
+        path_tolerance: float = 1e-4,
     ):
-        if not (np.isfinite(penalty) and penalty > 0):
-            raise ValueError(f"penalty must be positive, not {penalty}")
+        for name, value in (("penalty", penalty), ("path_tolerance", path_tolerance)):
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, not {value}")
         self.assembly, self.deviated, self.comm = assembly, deviated, comm
-        self.penalty = Penalty(float(penalty), augmented)
+        self.penalty, self.path_tolerance = Penalty(float(penalty), augmented), float(path_tolerance)
         self.plans = plan_stages(assembly.scene, assembly.weld_size)
+        followed = [plan.name for plan in self.plans if plan.resolves and plan.path == "followed"]
+        if followed and not augmented and any(zone.frictional for zone in assembly.scene.zones):
+            raise ValueError(
+                f"stages ({', '.join(followed)}): a path is followed between exact equilibria, and the penalty method "
+                "leaves an elastic slip; give these stages increments, or augment"
+            )
 
     @cached_property
     def nominal(self) -> Discretisation:
@@ -164,11 +175,13 @@ class FullModel:
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
         mesh, asked = self._driven(deviations)
-        friction = contacts.friction if laws.find(law).frictional else np.zeros(len(contacts))
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
-            state, resolution, solves = FullStage(plan, mesh, friction, self.penalty).advance(state, asked)
+            friction = friction_of(assembly, laws.find(law), plan.name)
+            state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
+                state, asked
+            )
             freedoms[plan.name] = state.solution.u
             history += solves
             if resolution is not None:

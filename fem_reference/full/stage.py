@@ -1,14 +1,16 @@
-"""One stage by full finite elements: the load is followed by Newton's method, no reduction.
+"""One stage by full finite elements: step by step, each load followed by Newton's method, no reduction.
 
-With s from 0 to 1 over the increments of a stage:
+With s from 0 to 1 over a step of the stage:
 
-- bilateral rows hold ``B u = v(s)``, from what the row read before the stage to its target;
+- bilateral rows hold ``B u = v(s)``, from what the row read before the step to its target;
 - rows let go, and forces taken away, fade: ``p(s) = (1 − s) Bᵣᵀ r``;
-- a contact's gap is ``g = g⁰ + n·(shape deviation) + δ_n``, and slip is measured from where the increment before left
-  it.
+- a contact's gap is ``g = g⁰ + n·(shape deviation) + δ_n``; where parts settle, v and p stay, and each overlap
+  ``−(g⁰ + δ_n)`` that there would be without contact forces closes from touching;
+- slip is measured from where the contact stood before, increment by increment, or followed
+  (:mod:`fem_reference.full.path`).
 
-Where Newton's method fails, the increment is cut: fractions of it are solved first. They are a path towards the
-solution, not a part of the process: slip is measured from the start of the whole increment, so cutting does not
+Where Newton's method fails, the way to the next equilibrium is cut: fractions of it are solved first. They are a path
+towards the solution, not a part of the process: slip is measured from the start of the whole, so cutting does not
 change the answer.
 """
 
@@ -21,14 +23,17 @@ import numpy as np
 
 from fem_reference.full.discretisation import Discretisation, System
 from fem_reference.full.equilibrium import ContactLaw, Iteration, NoConvergence, State
+from fem_reference.full.friction import ContactFriction
+from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares
+from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
-from mic.process.actions import Joints, Row
+from mic.process.actions import Joints, Row, Settle
 from mic.process.drive import Drive
-from mic.process.plan import StagePlan
+from mic.process.plan import StagePlan, Step
 
 __all__ = ["ContactFailure", "FullResolution", "FullStage", "FullState", "Penalty", "Solve"]
 
-SMALLEST_CUT = 1 / 64  # of an increment
+SMALLEST_CUT = 1 / 64  # of the way from one equilibrium to the next
 AUGMENTATIONS = 30
 AUGMENTED = 1e-10  # change of the contact forces in the last augmentation, of the largest
 ROUNDING = 1e-8  # of the largest force: a change below this that no longer shrinks is rounding
@@ -36,8 +41,8 @@ SLOW = 0.1  # an augmentation that leaves more than this share of the change bef
 STIFFEST = 1e9  # ε/k at most
 
 
-class ContactFailure(RuntimeError):
-    """The full solve failed; the message names stage, increment, contact and what to change."""
+class ContactFailure(NoConvergence):
+    """The full solve failed; the message names stage, step, contact and what to change."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,10 @@ class Solve:
     Attributes
     ----------
     stage : str
-    increment : int
-        From 1.
-    fraction : float
-        Of the increment's load; 1 is its end.
+    step : int
+        Of the stage, from 1.
+    share : float
+        Of the step's load; 1 is its end.
     augmentation : int
         0 for the penalty method, then the number of times that f̂ was replaced by f.
     penalty : float
@@ -75,8 +80,8 @@ class Solve:
     """
 
     stage: str
-    increment: int
-    fraction: float
+    step: int
+    share: float
     augmentation: int
     penalty: float
     iterations: tuple[Iteration, ...]
@@ -97,6 +102,8 @@ class FullResolution:
         A :class:`mic.contact.states.ContactState` each.
     reaction : (b,) array
         Forces of the bilateral rows on the parts, N or N mm, in the plan's order; 0 for redundant rows.
+    trace : FullTrace
+        What the contacts went through on the way; the shares are of the steps that resolve contact.
     """
 
     stage: str
@@ -104,6 +111,7 @@ class FullResolution:
     displacement: np.ndarray
     state: np.ndarray
     reaction: np.ndarray
+    trace: FullTrace
 
 
 @dataclass(frozen=True)
@@ -116,6 +124,8 @@ class FullState:
         Freedoms, reactions of the independent bilateral rows, contact forces.
     left : (m, d) array
         Relative displacement δ at which each contact was left, mm.
+    anchor : (m, d - 1) array
+        Where its slip goes on from, mm: from there, or from where its slider stands where contacts yield.
     reaction : dict of (str, int) to float
         Forces of the bilateral rows on the parts, N or N mm.
     push : dict of int to float
@@ -126,6 +136,7 @@ class FullState:
 
     solution: State
     left: np.ndarray
+    anchor: np.ndarray
     reaction: Mapping[Row, float] = field(default_factory=dict)
     push: Mapping[int, float] = field(default_factory=dict)
     frozen: Mapping[int, float] = field(default_factory=dict)
@@ -133,7 +144,8 @@ class FullState:
     @classmethod
     def start(cls, freedoms: int, m: int, d: int) -> FullState:
         """Free, unloaded parts."""
-        return cls(State(np.zeros(freedoms), np.zeros(0), np.zeros((m, d))), np.zeros((m, d)))
+        none = np.zeros((m, d))
+        return cls(State(np.zeros(freedoms), np.zeros(0), none), none, none[:, 1:])
 
 
 @dataclass(frozen=True)
@@ -144,15 +156,18 @@ class FullStage:
     ----------
     plan : StagePlan
     mesh : Discretisation
-    friction : (m,) array
-        μ under the law; zero for frictionless.
+    friction : ContactFriction
+        Under the law, in this stage.
     penalty : Penalty
+    tolerance : float
+        Of a path that is followed, mm (:func:`fem_reference.full.path.extrapolated`).
     """
 
     plan: StagePlan
     mesh: Discretisation
-    friction: np.ndarray
+    friction: ContactFriction
     penalty: Penalty
+    tolerance: float
 
     def advance(self, state: FullState, drive: Drive) -> tuple[FullState, FullResolution | None, list[Solve]]:
         """Take one assembly, the drive's only one, through the stage.
@@ -161,137 +176,188 @@ class FullStage:
         ------
         ContactFailure
         """
-        plan = self.plan
-        state = replace(state, frozen=self._make_welds(state, drive))
-        resolution, solves = None, []
-        if plan.resolves or plan.sets_down:
-            state, resolution, solves = self._load(state, drive)
-        # else nothing has changed: new welds hold what they found and carry nothing yet
-        reaction = {row: state.reaction.get(row, 0.0) for row in plan.bilateral}
-        push = {i: float(drive.push[0, i]) for i in plan.loads}
-        return replace(state, reaction=reaction, push=push), resolution, solves
+        start, ends, traces, solves = state, [], [], []
+        for number, step in enumerate(self.plan.steps, start=1):
+            state = replace(state, frozen=self._make_welds(step, state, drive))
+            if step.resolves or step.sets_down:
+                way = self._way(number, step, state, drive)
+                if step.resolves and len(self.friction):
+                    state, end, trace = self._resolve(way, state)
+                    ends, traces, solves = [*ends, end], [*traces, trace], solves + way.solves
+                else:
+                    state = self._without_contact(way, state)
+            # else nothing has changed: new welds hold what they found and carry nothing yet
+            reaction = {row: state.reaction.get(row, 0.0) for row in step.bilateral}
+            state = replace(state, reaction=reaction, push={i: float(drive.push[0, i]) for i in step.loads})
+        if not ends:
+            return state, None, solves
+        trace = sum(traces[1:], traces[0])
+        return state, self._resolution(start, state, ends[-1], replace(trace, share=trace.share / len(traces))), solves
 
-    def _make_welds(self, state, drive):
+    def _make_welds(self, step, state, drive):
         found = self.mesh.rows["weld"] @ state.solution.u
         first = Joints(self.mesh.assembly.weld_size).first
-        frozen = dict(state.frozen) | {row: float(found[row]) for row in self.plan.made}
-        return frozen | {int(first[weld]): -float(drive.weld_gap[0, weld]) for weld in self.plan.closing}
+        frozen = dict(state.frozen) | {row: float(found[row]) for row in step.made}
+        return frozen | {int(first[weld]): -float(drive.weld_gap[0, weld]) for weld in step.closing}
 
-    def _load(self, state, drive):
-        """Bring the prescribed values and loads from what they are to the stage's, increment by increment."""
-        plan, mesh = self.plan, self.mesh
+    def _way(self, number, step: Step, state, drive) -> _Way:
+        """From the values and loads that are to those of the step's end."""
+        mesh = self.mesh
         try:
-            system = mesh.system(plan)
-            target = [state.frozen[i] if kind == "weld" else drive.target[kind][0, i] for kind, i in plan.bilateral]
+            system = mesh.system(step.bilateral)
+            target = [state.frozen[i] if kind == "weld" else drive.target[kind][0, i] for kind, i in step.bilateral]
             v0 = system.consistent(system.rows @ state.solution.u)
             v1 = system.consistent(np.array(target))
         except (ValueError, FreeMotion) as error:
-            raise ContactFailure(f"stage {plan.name!r}: {error}") from error
-        p0, p1 = self._loads(state, drive)
-        reaction = np.array([state.reaction.get(row, 0.0) for row in plan.bilateral])[system.kept]
-        solution, left, solves = replace(state.solution, reaction=reaction), state.left, []
-        contact = plan.resolves and len(self.friction) > 0
-        for number in range(1, (plan.increments if contact else 1) + 1):
-            start, end = (
-                (p0 + s * (p1 - p0), v0 + s * (v1 - v0))
-                for s in ((number - 1) / plan.increments, number / plan.increments)
-            )
-            if contact:
-                increment = _Increment(self, system, drive.gap[0], number, left)
-                law, solution = increment.solve(solution, start, end)
-                solves += increment.solves
-            else:
-                solution = system.equilibrium.linear(p1, v1, solution.force)
-            left = mesh.contact(solution.u)
-        r = np.zeros(len(plan.bilateral))
-        r[system.kept] = solution.reaction
-        after = replace(state, solution=solution, left=left, reaction=dict(zip(plan.bilateral, r)))
-        if not contact:
-            return after, None, solves
-        displacement = replace(law, anchor=state.left).displacement(left)
-        return after, FullResolution(plan.name, solution.force, displacement, law.state(left), r), solves
+            raise ContactFailure(f"stage {self.plan.name!r}: {error}") from error
+        p0, p1 = self._loads(step, state, drive)
+        gap = drive.gap[0]
+        overlap = np.zeros_like(gap)
+        if step.settles:
+            unloaded = system.equilibrium.linear(p0, v0, 0 * state.solution.force)
+            overlap = np.maximum(0, -(gap + mesh.contact(unloaded.u)[:, 0]))
+            overlap[overlap <= TOUCHING] = 0
+        return _Way(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
 
-    def _loads(self, state, drive):
-        """Nodal forces (N,) at the stage's start and at its end."""
-        plan, rows = self.plan, self.mesh.rows
+    def _loads(self, step, state, drive):
+        """Nodal forces (N,) at the step's start and at its end."""
+        rows = self.mesh.rows
         p0, p1 = np.zeros((2, len(state.solution.u)))
-        for i in plan.loads + plan.dropped_loads:
+        for i in step.loads + step.dropped_loads:
             p0 += rows["clamp"][i].T @ [state.push.get(i, 0.0)]
-        for i in plan.loads:
+        for i in step.loads:
             p1 += rows["clamp"][i].T @ [drive.push[0, i]]
-        for kind, i in plan.released:
+        for kind, i in step.released:
             p0 += rows[kind][i].T @ [state.reaction[kind, i]]
         return p0, p1
 
+    def _without_contact(self, way, state) -> FullState:
+        """Set down one by one, the contacts touch nothing: they are left where their points come to lie."""
+        p, v, _ = way.end
+        solution = way.system.equilibrium.linear(p, v, state.solution.force)
+        touching = way.system.equilibrium.linear(p, v, 0 * state.solution.force)
+        left = self.mesh.contact(touching.u)
+        return self._after(way, state, solution, left, left[:, 1:])
 
-class _Increment:
-    """One load increment, and the Newton solves that it took."""
+    def _resolve(self, way, state) -> tuple[FullState, Point, FullTrace]:
+        """Along the way; without friction nothing but its end counts, and slip under load has no meaning."""
+        reaction = np.array([state.reaction.get(row, 0.0) for row in way.step.bilateral])[way.system.kept]
+        start = way.start_point(replace(state.solution, reaction=reaction), state)
+        if way.still:
+            end, trace = start, replace(FullTrace.start(*start.force.shape), share=shares(start.state))
+        elif not self.friction.any():
+            end, trace = increments(way.solve, start, 1)
+            trace = replace(FullTrace.start(*end.force.shape), share=trace.share, steps=1, solves=1)
+        elif self.plan.path == "followed":
+            bound, _ = self.friction.bound(np.maximum(start.force[:, 0], 0))
+            if (np.linalg.norm(start.force[:, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any():
+                start = way.solve(start, 0.0, start.position)  # there is less friction than in the stage before
+            end, trace = extrapolated(way.solve, start, self.tolerance)
+        else:
+            end, trace = increments(way.solve, start, self.plan.increments)
+        solution = way.system.equilibrium.unpack(end.held)
+        return self._after(way, state, solution, self.mesh.contact(solution.u), end.position), end, trace
 
-    def __init__(self, stage: FullStage, system: System, gap: np.ndarray, number: int, left: np.ndarray):
-        self.stage, self.system, self.gap, self.number, self.left = stage, system, gap, number, left
+    def _after(self, way, state, solution, left, anchor):
+        r = np.zeros(len(way.step.bilateral))
+        r[way.system.kept] = solution.reaction
+        return replace(state, solution=solution, left=left, anchor=anchor, reaction=dict(zip(way.step.bilateral, r)))
+
+    def _resolution(self, start, state, end, trace) -> FullResolution:
+        displacement = np.column_stack([end.gap, (state.left - start.left)[:, 1:]])
+        reaction = np.array([state.reaction[row] for row in self.plan.bilateral])
+        return FullResolution(self.plan.name, state.solution.force, displacement, end.state, reaction, trace)
+
+
+class _Way:
+    """From one load to the next, with the Newton solves that it took; loads are (nodal forces, values, gaps)."""
+
+    def __init__(self, stage: FullStage, system: System, number: int, step: Step, start, end):
+        self.stage, self.system, self.number, self.step = stage, system, number, step
+        self.start, self.end = start, end
         self.solves: list[Solve] = []
 
-    def solve(self, solution: State, start, end) -> tuple[ContactLaw, State]:
-        """From one load and its values to the next; returns the law that the end satisfies, slip from the start."""
-        k, β = self.stage.mesh.contact_stiffness, self.stage.penalty.stiffness
-        estimate = solution.force.copy()
-        if not self.stage.penalty.augmented:
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves: parts settle, and nothing else, and overlap nowhere."""
+        settles = all(isinstance(action, Settle) for action in self.step.move)
+        return settles and bool((self.start[2] == self.end[2]).all())
+
+    def start_point(self, solution: State, state: FullState) -> Point:
+        """Where the way begins."""
+        force, gap = solution.force, self.start[2] + state.left[:, 0]
+        contact = np.where(force[:, 0] > 0, STICK, OPEN)
+        return Point(0.0, state.anchor, gap, force, contact, solution.stacked)
+
+    def solve(self, point: Point, share: float, anchor: np.ndarray) -> Point:
+        """On from a point, slip measured from `anchor` (m, d - 1)."""
+        mesh, penalty = self.stage.mesh, self.stage.penalty
+        k = mesh.contact_stiffness
+        estimate = point.force.copy()
+        if not penalty.augmented:
             estimate[:, 0] = 0.0
-        law = ContactLaw(self.stage.friction, self.gap, self.left, estimate, β * k, k)
-        solution = self._penalised(solution, start, end, law)
-        if self.stage.penalty.augmented:
-            law, solution = self._augment(solution, start, end, law)
+        origin = np.column_stack([np.zeros(len(k)), anchor])
+        law = ContactLaw(self.stage.friction, self.end[2], origin, estimate, penalty.stiffness * k, k)
+        law, solution = self._penalised(self.system.equilibrium.unpack(point.held), point.share, share, law)
+        if penalty.augmented:
+            law, solution = self._augment(solution, share, law)
+        δ = mesh.contact(solution.u)
+        position = self.stage.friction.slider(δ, solution.force)
+        return Point(share, position, law.displacement(δ)[:, 0], solution.force, law.state(δ), solution.stacked)
+
+    def _newton(self, solution, share, law, augmentation):
+        p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
+        law = replace(law, gap=gap)
+        solution, iterations = self.system.equilibrium.newton(solution, p, v, law)
+        penalty = float(law.penalty[0] / law.stiffness[0])
+        self.solves.append(Solve(self.stage.plan.name, self.number, share, augmentation, penalty, tuple(iterations)))
         return law, solution
 
-    def _newton(self, solution, start, end, law, fraction, augmentation):
-        p, v = (a + fraction * (b - a) for a, b in zip(start, end))
-        solution, iterations = self.system.equilibrium.newton(solution, p, v, law)
-        k = self.stage.mesh.contact_stiffness
-        penalty = float(law.penalty[0] / k[0])
-        self.solves.append(Solve(self.stage.plan.name, self.number, fraction, augmentation, penalty, tuple(iterations)))
-        return solution
-
-    def _penalised(self, solution, start, end, law):
-        """The increment by the penalty method, cut where Newton's method fails."""
-        done, step = 0.0, 1.0
-        while done < 1:
+    def _penalised(self, solution, done, share, law):
+        """On by the penalty method, cut where Newton's method fails."""
+        whole = length = share - done
+        while True:
+            target = share if done + 1.5 * length > share else done + length
             try:
-                solution = self._newton(solution, start, end, law, min(1.0, done + step), 0)
-                done = min(1.0, done + step)
+                found, solution = self._newton(solution, target, law, 0)
             except NoConvergence as problem:
-                step /= 2
-                if step < SMALLEST_CUT:
-                    raise self._failure(done, problem, "raise the stage's increments or lower the penalty") from problem
-        return solution
+                length /= 2
+                if length < SMALLEST_CUT * whole or whole == 0:
+                    raise self._failure(done, problem, "give the stage increments, or lower the penalty") from problem
+                continue
+            if target == share:
+                return found, solution
+            done = target
 
-    def _augment(self, solution, start, end, law):
+    def _augment(self, solution, share, law):
         """f̂ ← f until the forces no longer change."""
-        change, stiffness = np.inf, self.stage.mesh.contact_stiffness
+        change, stiffness = np.inf, law.stiffness
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
-            change = float(np.abs(solution.force - law.estimate).max())
+            augmented = law.augmented(solution.force)
+            change = float(np.abs(augmented.estimate - law.estimate).max())
             largest = max(np.abs(solution.force).max(), np.abs(solution.reaction).max())
             if change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before:
                 return law, solution
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0]
-            law = replace(law, estimate=solution.force, penalty=(10 if stiffer else 1) * law.penalty)
+            law = replace(augmented, penalty=(10 if stiffer else 1) * law.penalty)
             try:
-                solution = self._newton(solution, start, end, law, 1.0, augmentation)
+                law, solution = self._newton(solution, share, law, augmentation)
             except NoConvergence as problem:
-                raise self._failure(1.0, problem, "lower the penalty, or do without augmentation") from problem
+                raise self._failure(share, problem, "lower the penalty, or do without augmentation") from problem
         raise self._failure(
-            1.0,
+            share,
             f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",
             "raise the penalty; look for contacts that the welds make redundant",
         )
 
-    def _failure(self, fraction, problem, remedy):
+    def _failure(self, share, problem, remedy):
         plan, assembly = self.stage.plan, self.stage.mesh.assembly
         where = ""
         if isinstance(problem, NoConvergence) and problem.contact is not None:
             label = assembly.labels["contact"][problem.contact * assembly.contacts.dimension].rsplit(" ", 1)[0]
             where = f", worst at contact {label!r}"
         return ContactFailure(
-            f"stage {plan.name!r}, increment {self.number} of {plan.increments}, "
-            f"at {fraction:.3g} of its load{where}: {problem}; {remedy}"
+            f"stage {plan.name!r}, step {self.number} of {len(plan.steps)}, "
+            f"at {share:.3g} of its load{where}: {problem}; {remedy}"
         )

@@ -9,8 +9,9 @@ carries them out.
 """
 
 from mic.contact.certificate import Certificate, certify
+from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.solution import ContactSolution, Status
 from mic.contact.solver import ContactSolver, solve
 
-__all__ = ["Certificate", "ContactSolution", "ContactSolver", "Law", "Status", "certify", "solve"]
+__all__ = ["Certificate", "ContactSolution", "ContactSolver", "Friction", "Law", "Status", "certify", "solve"]

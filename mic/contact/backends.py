@@ -8,7 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from mic.contact.friction import Friction
 from mic.contact.laws import Law
+from mic.contact.path import Leg, Path
 from mic.contact.programme import OPTIMISERS, ConeProgramme
 
 __all__ = ["BACKENDS", "Backend"]
@@ -49,23 +51,37 @@ class Backend(Protocol):
         rung : str
         """
 
+    def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
+        """Every sample from one load to the next, for a law whose path can be followed.
+
+        Parameters
+        ----------
+        b0, b1 : (n, d m) array
+            Displacements without contact forces at the two loads.
+        force : (n, d m) array
+            Contact forces at the first.
+        anchor : (n, m, 2) array
+            Where slip is measured from.
+        path : Path
+        """
+
     def infeasible(self, b: np.ndarray) -> bool:
         """Whether it is proven that no force keeps the contacts of sample ``b`` (d m,) from penetrating."""
 
 
-def _native(S, mu, law, tol, threads, dimension):
+def _native(S, friction, law, tol, threads, dimension):
     from mic.contact.native.solver import NativeSolver  # compiles, or reads the cache, when it is imported
 
-    return NativeSolver(S, mu, law, tol, threads, dimension)
+    return NativeSolver(S, friction, law, tol, threads, dimension)
 
 
-def _programme(optimiser, S, mu, law, tol, threads, dimension):
-    return ConeProgramme(S, mu, law, optimiser, dimension)
+def _programme(optimiser, S, friction, law, tol, threads, dimension):
+    return ConeProgramme(S, friction.coefficient, law, optimiser, dimension)
 
 
-#: Every backend by its name: a function of a checked ``(S, mu, law, tol, threads, dimension)``, as
+#: Every backend by its name: a function of a checked ``(S, friction, law, tol, threads, dimension)``, as
 #: :class:`mic.contact.ContactSolver` has them.
-BACKENDS: dict[str, Callable[[np.ndarray, np.ndarray, Law, float, int, int], Backend]] = {
+BACKENDS: dict[str, Callable[[np.ndarray, Friction, Law, float, int, int], Backend]] = {
     "native": _native,
     **{name: partial(_programme, name) for name in OPTIMISERS},
 }

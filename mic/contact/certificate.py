@@ -23,6 +23,11 @@ error elsewhere.  Hence
 - the zero force has ``r = 1`` wherever anything overlaps, and ``r = 0``, by definition of 0/0, in an open scene;
 - forces that grow without bound and move nothing, the answer of an iteration to an infeasible problem, do not make
   ``r`` small, as they would if ``‖D⁻¹ f‖`` were the scale.
+
+Where the coefficient depends on the normal force, ``K_k`` is the cone with the coefficient that belongs to ``f_k``: a
+force obeys such a law exactly if it obeys Coulomb's with these coefficients.  Where a spring stands in series with the
+slider, ``u`` is the slider's displacement ``S' f + b``, ``S' = S + C`` (:mod:`mic.contact.laws.micro_slip`), and ``S'``
+stands for ``S`` in ``ρ`` and in the energy.
 """
 
 from __future__ import annotations
@@ -31,9 +36,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
 
-__all__ = ["Certificate", "certify", "contact_stiffness"]
+__all__ = ["Certificate", "certify", "contact_stiffness", "series_compliance"]
 
 
 @dataclass(frozen=True)
@@ -95,8 +101,8 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
         Compliance, symmetric positive semidefinite, contact by contact in the order n, t1, t2 [length / force].
     b : (3m,) or (n, 3m) array
         Relative displacements without contact forces, gap included [length].
-    mu : float or (m,) array
-        Coefficients of friction; of no effect on the frictionless law.
+    mu : float, (m,) array or Friction
+        Coefficients of friction, or all that is known of it; of no effect on the frictionless law.
     force : array shaped like ``b``
         Contact forces [force].
     law : str or Law
@@ -112,23 +118,38 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     law = find(law)
     S, b, force = (np.asarray(a, dtype=float) for a in (S, b, force))
     m = len(S) // dimension
-    mu = np.broadcast_to(np.asarray(mu, dtype=float), (m,)) if law.frictional else np.zeros(m)
+    friction = Friction.of(mu if law.frictional else 0.0, m)
+    series = series_compliance(law, friction, dimension)
+    S = S + np.diag(series)
     stiffness = contact_stiffness(S, law, dimension)
-    certificate, _ = measure(S, np.atleast_2d(b), mu, np.atleast_2d(force), law, stiffness, dimension)
+    rows, forces, parameters = np.atleast_2d(b), np.atleast_2d(force), law.parameters(friction)
+    certificate, _ = measure(S, rows, parameters, forces, law, stiffness, dimension, series)
     if b.ndim == 2:
         return certificate
     return Certificate(**{name: float(values[0]) for name, values in vars(certificate).items()})
 
 
-def measure(S, b, mu, force, law, stiffness, dimension):
-    """:func:`certify` on a batch with the stiffnesses known; returns the certificate and ``u = S f + b`` (n, d m)."""
+def series_compliance(law: Law, friction: Friction, dimension: int = 3) -> np.ndarray:
+    """(d m,) diagonal of ``C = diag(0, c, c)``, contact by contact: what stands in series with the sliders."""
+    series = np.zeros((len(friction), dimension))
+    series[:, 1:] = law.compliance(friction)[:, None]
+    return series.ravel()
+
+
+def measure(S, b, parameters, force, law, stiffness, dimension, series):
+    """:func:`certify` on a batch, all of the problem known, ``S`` with the sliders' ``series`` compliance in it.
+
+    Returns the certificate and the contacts' own displacement (n, d m), without ``series``.
+    """
     displacement = force @ S + b
     n, m = len(b), len(S) // dimension
     f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
+    # The coefficients that belong to the force, and those of the zero force.
+    mu, mu0 = (law.coefficient(parameters, normal) for normal in (f[..., 0], np.zeros((n, m))))
     if not law.frictional:
         u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
 
-    def natural_map(f, u):
+    def natural_map(f, u, mu):
         value = f - law.projection(f - stiffness[:, None] * law.complementary(u, mu), mu)
         # Free contacts are exact solutions of every law; say so without rounding.
         free = (f == 0.0).all(-1) & (law.opening(u, mu) >= 0.0)
@@ -138,16 +159,16 @@ def measure(S, b, mu, force, law, stiffness, dimension):
         return np.sqrt(np.einsum("nki,nki,k->n", f, f, 1.0 / stiffness))
 
     with np.errstate(invalid="ignore", over="ignore"):
-        error = energy_norm(natural_map(f, u))
+        error = energy_norm(natural_map(f, u, mu))
         # Redundant contacts may carry large forces that store nothing: keep their rounding out of the energy.
         energy = np.einsum("ni,ni->n", force, displacement - b)
         energy -= 4.0 * S.shape[0] * np.finfo(float).eps * energy_norm(f) ** 2
-        scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), energy_norm(natural_map(np.zeros_like(f), u0)))
+        scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), energy_norm(natural_map(np.zeros_like(f), u0, mu0)))
         residual = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)
         residual[~np.isfinite(residual)] = np.inf
         slip = np.hypot(u[..., 1], u[..., 2])
         traction = np.hypot(f[..., 1], f[..., 2])
-        bound = law.bound(f[..., 0], mu)
+        bound = mu * f[..., 0]
         work = bound * slip + f[..., 1] * u[..., 1] + f[..., 2] * u[..., 2]
         certificate = Certificate(
             residual=residual,
@@ -156,7 +177,7 @@ def measure(S, b, mu, force, law, stiffness, dimension):
             complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
             slip_error=np.max(np.abs(work), axis=1, initial=0.0),
         )
-    return certificate, displacement
+    return certificate, displacement - force * series if series.any() else displacement
 
 
 def _as_contacts(a: np.ndarray, n: int, m: int, dimension: int) -> np.ndarray:

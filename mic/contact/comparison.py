@@ -21,7 +21,7 @@ __all__ = ["compare_laws", "summarise"]
 def compare_laws(
     S: np.ndarray, b: np.ndarray, mu_values: Iterable, tol: float = 1e-10, threads: int = 1
 ) -> pd.DataFrame:
-    """Solve every sample with every law and every friction coefficient.
+    """Solve every sample with every friction coefficient, under every law that reads nothing else.
 
     Parameters
     ----------
@@ -58,13 +58,15 @@ def compare_laws(
     b = np.atleast_2d(np.asarray(b, dtype=float))
     frames = []
     for mu in mu_values:
-        solutions = {law: ContactSolver(S, mu, law, tol=tol, threads=threads).solve(b) for law in LAWS.values()}
+        # Laws that read more than a coefficient are Coulomb's here.
+        laws = [law for law in LAWS.values() if not law.reads]
+        solutions = {law: ContactSolver(S, mu, law, tol=tol, threads=threads).solve(b) for law in laws}
         coulomb = solutions[COULOMB]
-        coulomb_states = classify(coulomb.force.reshape(len(b), -1, 3), mu)
+        coulomb_states = _states(coulomb.force.reshape(len(b), -1, 3), mu)
         for law, solution in solutions.items():
             f = solution.force.reshape(len(b), -1, 3)
             u = solution.displacement.reshape(len(b), -1, 3)
-            states = classify(f, mu if law.frictional else 0.0)
+            states = _states(f, mu if law.frictional else 0.0)
             slip, coulomb_slip = u[..., 1:], coulomb.displacement.reshape(u.shape)[..., 1:]
             frames.append(
                 pd.DataFrame(
@@ -108,6 +110,10 @@ def summarise(study: pd.DataFrame) -> pd.DataFrame:
     table["gap_at_load_max"] = groups["gap_at_load"].max()
     table["left_out"] = (~study["converged"]).groupby([study[key] for key in keys], sort=False).sum()
     return table
+
+
+def _states(f, mu):
+    return classify(f, mu * f[..., 0])
 
 
 def _relative_change(a, reference):

@@ -57,6 +57,10 @@ def _shifted(law: Law) -> bool:
     return law.frictional and law.shift != 0.0
 
 
+def _varying(law: Law) -> bool:
+    return law.varies
+
+
 def _every(law: Law) -> bool:
     return True
 
@@ -140,6 +144,14 @@ BATCH = (
 #: Methods for one sample that the cheap ones did not solve.
 PATIENT = (
     NEWTON,
+    Rung(
+        "renewed friction",
+        "With the coefficients of friction held the law is Coulomb's; then they are renewed from its normal forces.",
+        _varying,
+        # Each Coulomb problem by sweeps and Newton, in so many rounds, to a tolerance at which Newton for the whole
+        # lands; by the interior point where that fails.
+        {"steps": 20, "sweeps": 10, "rounds": 3, "tol": 1e-8},
+    ),
     INTERIOR_POINT,
     Rung(
         "patient sweeps",

@@ -3,7 +3,9 @@
 Between two loads the displacements without contact forces go straight from ``b⁰`` to ``b¹``, ``b(s) = b⁰ + s (b¹ -
 b⁰)``, and ``u = S f + b(s)``.  A contact that slips moves against its force, and one that sticks or is open does not
 slip; where each of them stands, the point from which its slip is measured, is the *anchor* ``a`` (m, 2).  One step of
-backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.
+backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.  Where
+contacts yield before they slip, the anchor is where their sliders stand, ``u_t + c f_t``
+(:mod:`mic.contact.laws.micro_slip`).
 
 :class:`Increments` takes equal steps of this kind, first order.  :class:`Followed` is of second order and controls its
 error (:mod:`mic.contact.native.follower`).
@@ -18,7 +20,10 @@ import numpy as np
 
 from mic.contact.states import OPEN, SLIP, STICK, classify
 
-__all__ = ["Followed", "Increments", "Path", "PathSolution", "Trace"]
+__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace"]
+
+#: Increments of a leg for a sample that the follower gives up.
+RESCUE = 64
 
 
 @dataclass(frozen=True)
@@ -40,12 +45,16 @@ class Followed:
     Attributes
     ----------
     tolerance : float
-        Error of a step, of the motion that the load asks of the contacts (root mean squares over the contacts).
+        Largest error of a step, as a share of the tangential motion that the contacts are about to make (root mean
+        squares over the contacts).
+    floor : float
+        Or as a length, if that is larger [length].
     steps : int or None
         So many equal steps instead, whatever their error: to show the order of the method.
     """
 
-    tolerance: float = 1e-3
+    tolerance: float = 1e-2
+    floor: float = 0.0
     steps: int | None = None
 
 
@@ -116,7 +125,7 @@ class PathSolution:
     converged : (n,) bool array
     iterations : (n,) int array
     status, rung : (n,) object array
-        Of the last step; the rung is ``"followed"`` where the path was.
+        Of the last step; the rung is ``"followed"`` or ``"increments"``, or the ladder's where neither would do.
     """
 
     force: np.ndarray
@@ -130,8 +139,37 @@ class PathSolution:
     rung: np.ndarray
 
 
+@dataclass(frozen=True)
+class Leg:
+    """What a follower found between two loads, good or not: the caller certifies it.
+
+    Attributes
+    ----------
+    force : (n, 3m) array
+        At the end.
+    b : (n, 3m) array
+        Displacements without contact forces, from where slip is measured in the last step: the problem that `force`
+        solves.
+    anchor : (n, m, 2) array
+    slip, length, work, share, error
+        As :class:`Trace` has them.
+    counts : (n, 5) int array
+        Steps, factorisations, calls for help, failures, steps cut.
+    """
+
+    force: np.ndarray
+    b: np.ndarray
+    anchor: np.ndarray
+    slip: np.ndarray
+    length: np.ndarray
+    work: np.ndarray
+    share: np.ndarray
+    error: np.ndarray
+    counts: np.ndarray
+
+
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
-    """Path by path, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""
+    """Leg by leg, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""
     n, loads, _ = b.shape
     m, d = solver.contacts, solver.dimension
     force = np.zeros((n, d * m)) if force is None else force
@@ -140,18 +178,68 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         return _without_memory(solver, b[:, -1], force)
     legs = []
     for k in range(loads - 1):
-        leg = increments(
-            solver, b[:, k], b[:, k + 1], force, anchor, path.count if isinstance(path, Increments) else 16
-        )
+        b0, b1 = b[:, k], b[:, k + 1]
+        if solver.law.followed:
+            leg = followed(solver, b0, b1, force, anchor, path)
+        else:
+            leg = increments(solver, b0, b1, force, anchor, path.count if isinstance(path, Increments) else 1)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
     return reduce(_joined, legs)
 
 
+def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
+    """One leg by the compiled follower; a sample that it gives up, or whose end misses the certificate, is rescued by
+    increments, each with the whole ladder."""
+    n = len(b0)
+    plain = isinstance(path, Increments)
+    leg = solver.backend.follow(b0, b1, force, anchor, path)
+    name = "increments" if plain else "followed"
+    solution = solver.certified(leg.b, leg.force, leg.counts[:, 1], np.full(n, name, dtype=object))
+    trace = Trace(
+        leg.slip,
+        leg.length,
+        leg.work,
+        leg.share,
+        np.full(n, np.nan) if plain else leg.error,
+        leg.counts[:, 0].copy(),
+        leg.counts[:, 1].copy(),
+    )
+    found = PathSolution(
+        force=leg.force,
+        displacement=leg.force @ solver.S + b1,
+        anchor=leg.anchor,
+        trace=trace,
+        residual=solution.residual,
+        converged=solution.converged,
+        iterations=leg.counts[:, 1].copy(),
+        status=solution.status,
+        rung=solution.rung,
+    )
+    lost = np.flatnonzero(~solution.converged | (leg.counts[:, 3] > 0))
+    if not lost.size:
+        return found
+    count = path.count if isinstance(path, Increments) else RESCUE
+    return _put(found, lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], count))
+
+
+def _put(all_samples, own, some):
+    """The first with the samples `own` from the second."""
+    values = {}
+    for field in fields(all_samples):
+        value, new = getattr(all_samples, field.name), getattr(some, field.name)
+        if isinstance(value, Trace):
+            values[field.name] = _put(value, own, new)
+        else:
+            value = value.copy()
+            value[own] = new
+            values[field.name] = value
+    return type(all_samples)(**values)
+
+
 def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
     """Equal steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
     n, m = len(b0), solver.contacts
-    mu = solver.mu
     trace = Trace.start(n, m)
     error = np.full(n, np.nan)
     slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
@@ -163,9 +251,9 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         b[:, :, 1:] -= anchor
         # Where Coulomb's law has several solutions, take the one that continues the state before.
         solution = solver.solve(b.reshape(n, -1), guess=force)
-        moved = solution.displacement.reshape(n, m, 3)[:, :, 1:]
         before, now = (f.reshape(n, m, 3) for f in (force, solution.force))
-        state = classify(now, mu)
+        moved = solution.displacement.reshape(n, m, 3)[:, :, 1:] + solver.compliance[:, None] * now[:, :, 1:]
+        state = classify(now, solver.bound(now[..., 0]))
         closed = state != OPEN
         slid = np.where((state == SLIP)[:, :, None], moved, 0.0)
         slip, length = slip + slid, length + np.linalg.norm(slid, axis=-1)
@@ -197,7 +285,7 @@ def _without_memory(solver, b, guess) -> PathSolution:
     solution = solver.solve(b, guess=guess)
     n, m = len(b), solver.contacts
     u = solution.displacement.reshape(n, m, -1)
-    state = classify(solution.force.reshape(n, m, -1), solver.mu)
+    state = classify(solution.force.reshape(n, m, -1), 0.0)
     share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
     trace = replace(Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64))
     return PathSolution(

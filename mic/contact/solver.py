@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 
 from mic.contact.backends import BACKENDS
-from mic.contact.certificate import contact_stiffness, measure
+from mic.contact.certificate import contact_stiffness, measure, series_compliance
+from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
@@ -32,8 +34,9 @@ class ContactSolver:
     S : (3m, 3m) array, or (m, m) for ``dimension`` 1
         Compliance: relative displacements per contact force, symmetric positive semidefinite, contact by contact in the
         order n, t1, t2 [length / force].
-    mu : float or (m,) array
-        Coefficients of friction, ``>= 0``.
+    mu : float, (m,) array or Friction
+        Coefficients of friction, ``>= 0``, or all that is known of it: what a law reads beyond them
+        (:class:`mic.contact.friction.Friction`).
     law : str or Law
         A name in :data:`mic.contact.laws.LAWS`, or the law itself.  ``coulomb`` is Coulomb's law proper; ``associated``
         the cone programme (13); ``frictionless`` the programme (12), which takes forces from the normal block alone and
@@ -47,6 +50,12 @@ class ContactSolver:
         Threads over the samples of a batch (native backend).
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs a law without friction.
+
+    Attributes
+    ----------
+    compliance : (m,) array
+        Tangential compliance ``c`` in series with each slider, zero but under ``micro-slip``: a slider stands at
+        ``u_t + c f_t``.
 
     Raises
     ------
@@ -82,11 +91,19 @@ class ContactSolver:
         self.dimension, self.tol = dimension, float(tol)
         self.S = _checked_compliance(S, dimension)
         self.contacts = len(self.S) // dimension
-        self.mu = _checked_friction(mu, self.contacts)
+        friction = Friction.of(mu, self.contacts)
         if not self.law.frictional:
-            self.mu = np.zeros(self.contacts)
-        self._stiffness = contact_stiffness(self.S, self.law, dimension)
-        self._backend = BACKENDS[backend](self.S, self.mu, self.law, self.tol, int(threads), dimension)
+            friction = Friction.of(0.0, self.contacts)
+        self.mu, self.compliance = friction.coefficient, self.law.compliance(friction)
+        self._parameters, self._series = self.law.parameters(friction), series_compliance(self.law, friction, dimension)
+        # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
+        self._sliding = self.S + np.diag(self._series)
+        self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
+        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+
+    def bound(self, normal: np.ndarray) -> np.ndarray:
+        """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
+        return self.law.bound(normal, self._parameters)
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
@@ -111,23 +128,46 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        force, iterations, rung = self._backend.solve(rows, guess)
-        certificate, displacement = self._measure(rows, force)
-        infeasible = np.zeros(len(rows), dtype=bool)
-        unsolved = np.flatnonzero(certificate.residual > self.tol)
-        for sample in unsolved:
-            infeasible[sample] = self._backend.infeasible(rows[sample])
-            if not infeasible[sample]:
-                self._persist(sample, rows, force, iterations, rung)
+        force, iterations, rung = self.backend.solve(rows, guess)
+        solution = self.certified(rows, force, iterations, rung)
+        unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
-            certificate, displacement = self._measure(rows, force)
+            infeasible = np.zeros(len(rows), dtype=bool)
+            for sample in unsolved:
+                infeasible[sample] = self.backend.infeasible(rows[sample])
+                if not infeasible[sample]:
+                    self._persist(sample, rows, force, iterations, rung)
+            solution = self.certified(rows, force, iterations, rung, infeasible)
+        return solution if b.ndim == 2 else _only(solution)
+
+    def certified(
+        self,
+        b: np.ndarray,
+        force: np.ndarray,
+        iterations: np.ndarray,
+        rung: np.ndarray,
+        infeasible: np.ndarray | None = None,
+    ) -> ContactSolution:
+        """Judge the forces of a batch, whoever found them.
+
+        Parameters
+        ----------
+        b, force : (n, d m) array
+        iterations : (n,) int array
+        rung : (n,) object array
+            Who found them.
+        infeasible : (n,) bool array, optional
+            Samples that are proven to have no solution.
+        """
+        certificate, displacement = self._measure(b, force)
         converged = certificate.residual <= self.tol
-        status = np.empty(len(rows), dtype=object)
+        infeasible = np.zeros(len(b), dtype=bool) if infeasible is None else infeasible
+        status = np.empty(len(b), dtype=object)
         status[:] = [
             Status.CONVERGED if solved else Status.INFEASIBLE if proven else Status.NOT_CONVERGED
             for solved, proven in zip(converged.tolist(), infeasible.tolist())
         ]
-        values = dict(
+        return ContactSolution(
             force=force,
             displacement=displacement,
             converged=converged,
@@ -136,13 +176,6 @@ class ContactSolver:
             rung=rung,
             **vars(certificate),
         )
-        if b.ndim == 1:
-            values = {name: value[0] for name, value in values.items()}
-            values["converged"] = bool(values["converged"])
-            values["iterations"] = int(values["iterations"])
-            for name in vars(certificate):
-                values[name] = float(values[name])
-        return ContactSolution(**values)
 
     def follow(
         self,
@@ -173,13 +206,14 @@ class ContactSolver:
         return follow(self, np.asarray(b, dtype=float), force, anchor, path or Followed())
 
     def _measure(self, rows, force):
-        return measure(self.S, rows, self.mu, force, self.law, self._stiffness, self.dimension)
+        known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
+        return measure(self._sliding, rows, *known)
 
     def _persist(self, sample, b, force, iterations, rung):
         """Work on one sample that did not converge, improving its force, count and rung in place."""
         start = force[sample].copy()
         best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
-        for candidate, count, name in self._backend.attempts(b[sample], start):
+        for candidate, count, name in self.backend.attempts(b[sample], start):
             iterations[sample] += count
             residual = self._measure(b[[sample]], candidate[None])[0].residual[0]
             if residual < best:
@@ -201,6 +235,15 @@ def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, thre
     [1.0, -0.27, 0.0]
     """
     return ContactSolver(S, mu, law, backend, tol, threads, dimension).solve(b, guess)
+
+
+def _only(solution: ContactSolution) -> ContactSolution:
+    """The only sample of a batch, its numbers plain."""
+    values: dict[str, Any] = {name: value[0] for name, value in vars(solution).items()}
+    for name, value in values.items():
+        if isinstance(value, np.generic):
+            values[name] = value.item()
+    return ContactSolution(**values)
 
 
 def _checked_array(name, value):
@@ -232,15 +275,6 @@ def _checked_compliance(S, dimension):
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
     return 0.5 * (S + S.T)
-
-
-def _checked_friction(mu, contacts):
-    mu = _checked_array("mu", mu)
-    if mu.shape not in ((), (contacts,)):
-        raise ValueError(f"mu must be a number or have one entry per contact, ({contacts},); got shape {mu.shape}")
-    if (mu < 0.0).any():
-        raise ValueError("mu must not be negative")
-    return np.broadcast_to(mu, (contacts,)).copy()
 
 
 def _checked_rows(name, value, size):

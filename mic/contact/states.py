@@ -36,15 +36,16 @@ STATES = tuple(state.label for state in ContactState)
 OPEN, STICK, SLIP = map(int, ContactState)
 
 
-def classify(force: np.ndarray, friction: np.ndarray | float) -> np.ndarray:
+def classify(force: np.ndarray, bound: np.ndarray | float) -> np.ndarray:
     """State of every contact: open without load, stuck inside the friction cone, slipping on its surface.
 
     Parameters
     ----------
     force : (n, m, 3) or (n, m, 1) array
         Contact forces (n, t1, t2), or normal forces alone [force].
-    friction : float or (m,) array
-        Coefficients of friction; zero for a law without friction, under which every loaded contact is free to slip.
+    bound : float or (n, m) array
+        Largest tangential forces [force], :meth:`mic.contact.laws.Law.bound`; zero for a law without friction, under
+        which every loaded contact is free to slip.
 
     Returns
     -------
@@ -55,5 +56,5 @@ def classify(force: np.ndarray, friction: np.ndarray | float) -> np.ndarray:
     loaded = normal > LOADED * np.maximum(normal.max(axis=1, keepdims=True, initial=0.0), np.finfo(float).tiny)
     if force.shape[2] == 1:
         return np.where(loaded, SLIP, OPEN).astype(np.int8)
-    slips = np.hypot(force[..., 1], force[..., 2]) >= (1.0 - ON_CONE) * friction * normal
+    slips = np.hypot(force[..., 1], force[..., 2]) >= (1.0 - ON_CONE) * bound
     return np.where(loaded, np.where(slips, SLIP, STICK), OPEN).astype(np.int8)

@@ -11,7 +11,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.compliance.part import Part
+from mic.contact.friction import Friction
 from mic.contact.laws import LAWS
+from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
@@ -31,11 +33,21 @@ class Contacts:
     ----------
     zone : (m,) int array
         Index of the pair's zone in ``scene.zones``.
-    friction : (m,) array
+    stages : (k,) array of str
+        Names of the scene's stages.
+    friction : (k, m) array
+        Coefficients, by stage.
+    pressure : (m, q, 5) array
+        μ as a function of the normal force, in pieces (`mic.contact.laws.pressure_dependent`); NaN where a zone leaves
+        it constant.
+    compliance : (m,) array
+        ``1/(k_t A)``, mm/N: how far the contact yields before it slips; 0 where not at all.
     gap : (m,) array
         Nominal gap between the facing surfaces, mm, positive when apart.
     area : (m,) array
-        mm².
+        Share of the zone, mm².
+    bearing : (m,) array
+        A: what pressure and stiffness per area refer to, mm²: the share of the zone, or the disc that ``patch`` gives.
     point : (m, 3) array
         mm.
     frame : (m, 3, 3) array
@@ -45,15 +57,34 @@ class Contacts:
     """
 
     zone: np.ndarray
+    stages: np.ndarray
     friction: np.ndarray
+    pressure: np.ndarray
+    compliance: np.ndarray
     gap: np.ndarray
     area: np.ndarray
+    bearing: np.ndarray
     point: np.ndarray
     frame: np.ndarray
     dimension: int
 
     def __len__(self):
         return len(self.zone)
+
+    @property
+    def frictional(self) -> bool:
+        """Whether anything gives any pair friction."""
+        return bool(self.friction.any() or self.pressure.shape[1])
+
+    def friction_in(self, stage: str) -> Friction:
+        """What the laws know of the pairs' friction in a stage."""
+        coefficient, pressure = self.friction[list(self.stages).index(stage)], None
+        if self.pressure.shape[1]:
+            none = np.isnan(self.pressure[:, 0, 0])
+            pressure = np.where(none[:, None, None], 0.0, self.pressure)
+            pressure[none, 1:, 0] = np.inf
+            pressure[none, 0, 1] = coefficient[none]
+        return Friction(coefficient, pressure, self.compliance)
 
 
 @dataclass(frozen=True)
@@ -145,7 +176,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     weld_gap = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
     landmarks = np.array([locator.point for locator in scene.locators])
     find = node_pairs if every_node else partial(find_pairs, landmarks=landmarks)
-    contacts = _contact_rows(scene, bodies, rows, find)
+    contacts = _contact_rows(scene, bodies, rows, find, every_node)
     for source in sources(scene):
         source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
@@ -197,9 +228,9 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> float:
     return pair.gap
 
 
-def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
+def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
-    friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.friction > 0 for zone in scene.zones)
+    friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
     resolved = any(stage.kind != "locate" for stage in scene.stages)
     pairs: list[ContactPair] = []
@@ -227,12 +258,31 @@ def _contact_rows(scene, bodies, rows: Rows, find) -> Contacts:
             pairs.append(pair)
             zones.append(i)
     zone_of = np.array(zones, dtype=np.int64)
+    stages, area = [stage.name for stage in scene.stages], np.array([pair.area for pair in pairs])
+    discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
+    bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
+    stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
     return Contacts(
         zone_of,
-        np.array([scene.zones[i].friction for i in zone_of]),
+        np.array(stages),
+        np.array([[scene.zones[i].coefficient(stage) for i in zone_of] for stage in stages]).reshape(len(stages), -1),
+        _pressure_pieces(scene, zone_of, bearing),
+        np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
         np.array([p.gap for p in pairs]),
-        np.array([p.area for p in pairs]),
+        area,
+        bearing,
         np.array([p.point for p in pairs]).reshape(-1, 3),
         np.array([p.frame for p in pairs]).reshape(-1, 3, 3),
         dimension,
     )
+
+
+def _pressure_pieces(scene, zone_of, bearing) -> np.ndarray:
+    """(m, q, 5) μ of each pair as a function of its normal force, as `Contacts` holds it."""
+    own = [zone.pressure_pieces() for zone in scene.zones]
+    pieces = np.full((len(zone_of), max((len(one) for one in own if one is not None), default=0), 5), np.nan)
+    for k, i in enumerate(zone_of):
+        if own[i] is not None:
+            pieces[k] = [np.inf, 0.0, 0.0, 0.0, 0.0]
+            pieces[k, : len(own[i])] = rescaled(own[i], 1.0 / bearing[k])
+    return pieces

@@ -67,7 +67,7 @@ class Action(Protocol):
 
 @dataclass(frozen=True)
 class SetDown:
-    """Set the parts down on locators, one by one: whatever overlaps then is resolved once something closes."""
+    """Set the parts down on locators, one by one: they touch nothing yet, and whatever overlaps then settles later."""
 
     locators: tuple[int, ...]
 
@@ -139,7 +139,10 @@ class Open:
 
 @dataclass(frozen=True)
 class Settle:
-    """Parts that overlap where they were set down come to rest on each other, along the contact normals."""
+    """Parts that overlap where they were set down come to rest on each other, along the contact normals.
+
+    It comes before whatever closes first, or with it.
+    """
 
     def apply(self, fixture):
         return fixture
@@ -235,24 +238,22 @@ def _weld(scene, stage, before) -> list[Move]:
 
 
 def _release(scene, stage, before) -> list[Move]:
-    """What closed last opens first; or the groups of `order`."""
-    kept = set(range(len(scene.locators)) if stage.keep is None else _among(scene.locators, None, stage.keep))
+    """What closed last opens first; or the groups of `order`. What is kept stays, all locators if nothing is named."""
     fixture = Fixture()
     for move in before:
         for action in move:
             fixture = action.apply(fixture)
+    keep = {locator.name for locator in scene.locators} if stage.keep is None else set(stage.keep)
+    kept_clamps, kept_locators = _among(scene.clamps, None, keep), _among(scene.locators, None, keep)
     if stage.order is not None:
-        groups = [
-            (_among(scene.clamps, None, names), tuple(i for i in _among(scene.locators, None, names) if i not in kept))
-            for names in stage.order
-        ]
+        groups = [(_among(scene.clamps, None, names), _among(scene.locators, None, names)) for names in stage.order]
     else:
         groups = [_closed(move) for move in reversed(before)]
     moves = []
     for clamps, locators in groups:
-        strokes = tuple(i for i in clamps if i in fixture.strokes)
-        forces = tuple(i for i in clamps if i in fixture.forces)
-        opened = tuple(i for i in locators if i in fixture.locators and i not in kept)
+        strokes = tuple(i for i in clamps if i in fixture.strokes and i not in kept_clamps)
+        forces = tuple(i for i in clamps if i in fixture.forces and i not in kept_clamps)
+        opened = tuple(i for i in locators if i in fixture.locators and i not in kept_locators)
         move = (Withdraw(strokes, forces),) * bool(strokes or forces) + (Open(opened),) * bool(opened)
         moves += [move] if move else []
     return moves
@@ -273,7 +274,7 @@ def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 def _among(items, allowed, names) -> tuple[int, ...]:
-    """Numbers of the items of these names, of those allowed; `mic.scene.checks` has seen that every name exists."""
+    """Numbers of the items of these names, of those allowed; `mic.scene.stages` has seen that every name exists."""
     return tuple(i for i, item in enumerate(items) if item.name in names and (allowed is None or i in allowed))
 
 

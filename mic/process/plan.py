@@ -6,9 +6,10 @@ share what the stages mean, and nothing of how they are solved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mic.process.actions import SUGAR, Close, Fixture, Joints, Move, Read, Row, SetDown, Settle
+from mic.process.freedom import check_held
 
 __all__ = ["StagePlan", "Step", "plan_stages"]
 
@@ -35,7 +36,7 @@ class Step:
     sets_down : bool
         Whether the parts are set down one by one, touching nothing yet.
     settles : bool
-        Whether overlaps close from touching to what they are, and nothing else moves.
+        Whether overlaps close meanwhile, from touching to what they are at its end; of its own, nothing else moves.
     resolves : bool
         Whether contact is resolved.
     """
@@ -67,7 +68,7 @@ class StagePlan:
     steps : tuple of Step
         At least one.
     path : {"followed", "increments", "one-step"}
-        How the steps are followed; ``"one-step"`` has no more than one step.
+        How the steps are followed, where the law has friction; ``"one-step"`` has no more than one step.
     increments : int
         Of each step, where the path has increments.
     reads : bool
@@ -86,10 +87,25 @@ class StagePlan:
         """Whether contact is resolved."""
         return any(step.resolves for step in self.steps)
 
+    def solves(self, law) -> int:
+        """Least number of contact problems that a sample takes; a path that is followed takes as many as it needs.
+
+        Parameters
+        ----------
+        law : mic.contact.laws.Law
+            Without friction nothing remembers the way, and only the steps count that leave a weld behind.
+        """
+        if law.frictional:
+            return self.increments * sum(step.resolves for step in self.steps)
+        return sum(self.steps[i].resolves for i in self.remembered)
+
     @property
-    def solves(self) -> int:
-        """Contact problems that a sample takes, but for those of a path that is followed: as many as it needs."""
-        return self.increments * sum(step.resolves for step in self.steps)
+    def remembered(self) -> tuple[int, ...]:
+        """The steps that leave something behind even without friction: the last, and those before and of welds made."""
+        after = (*self.steps[1:], None)
+        return tuple(
+            i for i, (step, next_) in enumerate(zip(self.steps, after)) if next_ is None or step.made or next_.made
+        )
 
     @property
     def bilateral(self) -> tuple[Row, ...]:
@@ -101,23 +117,31 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
     """The stages of a scene.
 
     Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
-    anything, before it does.  ``path = "one-step"`` does everything that a stage does at once, what overlaps included.
+    anything, before it does or (`settle` of the locate stage) while it does.  ``path = "one-step"`` does everything
+    that a stage does at once, what overlaps included.
 
     Parameters
     ----------
     scene : mic.scene.Scene
     weld_size : sequence of int
         Rows of each weld.
+
+    Raises
+    ------
+    SceneError
+        If a step leaves a part free to move (`mic.process.freedom`).
     """
     joints, fixture, plans = Joints(tuple(weld_size)), Fixture(), []
     before: list[Move] = []
     unsettled = False
+    first = all(stage.settle for stage in scene.stages)
     for stage in scene.stages:
         moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
         before += moves
-        if stage.path == "one-step":
+        path = stage.path or ("increments" if stage.increments else "followed")
+        if path == "one-step":
             moves = [tuple(action for move in moves for action in move)]
-        steps = []
+        steps: list[Step] = []
         for move in moves or [()]:
             after = fixture
             for action in move:
@@ -125,14 +149,17 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
             step = _step(move, joints, fixture, after)
             if unsettled and step.resolves:
                 unsettled = False
-                if stage.path != "one-step":
+                if path != "one-step" and first:
                     held = _bilateral(fixture, joints)
                     steps.append(Step((Settle(),), held, fixture.forces, settles=True, resolves=True))
+                elif path != "one-step":
+                    step = replace(step, move=(Settle(), *move), settles=True)
             unsettled |= step.sets_down
             steps.append(step)
             fixture = after
         reads = any(isinstance(action, Read) for move in moves for action in move)
-        plans.append(StagePlan(stage.name, stage.kind, tuple(steps), stage.path, stage.increments or 1, reads))
+        plans.append(StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads))
+        check_held(scene, joints, plans[-1])
     return plans
 
 

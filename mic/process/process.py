@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.contact import ContactSolver, laws
-from mic.contact.path import Followed, Trace
+from mic.contact.path import Trace
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import plan_stages
@@ -37,8 +37,8 @@ class Process:
         Who solves the contacts: the native solver, or the paper's (OSQP for (12), ECOS for (13)).
     threads : int
         Threads of the native solver over the samples of a batch.
-    path_tolerance : float
-        Of the paths that are followed, see :class:`mic.contact.path.Followed`.
+    path_tolerance : float, optional
+        Of the paths that are followed, see :class:`mic.contact.path.Followed`; default: the scene's.
 
     Attributes
     ----------
@@ -58,33 +58,41 @@ class Process:
         tol: float = TOLERANCE,
         backend: str = "native",
         threads: int = 1,
-        path_tolerance: float = Followed.tolerance,
+        path_tolerance: float | None = None,
     ):
         self.model, self.law = model, law
         contacts = model.contacts
         # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
-        smooth = contacts.dimension == 1 and not contacts.friction.any()
+        smooth = contacts.dimension == 1 and not contacts.frictional
         obeyed = laws.FRICTIONLESS if smooth else laws.find(law)
         solver_name = laws.find(law).paper_backend if backend == "paper" else "native"
         solvers: dict[tuple, ContactSolver] = {}
 
-        def solver(eliminated):
-            """Steps that hold the same rows share it."""
-            held = eliminated.step.bilateral
-            if held not in solvers:
-                solvers[held] = ContactSolver(
+        def solver(stage, eliminated):
+            """Steps that hold the same rows under the same friction share it."""
+            friction = contacts.friction_in(stage)
+            key = eliminated.step.bilateral, friction.coefficient.tobytes()
+            if key not in solvers:
+                solvers[key] = ContactSolver(
                     eliminated.response.S,
-                    contacts.friction,
+                    friction,
                     law=obeyed,
                     backend=solver_name,
                     tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
                     threads=threads,
                     dimension=contacts.dimension,
                 )
-            return solvers[held]
+            return solvers[key]
 
+        path_tolerance = path_tolerance or model.scene.path.tolerance
         self.stages = [
-            PreparedStage(plan, model.eliminations[plan.name], model, solver, path_of(plan, obeyed, path_tolerance))
+            PreparedStage(
+                plan,
+                model.eliminations[plan.name],
+                model,
+                partial(solver, plan.name),
+                path_of(plan, obeyed, path_tolerance),
+            )
             for plan in plan_stages(model.scene, model.weld_size)
         ]
 
@@ -123,6 +131,15 @@ class Process:
                 read = state.reading["measurement"] + asked.measured
         force, motion = self._equilibrium(state, deviations)
         return Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
+
+    def attempt(self, deviations: np.ndarray) -> Evaluation:
+        """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
+        try:
+            return self.evaluate(deviations)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            if len(deviations) == 1:
+                return self.blank(deviations, str(error))
+            return Evaluation.join([self.attempt(row[None]) for row in deviations])
 
     def blank(self, deviations: np.ndarray, reason: str) -> Evaluation:
         """The evaluation of samples that could not be computed: failed, all values NaN, the reason as their status."""

@@ -22,15 +22,17 @@ from mic.compliance.elimination import Response, eliminate
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments, Path, PathSolution, Trace
 from mic.contact.states import classify
-from mic.errors import FreeMotion, SceneError
+from mic.errors import FreeMotion
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
+from mic.process.freedom import free
 from mic.process.path import Ramp
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.state import ProcessState
 
 __all__ = ["OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
+FLOOR = 2e-4  # mm: no gauge reads a step's error below it
 OUTPUTS = ("locator", "clamp", "weld", "measurement")  #: kinds of rows that are read at the end of a stage
 
 
@@ -94,11 +96,7 @@ def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
                     )
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
-                    raise SceneError(
-                        f"stages ({plan.name}): {error}, mostly of part "
-                        f"{model.scene.parts[int(np.argmax(share))].name!r}; "
-                        "keep more locators in this stage, or join the part by welds with moment"
-                    ) from error
+                    raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
                 shared[held] = bilateral, response
             bilateral, response = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
@@ -172,9 +170,7 @@ class PreparedStage:
         steps = self.steps
         if not self.resolves or any(self._solver(each).law.frictional for each in steps if each.step.resolves):
             return steps
-        return [
-            each for each, after in zip(steps, [*steps[1:], None]) if after is None or each.step.made or after.step.made
-        ]
+        return [steps[i] for i in self.plan.remembered]
 
     def _step(self, eliminated, state, drive):
         """The state after a step, and the path that its contacts went; None where they were not resolved."""
@@ -259,7 +255,7 @@ class PreparedStage:
             stage=self.plan.name,
             force=end.force.copy(),
             displacement=displacement,
-            state=classify(end.force, solver.mu),
+            state=classify(end.force, solver.bound(end.force[..., 0])),
             trace=trace.over(len(solutions)),
             residual=np.max([solution.residual for solution in solutions], axis=0),
             converged=np.all([solution.converged for solution in solutions], axis=0),
@@ -289,5 +285,5 @@ def _worst_rung(solutions):
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:
     """How a stage's steps are followed under a law."""
     if plan.path == "followed" and law.followed:
-        return Followed(tolerance)
+        return Followed(tolerance, FLOOR)
     return Increments(plan.increments)

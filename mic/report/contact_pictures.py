@@ -1,4 +1,4 @@
-"""Pictures of the contacts under each law: slip of the zones, forces, one sample, states."""
+"""Pictures of the contacts under each law: motion of the zones, forces, one sample, states."""
 
 from __future__ import annotations
 
@@ -16,43 +16,43 @@ from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, number, percent, 
 from mic.results.outcome import Outcome
 from mic.results.statistics import density
 
-__all__ = ["sample_picture", "slip_density_picture", "slip_force_picture", "state_picture"]
+__all__ = ["sample_picture", "slip_force_picture", "state_picture", "tangential_density_picture"]
 
 ACTIVE = 1.0  # N: from this mean friction force on, a contact counts as active (the paper's smallest)
 
 
-def slip_density_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """Probability density of each zone's RMS slip, one panel per zone (Fig. 7 of the paper)."""
+def tangential_density_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """Probability density of each zone's RMS tangential displacement, one panel per zone (Fig. 7 of the paper)."""
     stage = context.stage
     if not (outcome.has_slip and stage and context.laws):
         return None
     columns = min(3, len(outcome.zones))
     fig, axes = panels(len(outcome.zones), columns, (3.5, 2.5))
     for i, (ax, zone) in enumerate(zip(axes, outcome.zones)):
-        slips = {law: outcome.slip(law, stage, zone, outcome.sample_numbers(law)[:SHOWN]) for law in context.laws}
-        everything = np.concatenate(list(slips.values()))
+        moved = {law: outcome.tangential(law, stage, zone, outcome.sample_numbers(law)[:SHOWN]) for law in context.laws}
+        everything = np.concatenate(list(moved.values()))
         margin = 0.15 * (np.ptp(everything) or abs(everything[0]) or 1.0)
         grid = np.linspace(everything.min() - margin, everything.max() + margin, 300)
-        for law, slip in slips.items():
-            colour, curve = LAWS[law].colour, density(slip, grid)
+        for law, x in moved.items():
+            colour, curve = LAWS[law].colour, density(x, grid)
             drawn = bool(np.isfinite(curve).all())
             if drawn:
                 ax.fill_between(grid, curve, color=colour, alpha=0.18, lw=0)
                 ax.plot(grid, curve, color=colour, lw=1.6)
-            ax.axvline(slip.mean(), color=colour, lw=1, ls="--")
+            ax.axvline(x.mean(), color=colour, lw=1, ls="--")
         ax.set_xlim(max(0.0, grid[0]), grid[-1])
         ax.set_ylim(0)
         ax.set_title(zone, color=zone_colour(i))
-        ax.set_xlabel("RMS slip (mm)")
+        ax.set_xlabel("RMS tangential displacement (mm)")
         if i % columns == 0:
             ax.set_ylabel("density (1/mm)")
     law_legend(fig, outcome.laws)
     count = outcome.record["samples"]
     return svg(
         fig,
-        f"Probability density of the zones' RMS slip, stage {stage}",
-        f"Kernel densities of the RMS slip over {'the first ' * (count > SHOWN)}{min(count, SHOWN)} samples; dashed: "
-        "means. " + _slip_sentence(outcome, context),
+        f"Probability density of the zones' RMS tangential displacement, stage {stage}",
+        f"Kernel densities over {'the first ' * (count > SHOWN)}{min(count, SHOWN)} samples, open contacts included as "
+        "in the paper; dashed: means. " + _motion_sentence(outcome, context),
     )
 
 
@@ -136,7 +136,8 @@ def sample_picture(outcome: Outcome, context: Context, quantity: Literal["f", "u
         else:
             text = f"largest gap {number(normal.max())} mm"
             if outcome.has_slip:
-                text += f", largest slip {number(np.hypot(values[law, 't1'], values[law, 't2']).max())} mm"
+                farthest = np.hypot(values[law, "t1"], values[law, "t2"]).max()
+                text += f", largest tangential displacement {number(farthest)} mm"
         sentences.append(f"{law}: {text}")
     return svg(
         fig, f"{title} of one sample at each contact", f"Sample {common[0]}, stage {stage}. {'; '.join(sentences)}."
@@ -176,14 +177,14 @@ def state_picture(outcome: Outcome, context: Context) -> Picture | None:
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
     return svg(
         fig,
-        "Open, sticking, slipping",
+        "Open, sticking, slipping at the end of a stage",
         f"Averaged over contacts and samples after stage {outcome.stages[0]}: "
         f"{'; '.join(sentences)}. Without friction every closed contact slips.",
     )
 
 
-def _slip_sentence(outcome, context):
-    """How friction changes mean and spread of slip, zone by zone."""
+def _motion_sentence(outcome, context):
+    """How friction changes mean and spread of the tangential displacement, zone by zone."""
     frictional, frictionless = context.frictional, context.frictionless
     if frictional is None or frictionless is None:
         return ""
@@ -194,10 +195,10 @@ def _slip_sentence(outcome, context):
         without, with_ = table.loc[(frictionless, zone)], table.loc[(frictional, zone)]
         change = [
             percent(with_[name] / without[name] - 1) if without[name] > 0 else "–"
-            for name in ("mean_rms_slip", "six_sigma_rms_slip")
+            for name in ("mean_rms_tangential", "six_sigma_rms_tangential")
         ]
         parts.append(f"{zone} mean {change[0]}, 6σ {change[1]}")
-    return f"Friction ({frictional} against {frictionless}) changes the slip by: {'; '.join(parts)}."
+    return f"Friction ({frictional} against {frictionless}) changes it by: {'; '.join(parts)}."
 
 
 def _zone_strips(outcome: Outcome, axes: Sequence[Axes], names: bool = True) -> None:

@@ -12,10 +12,11 @@ from functools import partial
 
 import matplotlib.style
 
-from mic.report.contact_pictures import sample_picture, slip_density_picture, slip_force_picture, state_picture
+from mic.report.contact_pictures import sample_picture, slip_force_picture, state_picture, tangential_density_picture
 from mic.report.context import Context
 from mic.report.law_pictures import friction_picture, law_cost_picture
 from mic.report.measurement_pictures import measurement_picture
+from mic.report.path_pictures import friction_work_picture, path_error_picture, path_state_picture
 from mic.report.picture import Picture
 from mic.report.space_pictures import assembly_picture, field_picture, overview_picture
 from mic.report.style import RC
@@ -25,7 +26,7 @@ __all__ = ["PICTURES", "SECTIONS", "Entry", "draw", "draw_all"]
 
 #: Sections of the page that show their pictures one below the other. ``still`` holds what stands in for the interactive
 #: views where a browser cannot show them; the page names those pictures.
-SECTIONS = ("slip", "contacts", "laws", "characteristics", "fields", "still")
+SECTIONS = ("path", "motion", "slip", "contacts", "laws", "characteristics", "fields", "still")
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,10 @@ class Entry:
 #: Every picture, in the order of the page.
 PICTURES = (
     Entry("assembly", "still", assembly_picture),
-    Entry("slip-density", "slip", slip_density_picture),
+    Entry("path-error", "path", path_error_picture),
+    Entry("tangential-density", "motion", tangential_density_picture),
+    Entry("path-states", "slip", path_state_picture),
+    Entry("friction-work", "slip", friction_work_picture),
     Entry("slip-force", "contacts", slip_force_picture),
     Entry("one-sample-f", "contacts", partial(sample_picture, quantity="f")),
     Entry("one-sample-u", "contacts", partial(sample_picture, quantity="u")),

@@ -123,6 +123,7 @@ def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
     if study is None:
         return None
     table, laws = summarise(study), [law for law in LAWS if law in set(study["law"])]
+    here = outcome.model.contacts.friction_in(outcome.stages[0]).coefficient.mean()
     fig, axes = panels(3, 3, (3.5, 2.6))
     for ax, (column, label, factor) in zip(
         axes,
@@ -135,7 +136,7 @@ def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
         for law in laws:
             rows, look = table.xs(law, level="law"), LAWS[law]
             ax.plot(rows.index, factor * rows[column], look.mark + "-", ms=4, lw=1.3, color=look.colour)
-        ax.axvline(outcome.model.contacts.friction.mean(), color="#8a949f", lw=0.9, ls="--")
+        ax.axvline(here, color="#8a949f", lw=0.9, ls="--")
         ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None))
         ax.set_ylim(0, 1.08 * factor * table[column].max() or 1.0)
     law_legend(fig, laws)

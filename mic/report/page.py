@@ -14,7 +14,7 @@ from plotly.offline import get_plotlyjs
 from mic.contact.solution import Status
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
-from mic.report.style import LAWS, STATE_COLOURS, number, percent, zone_colour
+from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, change, number, percent, zone_colour
 from mic.report.viewer import viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
@@ -63,6 +63,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
     )
     environment.filters["number"] = number
     environment.filters["percent"] = lambda value: percent(value, 1)
+    environment.filters["change"] = change
     page = environment.get_template("report.html").render(
         outcome=outcome,
         record=outcome.record,
@@ -76,6 +77,8 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         },
         colour=lambda law: LAWS[law].colour,
         states=list(STATE_COLOURS),
+        state_words=STATE_WORDS,
+        paths=_paths(outcome),
         facts=_facts(outcome),
         validity=_validity(outcome),
         zones=zones,
@@ -130,6 +133,7 @@ def _validity(outcome: Outcome) -> list[dict[str, Any]]:
                 "missing": outcome.missing[law],
                 "failed": len(outcome.failed[law]),
                 "residual": outcome.worst_residual(law) if run else float("nan"),
+                "rescued": len(outcome.rescued[law]),
                 "reasons": [
                     {
                         "status": status,
@@ -161,6 +165,16 @@ def _advice(status):
         return "The computation broke off at this sample; look for deviations far outside what parts can have."
 
 
+def _paths(outcome: Outcome) -> list[dict[str, Any]]:
+    """Per law with friction: what the way took and left, and how many samples stand beside a tighter one."""
+    study, summary = outcome.path_study, outcome.summary()["laws"]
+    return [
+        {"law": law, "repeated": study.repeated(law) if study else 0} | summary[law]["path"]
+        for law in outcome.laws
+        if LAWS[law].frictional and outcome.has_slip and len(outcome.sample_numbers(law))
+    ]
+
+
 def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Rows of the paper's Table 1: per zone the figures of each law, and the published ones."""
     table = outcome.zone_statistics
@@ -176,7 +190,7 @@ def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) ->
                     "zone": zone,
                     "stage": name,
                     "colour": zone_colour(i),
-                    "friction": outcome.model.scene.zones[i].friction,
+                    "friction": outcome.model.scene.zones[i].coefficient(name),
                     "pairs": int((outcome.model.contacts.zone == i).sum()),
                     "laws": {row["law"]: row for row in _records(found)},
                     "published": theirs.get(zone, {}) if name == stage else {},
@@ -186,7 +200,10 @@ def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) ->
 
 
 def _trend(zones, stage):
-    """How mean and 6σ of the slip change with friction, here and as published; None unless both are known."""
+    """How friction changes mean and 6σ of the tangential displacement, here and as published.
+
+    None unless both are known.
+    """
     shown = [row for row in zones if row["stage"] == stage and {"frictionless", "associated"} <= set(row["published"])]
     law = next((law for law in ("coulomb", "associated") if shown and law in shown[0]["laws"]), None)
     if law is None or "frictionless" not in shown[0]["laws"]:
@@ -196,7 +213,10 @@ def _trend(zones, stage):
         return f"{100 * (after / before - 1):+.0f}".replace("-", "−") if before > 0 else "–"
 
     texts = []
-    for ours, theirs, label in (("mean_rms_slip", "mean", "mean"), ("six_sigma_rms_slip", "six_sigma", "6σ")):
+    for ours, theirs, label in (
+        ("mean_rms_tangential", "mean", "mean"),
+        ("six_sigma_rms_tangential", "six_sigma", "6σ"),
+    ):
         here = ", ".join(change(row["laws"][law][ours], row["laws"]["frictionless"][ours]) for row in shown)
         there = ", ".join(
             change(row["published"]["associated"][theirs], row["published"]["frictionless"][theirs]) for row in shown

@@ -16,6 +16,7 @@ __all__ = [
     "RULE_WORDS",
     "STATE_COLOURS",
     "STATE_WORDS",
+    "change",
     "number",
     "part_colour",
     "percent",
@@ -31,6 +32,7 @@ RULE_WORDS = dict(zip(Rule, ("given", "fitted to the points", "of the flatter si
 PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
 ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3", "#8a2be2", "#6f7f00")
 
+MICROMETRE = 1e-3  # mm
 #: Settings of matplotlib under which every picture is drawn; all others are at their defaults.
 RC = {
     "font.family": "DejaVu Sans",
@@ -67,6 +69,20 @@ def percent(value: float, digits: int = 0) -> str:
         return "–"
     text = f"{100 * value:.{digits}f}"
     return (text if float(text) else text.lstrip("-")).replace("-", "−") + " %"
+
+
+def change(value: float | None, share: float | None = None) -> str:
+    """A change in mm for people, in µm and, where its share is known, in per cent; ``–`` where it is not known.
+
+    Of a change of no more than a thousandth of a millimetre only that is said.
+    """
+    if value is None or np.isnan(value):
+        return "–"
+    text = "≤ 1 µm" if abs(value) <= MICROMETRE else f"{'+' * (value > 0)}{number(1e3 * value, 2)} µm"
+    if share is None or np.isnan(share):
+        return text
+    told = percent(share, 1)
+    return f"{text} ({'+' * (share > 0 and told != '0.0 %')}{told})"
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -10,9 +10,12 @@ import pandas as pd
 
 from mic.contact.states import STATES
 from mic.results.capability import outside
+from mic.results.schema import SLIPS
 from mic.results.statistics import Moments
 
 __all__ = ["BlockSamples", "Digest"]
+
+_CONTACT = ("f_n", "u_n", "f_t", "u_t", "path_stick", "path_slip")  # the last four where tangential motion is modelled
 
 
 @dataclass(frozen=True)
@@ -105,16 +108,20 @@ class Digest:
         Samples that are there, failed ones included.
     stages : set of str
         Stages that resolve contact.
+    rescued : list of int
+        Numbers of the valid samples that plain increments had to rescue, since their path could not be followed.
     moments : dict of tuple to Moments
-        Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("slips", stage)``, one per zone;
-        ``("contacts", stage, column)``, (m,) with the columns of :meth:`BlockSamples.contact`;
-        ``("residual", stage)``, scalar.
+        Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("slips", stage, column)``, one
+        per zone with the columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage, column)``, (m,) with the
+        columns of :meth:`BlockSamples.contact`; ``("resolutions", stage, column)``, scalar: ``residual``,
+        ``path_error``, ``steps`` and ``factorisations``.
     counts : dict of tuple to int array
         Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("states", stage)``, (3, m) by state.
     """
 
     found: int = 0
     stages: set[str] = field(default_factory=set)
+    rescued: list[int] = field(default_factory=list)
     moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
     counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
     _numbers: list[np.ndarray] = field(default_factory=list)
@@ -157,16 +164,20 @@ class Digest:
             self._join(("measurements",), x)
             limits = np.array([(item.lower, item.upper) for item in items])
             self._count(("outside",), outside(x, *limits.T))
-        slip = len(model.contacts) > 0 and model.contacts.dimension == 3
+        tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
+        rescued = np.zeros(len(block.numbers), dtype=bool)
         for stage in block.stages:
-            self._join(("residual", stage), block.column("resolutions", "residual", stage=stage))
-            if slip:
-                zones = [block.column("slips", "rms_slip", stage=stage, zone=zone.name) for zone in model.scene.zones]
-                self._join(("slips", stage), np.column_stack(zones))
-            for column in ("f_n", "u_n", "f_t", "u_t") if slip else ("f_n", "u_n"):
+            rescued |= block.column("resolutions", "rescued", stage=stage)
+            for column in ("residual", "path_error", "steps", "factorisations"):
+                self._join(("resolutions", stage, column), block.column("resolutions", column, stage=stage))
+            for column in SLIPS.names[3:] if tangential else ():
+                zones = [block.column("slips", column, stage=stage, zone=zone.name) for zone in model.scene.zones]
+                self._join(("slips", stage, column), np.column_stack(zones))
+            for column in _CONTACT if tangential else _CONTACT[:2]:
                 self._join(("contacts", stage, column), block.contact(stage, column))
             state = block.contact(stage, "state")
             self._count(("states", stage), np.stack([(state == code).sum(axis=0) for code in range(len(STATES))]))
+        self.rescued += [int(number) for number in block.numbers[rescued]]
 
     def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:
         moments = Moments.of(x)

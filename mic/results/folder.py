@@ -63,7 +63,7 @@ FOREIGN = ".other-run"  # stands behind the name of a block that belongs to anot
 
 _AGAIN = "run the scene again into this folder"
 _REPLACE = "name another folder with --out, or remove the old results with --replace"
-_RUN = Format("record of a run", 3, _AGAIN)
+_RUN = Format("record of a run", 4, _AGAIN)
 _SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", PUBLISHED)
 _TABLES = tuple(table.place for table in (*STATISTICS, ACCURACY))
 _FIELDS = "fields/fields.npz"

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mic.contact.laws import LAWS
 from mic.errors import RunError
 from mic.process.plan import plan_stages
 
@@ -68,12 +69,12 @@ def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecas
     """
     contacts = assembly.contacts
     resolved = [plan for plan in plan_stages(assembly.scene, assembly.weld_size) if plan.resolves and len(contacts)]
-    solves = len(contacts) * sum(plan.solves for plan in resolved)
+    solves = [len(contacts) * sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
     stored = BYTES * len(contacts) * len(resolved) + PER_SAMPLE
     if assembly.scene.report.fields:
         stored += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))
-    count = samples * len(laws)
-    return Forecast(samples, count * (1e-5 + SECONDS * solves) / cores, float(count * stored))
+    seconds = sum(1e-5 + SECONDS * pairs for pairs in solves)
+    return Forecast(samples, samples * seconds / cores, float(samples * len(laws) * stored))
 
 
 def _time(seconds: float) -> str:

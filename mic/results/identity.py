@@ -1,9 +1,9 @@
 """The identity of a run: one hash over all inputs that its numbers depend on, and over nothing that was computed.
 
 Inputs are the scene with its defaults filled in, the content of every file that its meshes were made from, the seed,
-who solves the contacts and how exactly, the version of the program and the formats of its files. How many samples there
-are and under which laws is left out: a block says that of itself. So are names, descriptions and what is drawn. Nothing
-computed enters, for its last digits may change with the number of threads.
+who solves the contacts and how exactly, how exactly paths are followed, the version of the program and the formats of
+its files. How many samples there are and under which laws is left out: a block says that of itself. So are names,
+descriptions and what is drawn. Nothing computed enters, for its last digits may change with the number of threads.
 """
 
 from __future__ import annotations
@@ -13,14 +13,20 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from mic.contact.path import Followed
 from mic.process.process import TOLERANCE
 from mic.store import fingerprint
 
 __all__ = ["FORMAT", "differences", "identity", "inputs", "program_version"]
 
-FORMAT = 1  # raised whenever the same inputs give other numbers, or blocks of another form
+FORMAT = 2  # raised whenever the same inputs give other numbers, or blocks of another form
 _CAPTIONS = {"name", "description", "setting", "monte_carlo", "report"}  # what the setting gives is filled in
 _OF_THE_PROGRAM = ("program", "format")
+_WORDS = {
+    "program": "version of the program",
+    "dimension": "contact rows per pair",
+    "path_tolerance": "tolerance of the path",
+}
 
 
 def inputs(model, seed: int) -> dict[str, Any]:
@@ -39,6 +45,7 @@ def inputs(model, seed: int) -> dict[str, Any]:
         "seed": seed,
         "backend": scene.monte_carlo.backend,
         "tolerance": TOLERANCE,
+        "path_tolerance": Followed.tolerance,
         "fields": scene.report.fields,
         "dimension": model.contacts.dimension,
         "scene": {key: fingerprint(table) for key, table in tables.items()},
@@ -70,7 +77,7 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], program: boo
             names = [name for name in sorted(set(old) | set(new)) if old.get(name) != new.get(name)]
             found.append(("of the scene: " if key == "scene" else "content of ") + ", ".join(names))
         else:
-            name = {"program": "version of the program", "dimension": "contact rows per pair"}.get(key, key)
+            name = _WORDS.get(key, key)
             found.append(f"{name} ({there.get(key)} there, {asked.get(key)} asked for)")
     return found
 

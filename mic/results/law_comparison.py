@@ -24,7 +24,8 @@ THREADS = 2
 def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     """Solve samples in the first stage that resolves contact, under every law, with all friction coefficients scaled.
 
-    The displacements without contact forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
+    All that the stage does is done in one step: laws are compared here, not paths. The displacements without contact
+    forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
 
     Returns
     -------
@@ -41,6 +42,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         return None
     stage = outcome.stages[0]
     chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
+    coefficient = contacts.friction_in(stage).coefficient
     S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
     force, displacement = (
         np.stack(
@@ -49,7 +51,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         for quantity in ("f", "u")
     )
     b = displacement - force @ S  # u = S f + b
-    return compare_laws(S, b, [scale * contacts.friction for scale in SCALES], threads=THREADS)
+    return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS)
 
 
 def read_friction(folder: Path) -> pd.DataFrame | None:

@@ -28,6 +28,7 @@ from mic.results.digest import BlockSamples, Digest
 from mic.results.folder import Block, RunFolder
 from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
+from mic.results.path_study import PathStudy, read_path_study
 from mic.results.schema import DATASETS
 
 __all__ = ["Outcome", "read_outcome"]
@@ -94,6 +95,11 @@ class Outcome:
         return {law: digest.failed for law, digest in self.digests.items()}
 
     @property
+    def rescued(self) -> dict[str, list[int]]:
+        """Numbers of the valid samples whose path could not be followed and took plain increments, by law."""
+        return {law: digest.rescued for law, digest in self.digests.items()}
+
+    @property
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
         return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
@@ -119,11 +125,26 @@ class Outcome:
         """(n,) certificate residuals of a stage."""
         return self._gathered(law, samples, lambda block: block.column("resolutions", "residual", stage=stage))
 
+    def path_error(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
+        """(n,) estimated error that a stage's path left, mm, see :data:`mic.results.schema.RESOLUTIONS`."""
+        return self._gathered(law, samples, lambda block: block.column("resolutions", "path_error", stage=stage))
+
+    def tangential(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:
+        """(n,) RMS tangential displacement of a zone in a stage, that of open contacts included, mm.
+
+        NaN where no tangential motion was modelled.
+        """
+        return self._motion(law, stage, zone, "rms_tangential", samples)
+
     def slip(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) RMS slip of a zone since the stage before, mm; NaN where no tangential motion was modelled."""
+        """(n,) RMS slip under load of a zone in a stage, mm; NaN where no friction was modelled."""
+        return self._motion(law, stage, zone, "rms_slip", samples)
+
+    def _motion(self, law, stage, zone, column, samples):
+        """(n,) a column of the dataset `slips`."""
         if not self.has_slip:
             return self._gathered(law, samples, lambda block: np.full(len(block.numbers), np.nan))
-        return self._gathered(law, samples, lambda block: block.column("slips", "rms_slip", stage=stage, zone=zone))
+        return self._gathered(law, samples, lambda block: block.column("slips", column, stage=stage, zone=zone))
 
     def measured(self, law: str, name: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) values of a measurement, mm from nominal."""
@@ -136,7 +157,8 @@ class Outcome:
         ----------
         column : str
             ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.contact.states.STATES``), or
-            the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts.
+            the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts; ``path_stick`` and ``path_slip``, the
+            shares of the stage's path.
         """
         width = len(self.model.contacts)
         return self._gathered(law, samples, lambda block: block.contact(stage, column), (width,))
@@ -155,7 +177,8 @@ class Outcome:
         """
         if not len(self.sample_numbers(law)):
             return float("nan")
-        return max((float(self.digests[law].moments["residual", stage].high) for stage in self.stages), default=0.0)
+        moments = self.digests[law].moments
+        return max((float(moments["resolutions", stage, "residual"].high) for stage in self.stages), default=0.0)
 
     @cached_property
     def _numbers(self) -> dict[str, np.ndarray]:
@@ -191,7 +214,7 @@ class Outcome:
 
     @cached_property
     def zone_statistics(self) -> pd.DataFrame:
-        """RMS slip over each zone: :data:`mic.results.schema.ZONE_STATISTICS`."""
+        """Motion of each zone along its surfaces: :data:`mic.results.schema.ZONE_STATISTICS`."""
         return summary.zone_statistics(self)
 
     @cached_property
@@ -203,6 +226,11 @@ class Outcome:
     def measurement_statistics(self) -> pd.DataFrame:
         """Key characteristics against their limits: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
         return summary.measurement_statistics(self)
+
+    @cached_property
+    def path_study(self) -> PathStudy | None:
+        """What a tighter path changes: :mod:`mic.results.path_study`; None where not stored."""
+        return read_path_study(self.folder)
 
     @cached_property
     def friction_study(self) -> pd.DataFrame | None:
@@ -323,7 +351,7 @@ def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         for zone, slips in tables["slips"][tables["slips"]["stage"] == stage].groupby(
             "zone", observed=True, sort=False
         ):
-            columns[f"slip:{stage}:{zone}"] = slips["rms_slip"].to_numpy()
+            columns[f"slip:{stage}:{zone}"] = slips["rms_tangential"].to_numpy()  # what was called slip then
     for name, rows in tables["measurements"].groupby("measurement", observed=True, sort=False):
         columns[f"measurement:{name}"] = rows["value"].to_numpy()
     return wide.assign(**columns)

@@ -15,7 +15,13 @@ __all__ = ["read_identity", "read_table", "write_table"]
 
 _AGAIN = "run the scene again into this folder"
 _FORMATS = {table.name: Format(f"block of {table.name}", table.version, _AGAIN) for table in DATASETS}
-_ARROW = {"bool": pa.bool_(), "int32": pa.int32(), "int64": pa.int64(), "float64": pa.float64()}
+_ARROW = {
+    "bool": pa.bool_(),
+    "int32": pa.int32(),
+    "int64": pa.int64(),
+    "float32": pa.float32(),
+    "float64": pa.float64(),
+}
 _NAMES = pa.dictionary(pa.int32(), pa.string())
 
 

@@ -26,6 +26,8 @@ __all__ = [
     "FRICTION",
     "MEASUREMENTS",
     "MEASUREMENT_STATISTICS",
+    "PATH",
+    "PATH_ERRORS",
     "RESOLUTIONS",
     "SAMPLES",
     "SLIPS",
@@ -44,7 +46,7 @@ class Column:
     Attributes
     ----------
     name : str
-    dtype : {"bool", "int32", "int64", "float64", "category", "str"}
+    dtype : {"bool", "int32", "int64", "float32", "float64", "category", "str"}
         ``category``: a name out of few, stored once.
     unit : str
         Empty where there is none.
@@ -146,8 +148,8 @@ def _dataset(name, rows, columns, description, version=1):
     return Table(name, rows, columns, description, f"{name}/law=LAW/FIRST-LAST.parquet", version)
 
 
-def _statistic(name, rows, columns, description):
-    return Table(name, rows, columns, description, f"tables/{name}.csv")
+def _statistic(name, rows, columns, description, version=1):
+    return Table(name, rows, columns, description, f"tables/{name}.csv", version)
 
 
 _SAMPLE = Column("sample", "int32", "", "number of the sample, from 0")
@@ -176,14 +178,35 @@ RESOLUTIONS = _dataset(
     (
         _SAMPLE,
         _STAGE,
-        Column("residual", "float64", "1", "scale-free residual of the contact law, the largest of the increments"),
-        Column("status", "category", "", "outcome of the last increment, or why the sample could not be computed"),
-        Column("rung", "category", "", "rung of the ladder that found the forces of the last increment"),
-        Column("iterations", "int64", "", "iterations of the solver, over all increments"),
-        Column("converged", "bool", "", "whether every increment met its tolerance"),
+        Column(
+            "residual",
+            "float64",
+            "1",
+            "scale-free residual of the contact law, the largest of the increments, or of the ends of what is followed",
+        ),
+        Column("status", "category", "", "outcome of the last step, or why the sample could not be computed"),
+        Column(
+            "rung",
+            "category",
+            "",
+            "`followed` or `increments` where the path was gone like that; else the rung of the ladder that found the "
+            "last forces",
+        ),
+        Column("rescued", "bool", "", "whether a path could not be followed, and plain increments took its place"),
+        Column("iterations", "int64", "", "iterations of the solver, over all steps"),
+        Column("converged", "bool", "", "whether everything met its tolerance"),
+        Column(
+            "path_error",
+            "float64",
+            "mm",
+            "estimate of the error that the stage's path left in the contacts' tangential positions, root mean square "
+            "over the pairs; NaN where nothing estimates it",
+        ),
+        Column("steps", "int64", "", "steps along the path"),
+        Column("factorisations", "int64", "", "factorisations of the active contacts; 0 where nothing counts them"),
     ),
-    "How contact was resolved.",
-    version=2,
+    "How contact was resolved, and what the way there left.",
+    version=3,
 )
 SLIPS = _dataset(
     "slips",
@@ -192,9 +215,30 @@ SLIPS = _dataset(
         _SAMPLE,
         _STAGE,
         _ZONE,
-        Column("rms_slip", "float64", "mm", "root mean square of ‖u_t‖ over the zone's pairs, since the stage before"),
+        Column(
+            "rms_tangential",
+            "float64",
+            "mm",
+            "tangential displacement: root mean square of ‖u_t‖ over the zone's pairs, open ones included, since the "
+            "stage before",
+        ),
+        Column(
+            "rms_slip",
+            "float64",
+            "mm",
+            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net",
+        ),
+        Column("slip_length", "float64", "mm", "the same of the length of the way that each slipped"),
+        Column(
+            "friction_work", "float64", "N mm", "work that friction dissipated in the stage, sum over the zone's pairs"
+        ),
+        Column("open", "float64", "1", "share of the stage's path that a pair was open, mean over the zone's pairs"),
+        Column("stick", "float64", "1", "share of the path that a pair stuck"),
+        Column("slip", "float64", "1", "share of the path that a pair slipped"),
     ),
-    "Slip of the zones; no rows where only normals are modelled.",
+    "Motion of the zones along their surfaces; no rows where only normals are modelled. Without friction nothing slips "
+    "under load and no path is followed: all but `rms_tangential` is NaN.",
+    version=2,
 )
 MEASUREMENTS = _dataset(
     "measurements",
@@ -218,11 +262,15 @@ CONTACTS = _dataset(
         Column("f_t1", "float64", "N", "first tangential force", optional=True),
         Column("f_t2", "float64", "N", "second tangential force", optional=True),
         Column("u_n", "float64", "mm", "gap, positive when apart"),
-        Column("u_t1", "float64", "mm", "first tangential slip since the stage before", optional=True),
-        Column("u_t2", "float64", "mm", "second tangential slip since the stage before", optional=True),
-        Column("state", "category", "", "open, stick or slip"),
+        Column("u_t1", "float64", "mm", "first tangential displacement since the stage before", optional=True),
+        Column("u_t2", "float64", "mm", "second tangential displacement since the stage before", optional=True),
+        Column("state", "category", "", "open, stick or slip, at the end of the stage"),
+        Column("path_stick", "float32", "1", "share of the stage's path that the pair stuck", optional=True),
+        Column("path_slip", "float32", "1", "share of the stage's path that it slipped", optional=True),
     ),
-    "Forces and displacements of the contact pairs.",
+    "Forces and displacements of the contact pairs at the end of a stage, and their states on the way: where a pair "
+    "neither stuck nor slipped, it was open. The shares of the path are NaN without friction.",
+    version=2,
 )
 #: The Parquet datasets; :data:`SAMPLES` stands last, as it is written last.
 DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, CONTACTS, SAMPLES)
@@ -261,6 +309,15 @@ def _estimate(name, unit, meaning, optional=False) -> tuple[Column, ...]:
     )
 
 
+def _hanging(name, unit, meaning, optional=False) -> tuple[Column, ...]:
+    """An estimate, its interval, and what a tighter path changes of it."""
+    return (
+        *_estimate(name, unit, meaning, optional),
+        Column(f"{name}_path", "float64", unit, f"what a tighter path changes of `{name}`, see `path`"),
+        Column(f"{name}_path_share", "float64", "1", f"`{name}_path` as a share, see `path`"),
+    )
+
+
 _LAW = Column("law", "str", "", "contact law")
 _USED = Column("samples", "int64", "", "samples that the row rests on")
 
@@ -272,13 +329,21 @@ ZONE_STATISTICS = _statistic(
         Column("stage", "str", "", "stage that resolves contact"),
         Column("zone", "str", "", "contact zone"),
         Column("contacts", "int64", "", "contact pairs of the zone"),
-        Column("friction", "float64", "1", "coefficient of friction under this law"),
+        Column("friction", "float64", "1", "coefficient of friction under this law; none where it depends on pressure"),
         _USED,
-        *_estimate("mean_rms_slip", "mm", "mean of the zone's RMS slip"),
-        *_estimate("six_sigma_rms_slip", "mm", "6σ of the zone's RMS slip"),
+        *_hanging("mean_rms_tangential", "mm", "mean of the zone's RMS tangential displacement"),
+        *_hanging("six_sigma_rms_tangential", "mm", "6σ of the zone's RMS tangential displacement"),
+        *_hanging("mean_rms_slip", "mm", "mean of the zone's RMS slip under load"),
+        *_hanging("six_sigma_rms_slip", "mm", "6σ of the zone's RMS slip under load"),
+        *_estimate("mean_slip_length", "mm", "mean of the length of the way slipped"),
+        *_estimate("mean_friction_work", "N mm", "mean of the work that friction dissipates in the zone"),
+        Column("open", "float64", "1", "mean share of the stage's path that a pair of the zone is open"),
+        Column("stick", "float64", "1", "mean share of the path that it sticks"),
+        Column("slip", "float64", "1", "mean share of the path that it slips"),
     ),
-    "RMS slip over each zone, counted from where the contact was left in the stage before. Empty where no tangential "
-    "motion was modelled.",
+    "Motion of each zone along its surfaces, stage by stage, as in the dataset `slips`. Empty where no tangential "
+    "motion was modelled, or no friction.",
+    version=2,
 )
 CONTACT_STATISTICS = _statistic(
     "contacts",
@@ -294,12 +359,16 @@ CONTACT_STATISTICS = _statistic(
         Column("mean_gap", "float64", "mm", "mean gap"),
         *_estimate("mean_slip_force", "N", "mean of ‖f_t‖", optional=True),
         *_estimate("six_sigma_slip_force", "N", "6σ of ‖f_t‖", optional=True),
-        *_estimate("mean_slip", "mm", "mean of ‖u_t‖", optional=True),
-        *_estimate("open", "1", "share of the samples in which the pair is open"),
+        *_estimate("mean_tangential", "mm", "mean of ‖u_t‖, the tangential displacement", optional=True),
+        *_estimate("open", "1", "share of the samples in which the pair is open at the end of the stage"),
         *_estimate("stick", "1", "share of the samples in which it sticks"),
         *_estimate("slip", "1", "share of the samples in which it slips"),
+        Column("path_open", "float64", "1", "mean share of the stage's path that it is open", optional=True),
+        Column("path_stick", "float64", "1", "mean share of the path that it sticks", optional=True),
+        Column("path_slip", "float64", "1", "mean share of the path that it slips", optional=True),
     ),
     "Forces and states of each contact pair.",
+    version=2,
 )
 MEASUREMENT_STATISTICS = _statistic(
     "measurements",
@@ -310,9 +379,9 @@ MEASUREMENT_STATISTICS = _statistic(
         Column("lower", "float64", "mm", "lower limit"),
         Column("upper", "float64", "mm", "upper limit"),
         _USED,
-        *_estimate("mean", "mm", "mean deviation from nominal"),
+        *_hanging("mean", "mm", "mean deviation from nominal"),
         *_estimate("sigma", "mm", "standard deviation, n - 1 in the denominator"),
-        *_estimate("six_sigma", "mm", "six standard deviations"),
+        *_hanging("six_sigma", "mm", "six standard deviations"),
         *_estimate("min", "mm", "smallest sample; nothing bounds the population from below"),
         *_estimate("max", "mm", "largest sample; nothing bounds the population from above"),
         *_estimate("cp", "1", "Cp = (upper - lower) / 6σ"),
@@ -320,6 +389,44 @@ MEASUREMENT_STATISTICS = _statistic(
         *_estimate("share_outside", "1", "share of the samples outside the limits"),
     ),
     "Key characteristics against their limits.",
+    version=2,
+)
+PATH = _statistic(
+    "path",
+    "one law, repeated sample and quantity",
+    (
+        _LAW,
+        Column("sample", "int64", "", "number of the sample"),
+        Column("quantity", "str", "", "`measurement`, `rms_tangential` or `rms_slip`"),
+        Column("stage", "str", "", "stage at whose end it is read"),
+        Column("name", "str", "", "key characteristic or contact zone"),
+        Column("value", "float64", "mm", "in the run"),
+        Column("tighter", "float64", "mm", "on a tighter path"),
+        Column("converged", "bool", "", "whether the repetition converged; else leave the row out"),
+    ),
+    "The first samples of the run once more on a tighter path: followed to a sixteenth of the tolerance, or in four "
+    "times the increments (under the law (13), whose increments are part of it, that says how much hangs on them). The "
+    "effect of the path on a mean or 6σ, the columns `…_path` of the other tables, is that of these repetitions less "
+    "that of the same samples in the run; `…_path_share` is its share of the mean or 6σ of these samples, and of their "
+    "6σ for the mean of a key characteristic, which may be 0. Of less than 10 µm no share is told.",
+)
+PATH_ERRORS = _statistic(
+    "path_errors",
+    "one law, repeated sample and stage",
+    (
+        _LAW,
+        Column("sample", "int64", "", "number of the sample"),
+        Column("stage", "str", "", "stage that resolves contact"),
+        Column("estimate", "float64", "mm", "sum of `path_error` of `resolutions` over the stages so far"),
+        Column(
+            "measured",
+            "float64",
+            "mm",
+            "what a tighter path changes of the contacts' tangential positions, root mean square over the pairs",
+        ),
+        Column("converged", "bool", "", "whether the repetition converged; else leave the row out"),
+    ),
+    "The estimated error of the path beside the measured one, for the samples of `path`.",
 )
 FRICTION = _statistic(
     "friction",
@@ -340,8 +447,8 @@ FRICTION = _statistic(
         Column("slip_change", "float64", "1", "‖u_t - u_ct‖ / ‖u_ct‖ against Coulomb's solution"),
         Column("changed_states", "int64", "", "pairs whose state differs from Coulomb's"),
     ),
-    "A few samples solved anew under every law with the scene's friction scaled: what the choice of the law costs. "
-    "Only where both Coulomb's and the associated law were asked for.",
+    "A few samples solved anew in one step under every law, with the scene's friction scaled: what the choice of the "
+    "law costs. Only where both Coulomb's and the associated law were asked for.",
 )
 ACCURACY = _statistic(
     "accuracy",
@@ -361,7 +468,7 @@ ACCURACY = _statistic(
     "What meshes leave (`mic.model.accuracy`). Only where the report asks for `accuracy`; written by the run.",
 )
 #: The CSV tables of statistics.
-STATISTICS = (ZONE_STATISTICS, CONTACT_STATISTICS, MEASUREMENT_STATISTICS, FRICTION)
+STATISTICS = (ZONE_STATISTICS, CONTACT_STATISTICS, MEASUREMENT_STATISTICS, PATH, PATH_ERRORS, FRICTION)
 
 
 def reference() -> str:

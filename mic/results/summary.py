@@ -13,7 +13,17 @@ from mic.contact.laws import LAWS
 from mic.contact.states import STATES
 from mic.results import capability, statistics
 from mic.results.law_comparison import study_friction
-from mic.results.schema import CONTACT_STATISTICS, FRICTION, MEASUREMENT_STATISTICS, STATISTICS, ZONE_STATISTICS, Table
+from mic.results.path_study import Effect, study_path
+from mic.results.schema import (
+    CONTACT_STATISTICS,
+    FRICTION,
+    MEASUREMENT_STATISTICS,
+    PATH,
+    PATH_ERRORS,
+    SLIPS,
+    ZONE_STATISTICS,
+    Table,
+)
 from mic.results.statistics import Estimate, Moments
 from mic.store import Format, replacing, save_json
 
@@ -24,39 +34,57 @@ __all__ = [
     "contact_statistics",
     "measurement_statistics",
     "summary",
+    "write_path_study",
     "write_summary",
     "write_tables",
     "zone_statistics",
 ]
 
-SUMMARY = Format("summary of a run", 1, "call `mic report` on the run folder")
+SUMMARY = Format("summary of a run", 2, "call `mic report` on the run folder")
 _MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
+_HANGING = ("mean", "six_sigma")  # what a path study is asked for
+_MOTIONS = ("rms_tangential", "rms_slip")
 
 
 def zone_statistics(outcome: Outcome) -> pd.DataFrame:
-    """RMS slip over each zone, :data:`mic.results.schema.ZONE_STATISTICS`."""
+    """Motion of each zone along its surfaces, :data:`mic.results.schema.ZONE_STATISTICS`."""
     rows = []
     pairs = np.bincount(outcome.model.contacts.zone, minlength=len(outcome.zones))
     for law in outcome.laws:
         samples = len(outcome.sample_numbers(law))
         unknown = Moments.of(np.full((samples, len(outcome.zones)), np.nan))  # no tangential motion was modelled
         for stage in outcome.stages:
-            slips = outcome.digests[law].moments.get(("slips", stage), unknown)
+            moments = {
+                column: outcome.digests[law].moments.get(("slips", stage, column), unknown)
+                for column in SLIPS.names[3:]
+            }
             for z, (zone, count) in enumerate(zip(outcome.model.scene.zones, pairs)):
-                slip = slips.at(z)
-                rows.append(
-                    {
-                        "law": law,
-                        "stage": stage,
-                        "zone": zone.name,
-                        "contacts": int(count),
-                        "friction": zone.friction if LAWS[law].frictional else 0.0,
-                        "samples": samples,
-                    }
-                    | _spread("mean_rms_slip", statistics.mean(slip))
-                    | _spread("six_sigma_rms_slip", statistics.six_sigma(slip))
-                )
+                own = {column: found.at(z) for column, found in moments.items()}
+                row = {
+                    "law": law,
+                    "stage": stage,
+                    "zone": zone.name,
+                    "contacts": int(count),
+                    "friction": _coefficient(zone, LAWS[law], stage),
+                    "samples": samples,
+                }
+                for motion in _MOTIONS:
+                    row |= _hanging(
+                        f"_{motion}",
+                        (statistics.mean(own[motion]), statistics.six_sigma(own[motion])),
+                        _effects(outcome, law, motion, zone.name, stage),
+                    )
+                for column in ("slip_length", "friction_work"):
+                    row |= _spread(f"mean_{column}", statistics.mean(own[column]))
+                rows.append(row | {state: statistics.mean(own[state]).value for state in STATES})
     return _frame(ZONE_STATISTICS, pd.DataFrame(rows))
+
+
+def _coefficient(zone, law, stage: str) -> float:
+    """μ of a zone under a law in a stage; NaN where it depends on pressure."""
+    if not law.frictional:
+        return 0.0
+    return math.nan if law.varies and zone.pressure_pieces() is not None else zone.coefficient(stage)
 
 
 def contact_statistics(outcome: Outcome) -> pd.DataFrame:
@@ -72,12 +100,18 @@ def contact_statistics(outcome: Outcome) -> pd.DataFrame:
             columns |= _spread("mean_f_n", statistics.mean(f_n)) | _spread("six_sigma_f_n", statistics.six_sigma(f_n))
             columns["mean_gap"] = statistics.mean(u_n).value
             if outcome.has_slip:
-                force, slip = (digest.moments["contacts", stage, column] for column in ("f_t", "u_t"))
+                force, motion = (digest.moments["contacts", stage, column] for column in ("f_t", "u_t"))
                 columns |= _spread("mean_slip_force", statistics.mean(force))
                 columns |= _spread("six_sigma_slip_force", statistics.six_sigma(force))
-                columns |= _spread("mean_slip", statistics.mean(slip))
+                columns |= _spread("mean_tangential", statistics.mean(motion))
             for name, count in zip(STATES, digest.counts["states", stage]):
                 columns |= _spread(name, statistics.share(count, samples))
+            if outcome.has_slip:
+                stick, slip = (
+                    statistics.mean(digest.moments["contacts", stage, column]).value
+                    for column in ("path_stick", "path_slip")
+                )
+                columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
             frames.append(pd.DataFrame(columns, index=np.arange(m)))
     return _frame(CONTACT_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
 
@@ -106,8 +140,10 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
                 "upper": item.upper,
                 "samples": estimates[0].used,
             }
-            for name, estimate in zip(_MEASURED, estimates):
-                row |= _spread(name, estimate)
+            found = dict(zip(_MEASURED, estimates))
+            effects = dict(zip(_HANGING, _effects(outcome, law, "measurement", item.name)))
+            for name, estimate in found.items():
+                row |= _spread(name, estimate) | (_change(name, effects[name]) if name in effects else {})
             rows.append(row)
     return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
 
@@ -116,13 +152,18 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     """The outcome in one JSON-ready dict (``summary.json``).
 
     The zone figures of each law are those of the first stage that resolves contact, clamping in the default process;
-    every stage stands under ``"stages"``. Intervals ``…_ci`` are at 95 %. What does not exist is None.
+    every stage stands under ``"stages"``. Intervals ``…_ci`` are at 95 %; what a tighter path changes of a figure is
+    ``…_path`` in mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). What does not exist is None, as slip under
+    load without friction.
     """
+    study = outcome.path_study
     laws = {}
     for law in outcome.laws:
         zones: dict[str, Any] = {}
         for row in _rows(outcome.zone_statistics, law):
-            entry = _with_intervals(row, ("mean_rms_slip", "six_sigma_rms_slip"))
+            entry = _with_intervals(row, [f"{name}_{motion}" for motion in _MOTIONS for name in _HANGING])
+            entry |= _with_intervals(row, ("mean_slip_length", "mean_friction_work"))
+            entry["path"] = {state: row[state] for state in STATES}
             zone = zones.setdefault(
                 row["zone"], {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
             )
@@ -131,6 +172,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "samples": len(outcome.sample_numbers(law)),
             "worst_residual": outcome.worst_residual(law),
             "failed": len(outcome.failed[law]),
+            "rescued": len(outcome.rescued[law]),
+            "path": _path(outcome, law) | {"repeated": study.repeated(law) if study else 0},
             "zones": zones,
             "measurements": {
                 row["measurement"]: {"lower": row["lower"], "upper": row["upper"]} | _with_intervals(row, _MEASURED)
@@ -144,6 +187,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "samples": outcome.record["samples"],
             "seed": outcome.record["seed"],
             "failed_samples": outcome.failed,
+            "rescued_samples": outcome.rescued,
             "missing_samples": outcome.missing,
             "confidence_level": statistics.LEVEL,
             "laws": laws,
@@ -153,26 +197,52 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     )
 
 
+def _path(outcome: Outcome, law: str) -> dict[str, Any]:
+    """What the way took, a sample, and the estimated error that it left, mm: mean and largest, by stage."""
+    moments = outcome.digests[law].moments
+    found = {
+        stage: {column: moments["resolutions", stage, column] for column in ("path_error", "steps", "factorisations")}
+        for stage in outcome.digests[law].stages
+    }
+    return {
+        "steps": sum(float(own["steps"].mean) for own in found.values()),
+        "factorisations": sum(float(own["factorisations"].mean) for own in found.values()),
+        "error": {
+            stage: {"mean": float(found[stage]["path_error"].mean), "max": float(found[stage]["path_error"].high)}
+            for stage in outcome.stages
+            if stage in found
+        },
+    }
+
+
+def write_path_study(outcome: Outcome) -> None:
+    """Solve and write the study of the path (:mod:`mic.results.path_study`); the other tables tell its effects."""
+    study = study_path(outcome)
+    _write(outcome.folder, PATH, study.pairs if study else None)
+    _write(outcome.folder, PATH_ERRORS, study.errors if study else None)
+
+
 def write_tables(outcome: Outcome) -> None:
     """Write ``tables/*.csv`` into the run folder, the study of friction among them, which is solved here.
 
-    A table that has no rows now goes, should the folder hold it from an earlier run.
+    What the path left is told where :func:`write_path_study` was called before.
     """
-    found = {
-        ZONE_STATISTICS: outcome.zone_statistics,
-        CONTACT_STATISTICS: outcome.contact_statistics,
-        MEASUREMENT_STATISTICS: outcome.measurement_statistics,
-        FRICTION: study_friction(outcome),
-    }
-    for table in STATISTICS:
-        path, frame = outcome.folder / table.place, found[table]
-        if frame is None or not len(frame):
-            path.unlink(missing_ok=True)
-            continue
-        table.check(frame, path, "this is a fault of the program")
-        with replacing(path) as temporary:
-            # The study is read again, for pictures: every digit.
-            frame.to_csv(temporary, index=False, float_format=None if table is FRICTION else "%.9g")
+    _write(outcome.folder, ZONE_STATISTICS, outcome.zone_statistics)
+    _write(outcome.folder, CONTACT_STATISTICS, outcome.contact_statistics)
+    _write(outcome.folder, MEASUREMENT_STATISTICS, outcome.measurement_statistics)
+    _write(outcome.folder, FRICTION, study_friction(outcome))
+
+
+def _write(folder: Path, table: Table, frame: pd.DataFrame | None) -> None:
+    """Write a table; one that has no rows now goes, should the folder hold it from an earlier run."""
+    path = folder / table.place
+    if frame is None or not len(frame):
+        path.unlink(missing_ok=True)
+        return
+    table.check(frame, path, "this is a fault of the program")
+    with replacing(path) as temporary:
+        # The studies are read again: every digit.
+        frame.to_csv(temporary, index=False, float_format=None if table in (FRICTION, PATH, PATH_ERRORS) else "%.9g")
 
 
 def write_summary(outcome: Outcome) -> Path:
@@ -194,10 +264,31 @@ def _spread(name: str, estimate: Estimate) -> dict[str, Any]:
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 
+def _effects(outcome: Outcome, law: str, quantity: str, name: str, stage: str | None = None) -> tuple[Effect, Effect]:
+    """What a tighter path changes of mean and 6σ, as far as it is known."""
+    study = outcome.path_study
+    unknown = Effect(float("nan"), float("nan"))
+    return (unknown, unknown) if study is None else study.effects(law, quantity, name, stage)
+
+
+def _change(name: str, effect: Effect) -> dict[str, float]:
+    return {f"{name}_path": effect.change, f"{name}_path_share": effect.share}
+
+
+def _hanging(suffix, estimates, effects) -> dict[str, Any]:
+    """Mean and 6σ with their intervals and what the path left in them."""
+    row: dict[str, Any] = {}
+    for name, estimate, effect in zip(_HANGING, estimates, effects):
+        row |= _spread(name + suffix, estimate) | _change(name + suffix, effect)
+    return row
+
+
 def _with_intervals(row, names) -> dict[str, Any]:
+    """The figures of a table's row, their intervals as pairs, and what the path left where the table tells it."""
     entry: dict[str, Any] = {}
     for name in names:
         entry |= {name: row[name], f"{name}_ci": [row[f"{name}_low"], row[f"{name}_high"]]}
+        entry |= {key: row[key] for key in (f"{name}_path", f"{name}_path_share") if key in row}
     return entry
 
 

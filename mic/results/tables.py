@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mic.contact.states import STATES
-from mic.process.evaluation import Evaluation
+from mic.contact.laws import LAWS
+from mic.contact.states import OPEN, SLIP, STATES, STICK
+from mic.process.evaluation import Evaluation, Resolution
 from mic.results.schema import CONTACTS, DEVIATIONS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
 
 __all__ = ["tables"]
@@ -33,11 +34,12 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     stages = list(evaluation.resolutions)
     resolutions = list(evaluation.resolutions.values())
     measured = [item.name for item in model.scene.measurements][: evaluation.measurements.shape[1]]
-    slip = {
-        (s, z): values
-        for s, resolution in enumerate(resolutions)
-        for z, values in enumerate(_zone_slip(resolution.displacement, model.contacts, len(zones)))
-    }
+    modelled = len(zones) if model.contacts.dimension == 3 else 0
+    motions = [
+        _motion(resolution, model.contacts.zone == z, LAWS[evaluation.law].frictional)
+        for resolution in resolutions
+        for z in range(modelled)
+    ]
     status = np.array([str(getattr(value, "value", value)) for r in resolutions for value in r.status], dtype=object)
     found = {
         SAMPLES: {"sample": number, "failed": evaluation.failed},
@@ -52,48 +54,60 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "residual": _joined([r.residual for r in resolutions], float),
             "status": pd.Categorical(status),
             "rung": pd.Categorical(np.array([name for r in resolutions for name in r.rung], dtype=object)),
+            "rescued": _joined([_rescued(model, evaluation.law, r) for r in resolutions], bool),
             "iterations": _joined([r.iterations for r in resolutions], np.int64),
             "converged": _joined([r.converged for r in resolutions], bool),
+            "path_error": _joined([r.trace.error for r in resolutions], float),
+            "steps": _joined([r.trace.steps for r in resolutions], np.int64),
+            "factorisations": _joined([r.trace.factorisations for r in resolutions], np.int64),
         },
         SLIPS: {
-            "sample": np.tile(number, len(slip)),
-            "stage": _named(np.repeat([s for s, _ in slip], n), stages),
-            "zone": _named(np.repeat([z for _, z in slip], n), zones),
-            "rms_slip": _joined(list(slip.values()), float),
-        },
+            "sample": np.tile(number, len(motions)),
+            "stage": _named(np.repeat(np.arange(len(stages)), n * modelled), stages),
+            "zone": _named(np.tile(np.repeat(np.arange(modelled), n), len(stages)), zones),
+        }
+        | {name: _joined([motion[name] for motion in motions], float) for name in SLIPS.names[3:]},
         MEASUREMENTS: {
             "sample": np.tile(number, len(measured)),
             "measurement": _named(np.repeat(np.arange(len(measured)), n), measured),
             "value": evaluation.measurements.T.ravel(),
         },
-        CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones),
+        CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
     }
     return {table.name: pd.DataFrame(columns) for table, columns in found.items()}
 
 
-def _zone_slip(displacement: np.ndarray, contacts, zones: int) -> list[np.ndarray]:
-    """Root mean square of ``‖u_t‖`` over the pairs of each zone.
+def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
+    """(n,) samples that were to be followed along their path in a stage, were not, and have a solution all the same."""
+    followed = {str(stage.name): stage.path == "followed" for stage in model.scene.stages}
+    asked = followed[resolution.stage] and LAWS[law].followed and model.contacts.dimension == 3
+    return asked & (resolution.rung != "followed") & resolution.converged
+
+
+def _motion(resolution: Resolution, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
+    """The last columns of :data:`mic.results.schema.SLIPS` for one zone: (n,) each, NaN for what takes friction.
 
     Parameters
     ----------
-    displacement : (n, m, d) array
-        mm.
-    contacts : mic.model.assembly.Contacts
-    zones : int
-        Number of zones.
-
-    Returns
-    -------
-    list of (n,) array
-        One per zone, mm; empty where only normals are modelled.
+    resolution : Resolution
+    own : (m,) bool array
+        The zone's pairs.
+    frictional : bool
     """
-    if contacts.dimension != 3:
-        return []
-    square = (displacement[:, :, 1:] ** 2).sum(axis=2)
-    return [np.sqrt(square[:, contacts.zone == z].mean(axis=1)) for z in range(zones)]
+    u_t, trace = resolution.displacement[:, own, 1:], resolution.trace
+    share = trace.share[:, own].mean(axis=1)
+    under_load = {
+        "rms_slip": np.sqrt((trace.slip[:, own] ** 2).sum(axis=2).mean(axis=1)),
+        "slip_length": np.sqrt((trace.length[:, own] ** 2).mean(axis=1)),
+        "friction_work": trace.work[:, own].sum(axis=1),
+        **{STATES[state]: share[:, state] for state in (OPEN, STICK, SLIP)},
+    }
+    if not frictional:
+        under_load = {name: np.full(len(u_t), np.nan) for name in under_load}
+    return {"rms_tangential": np.sqrt((u_t**2).sum(axis=2).mean(axis=1))} | under_load
 
 
-def _contacts(contacts, resolutions, number, stages, zones):
+def _contacts(contacts, resolutions, number, stages, zones, frictional):
     n, m, d = len(number), len(contacts), contacts.dimension
     count = len(stages)
     columns = {
@@ -106,6 +120,10 @@ def _contacts(contacts, resolutions, number, stages, zones):
         for j, axis in enumerate(AXES[:d]):
             columns[f"{symbol}_{axis}"] = _joined([getattr(r, quantity)[:, :, j].ravel() for r in resolutions], float)
     columns["state"] = _named(_joined([r.state.ravel() for r in resolutions], np.int8), list(STATES))
+    if d == 3:
+        for name, state in (("path_stick", STICK), ("path_slip", SLIP)):
+            share = _joined([r.trace.share[:, :, state].ravel() for r in resolutions], np.float32)
+            columns[name] = share if frictional else np.full_like(share, np.nan)
     return columns
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mic.process.evaluation import Evaluation
@@ -95,19 +94,9 @@ def monte_carlo(
             together = missing[i : i + size]  # what the processes evaluate side by side
             if rank < len(together):
                 law, first, count = together[rank]
-                sink(law, first, _evaluate(processes[law], draw(model.scene, seed, first, count)))
+                sink(law, first, processes[law].attempt(draw(model.scene, seed, first, count)))
             if advance is not None:
                 for law, _, count in together:
                     advance(law, count)
     wait(world)
     return reused
-
-
-def _evaluate(process, deviations: np.ndarray) -> Evaluation:
-    """A block; should it break, sample by sample, so that only the samples at fault are lost."""
-    try:
-        return process.evaluate(deviations)
-    except (ArithmeticError, np.linalg.LinAlgError) as error:
-        if len(deviations) == 1:
-            return process.blank(deviations, str(error))
-        return Evaluation.join([_evaluate(process, row[None]) for row in deviations])

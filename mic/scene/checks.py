@@ -1,10 +1,11 @@
-"""What no single table of a scene can know: names that exist, stages that make a process, parts that are held."""
+"""What no single table of a scene can know: names that exist, parts that are held."""
 
 from __future__ import annotations
 
-import difflib
-
 import numpy as np
+
+from mic.contact.laws import LAWS
+from mic.scene.stages import check_stages, known
 
 __all__ = ["check_held", "check_references"]
 
@@ -19,45 +20,47 @@ def check_references(scene) -> None:
     """
     part_names = _unique("parts", scene.parts + scene.fixtures)
     bodies = {part.name for part in scene.parts}
-    locators = _unique("locators", scene.locators)
-    _unique("clamps", scene.clamps)
-    for key in ("welds", "zones", "deviations", "measurements"):
+    for key in ("locators", "clamps", "welds", "zones", "deviations", "measurements"):
         _unique(key, getattr(scene, key))
     _unique("stages", scene.stages)
     for key in ("locators", "clamps", "measurements", "deviations"):
         for i, item in enumerate(getattr(scene, key)):
             if "part" in type(item).model_fields:
-                _known(f"{key}[{i}].part", item.part, bodies, "part")
+                known(f"{key}[{i}].part", item.part, bodies, "part")
     for key, allowed in (("welds", bodies), ("zones", part_names)):
         for i, item in enumerate(getattr(scene, key)):
             for name in item.parts:
-                _known(f"{key}[{i}].parts", name, allowed, "part")
+                known(f"{key}[{i}].parts", name, allowed, "part")
             if item.parts[0] == item.parts[1]:
                 raise ValueError(f"{key}[{i}].parts: a part cannot be joined to itself, name two different parts")
             if not bodies & set(item.parts):
                 raise ValueError(f"{key}[{i}].parts: at least one of the two must be a part, not a fixture")
     for i, item in enumerate(scene.deviations):
         if item.moves is not None:
-            known = {target.name for target in getattr(scene, item.moves)}
-            _known(f"deviations[{i}].target", item.target, known, item.moves.removesuffix("s"))
-    for key, kinds in (("locators", ("locate", "clamp")), ("clamps", ("clamp",)), ("welds", ("weld",))):
-        fitting = [stage.name for stage in scene.stages if stage.kind in kinds]
-        for i, item in enumerate(getattr(scene, key)):
-            if item.stage not in fitting:
-                raise ValueError(
-                    f"{key}[{i}].stage: no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
-                    f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
-                )
-    for i, stage in enumerate(scene.stages):
-        for name in stage.keep or ():
-            _known(f"stages[{i}].keep", name, locators, "locator")
-    sequence = [stage.kind for stage in scene.stages]
-    if sequence[0] != "locate" or sequence.count("locate") != 1:
-        raise ValueError("stages: the first stage, and only the first, must be of kind 'locate'")
-    if "measure" in sequence[:-1]:
-        raise ValueError("stages: 'measure' may only come last, once")
-    if scene.measurements and "measure" not in sequence:
-        raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
+            targets = {target.name for target in getattr(scene, item.moves)}
+            known(f"deviations[{i}].target", item.target, targets, item.moves.removesuffix("s"))
+    check_stages(scene)
+    _check_friction(scene)
+
+
+#: Keys of a zone that give a law what it reads beyond a coefficient (`mic.contact.laws.Law.reads`).
+READ = {"pressure": ("friction_table", "friction_power"), "compliance": ("tangential_stiffness",)}
+
+
+def _check_friction(scene) -> None:
+    """Friction by stage names stages, and no law asks in vain for what a zone may give it."""
+    stages = {stage.name for stage in scene.stages}
+    for i, zone in enumerate(scene.zones):
+        for name in zone.friction if isinstance(zone.friction, dict) else ():
+            if name != "default":
+                known(f"zones[{i}].friction", name, stages, "stage")
+    for law in scene.report.laws:
+        keys = READ.get(LAWS[law].reads, ())
+        if keys and all(getattr(zone, key) is None for zone in scene.zones for key in keys):
+            raise ValueError(
+                f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
+                'zone, or ask for "coulomb"'
+            )
 
 
 def check_held(scene) -> None:
@@ -90,10 +93,3 @@ def _unique(key, items):
         if names.count(name) > 1:
             raise ValueError(f"{key}: the name {name!r} stands more than once; give each its own")
     return set(names)
-
-
-def _known(key, name, names, what):
-    if name not in names:
-        near = difflib.get_close_matches(name, names, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(names)) or 'none'}"
-        raise ValueError(f"{key}: there is no {what} called {name!r}; {hint}")

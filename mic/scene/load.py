@@ -69,13 +69,13 @@ def _explain(path, item) -> str:
     return f"{path}: {key}: {text}" if key else f"{path}: {text}"
 
 
+#: How pydantic, and this schema, tell the alternatives of one key apart.
+ALTERNATIVES = ("literal[", "constrained", "float", "str", "function", "friction-")
+
+
 def _keys(location) -> list[str | int]:
     """The keys of a validation error's location, without the words with which pydantic tells alternatives apart."""
-    keys = [
-        step
-        for step in location
-        if not (isinstance(step, str) and step.startswith(("literal[", "constrained", "float", "str", "function")))
-    ]
+    keys = [step for step in location if not (isinstance(step, str) and step.startswith(ALTERNATIVES))]
     if keys[:1] == ["deviations"] and len(keys) > 2:
         del keys[2]  # the kind that chose the table
     return keys

@@ -22,10 +22,10 @@ relative to the scene. `mic check SCENE` validates it and shows what will be mod
 but zero.
 """
 SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry`
-(its named size), `pairs` of zones that give neither `pairs`, `spacing` nor `points`, `increments` of the stages,
-`samples`.
+(its named size), `pairs` of zones that give neither `pairs`, `spacing` nor `points`, how the `path` of stages is
+followed, `samples`.
 
-| `setting` | `size` | `pairs` per zone | `increments` | `samples` |
+| `setting` | `size` | `pairs` per zone | `path` | `samples` |
 | --- | --- | --- | --- | --- |
 {rows}
 
@@ -45,11 +45,18 @@ def reference() -> str:
         several = "list" in str(field.annotation)
         tables.append(_table(f"[[{key}]]" if several else f"[{key}]", kinds))
     rows = "\n".join(
-        f'| `"{name}"` | `"{gives["size"]}"` | {gives["pairs"]} | {gives["increments"]} | {gives["samples"]} |'
+        f'| `"{name}"` | `"{gives["size"]}"` | {gives["pairs"]} | {_path(gives)} | {gives["samples"]} |'
         for name, gives in SETTINGS.items()
     )
     top = "## Top level\n\n" + _keys(plain)
     return "\n".join([OPENING, top, SETTING.format(rows=rows), *tables]).rstrip() + "\n"
+
+
+def _path(gives: dict[str, Any]) -> str:
+    """What a setting gives for the path of the stages."""
+    if "increments" in gives:
+        return f"`increments = {gives['increments']}`"
+    return f"followed, `tolerance = {gives['tolerance']:g}`"
 
 
 def _table(title: str, kinds: list[type[BaseModel]]) -> str:
@@ -91,6 +98,10 @@ def _words(annotation: Any, bounds: Iterable[Any] = ()) -> str:
         return " or ".join(f"`{json.dumps(word)}`" for word in inner)
     if origin in (Union, types.UnionType):
         return " or ".join(_words(item, bounds) for item in inner if item is not type(None))
+    if origin is dict:
+        return f"table of {_words(inner[1])}"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"table {{ {', '.join(annotation.model_fields)} }}"
     if origin is list:
         return f"list of {_words(inner[0])}"
     if origin is tuple:

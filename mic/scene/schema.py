@@ -10,9 +10,19 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
-from mic.contact.laws import LAWS
+from mic.contact.laws import LAWS, pressure_dependent
+from mic.contact.path import Followed
 from mic.scene.checks import check_held, check_references
 from mic.scene.settings import fill_in
 
@@ -21,6 +31,7 @@ __all__ = [
     "ClampDeviation",
     "Deviation",
     "Fixture",
+    "FollowedPath",
     "ForceDeviation",
     "Locator",
     "LocatorDeviation",
@@ -33,6 +44,9 @@ __all__ = [
     "Weld",
     "Zone",
 ]
+
+# Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
+FINEST, COARSEST = 1e-5, 0.1
 
 
 class _Table(BaseModel):
@@ -149,7 +163,7 @@ class Clamp(_Table):
         None, description="or the position that it enforces along `direction`, mm from nominal"
     )
     radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
-    stage: Name = Field("clamp", description="the clamp stage that closes it; release opens all clamps")
+    stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
     _direction = field_validator("direction")(_unit)
 
@@ -172,6 +186,20 @@ class Weld(_Table):
     stage: Name = Field("weld", description="the weld stage that makes it")
 
 
+class PressurePower(_Table):
+    """A coefficient of friction that is a power of pressure, within bounds."""
+
+    mu0: Positive = Field(description="μ at p0")
+    p0: Positive = Field(description="MPa")
+    n: FiniteFloat = Field(description="exponent, at most 1")
+    mu_min: NonNegative = Field(description="smallest μ")
+    mu_max: Positive = Field(description="largest μ")
+
+
+def _number_or_table(value: Any) -> str:
+    return "friction-table" if isinstance(value, dict) else "friction-number"
+
+
 class Zone(_Table):
     """A contact zone: candidate contact pairs between two parts, or between a part and a rigid fixture.
 
@@ -183,7 +211,27 @@ class Zone(_Table):
     parts: tuple[Name, Name] = Field(
         description="two parts, or a part and a fixture; normals point from the first to the second"
     )
-    friction: NonNegative = Field(0.0, description="coefficient of friction μ")
+    friction: Annotated[
+        Annotated[NonNegative, Tag("friction-number")] | Annotated[dict[Name, NonNegative], Tag("friction-table")],
+        Discriminator(_number_or_table),
+    ] = Field(
+        0.0,
+        description="coefficient of friction μ; or by stage, `{ clamp = 0.12, default = 0.2 }`, where `default` is for "
+        "the stages that are not named",
+    )
+    friction_table: Annotated[list[tuple[NonNegative, NonNegative]], Field(min_length=1)] | None = Field(
+        None,
+        description="law `pressure-dependent`: μ in place of `friction`, as points `[pressure in MPa, μ]`, linear "
+        "between them and constant outside; μ p must not fall",
+    )
+    friction_power: PressurePower | None = Field(
+        None,
+        description="or as the power law μ = mu0 (p/p0)^(−n), p and p0 in MPa, within `mu_min` and `mu_max`; n ≤ 1",
+    )
+    tangential_stiffness: Positive | None = Field(
+        None,
+        description="law `micro-slip`: tangential contact stiffness per area, N/mm³; without it contacts do not yield",
+    )
     box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
     path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
     within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
@@ -216,41 +264,103 @@ class Zone(_Table):
             raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
         return self
 
+    @model_validator(mode="after")
+    def _friction_given(self):
+        if isinstance(self.friction, dict) and "default" not in self.friction:
+            raise ValueError("friction by stage needs default, for the stages that it does not name")
+        if self.friction_table is not None and self.friction_power is not None:
+            raise ValueError("give friction_table or friction_power, not both")
+        key = "friction_table" if self.friction_power is None else "friction_power"
+        try:
+            depends = self.pressure_pieces() is not None
+        except ValueError as error:
+            raise ValueError(f"{key}: {error}") from None
+        if self.patch == 0 and (depends or self.tangential_stiffness is not None):
+            key = key if depends else "tangential_stiffness"
+            raise ValueError(f'{key} is per area and patch = 0 has none: give a radius, or "tributary"')
+        return self
+
+    def coefficient(self, stage: str) -> float:
+        """Coefficient of friction μ in a stage."""
+        return self.friction.get(stage, self.friction["default"]) if isinstance(self.friction, dict) else self.friction
+
+    def pressure_pieces(self) -> np.ndarray | None:
+        """μ as a function of pressure in MPa, (q, 5) pieces of `mic.contact.laws.pressure_dependent`, if given."""
+        if self.friction_table is not None:
+            return pressure_dependent.table(self.friction_table)
+        if self.friction_power is not None:
+            return pressure_dependent.power(**self.friction_power.model_dump())
+        return None
+
+    @property
+    def frictional(self) -> bool:
+        """Whether any key gives it friction, in any stage."""
+        given = self.friction.values() if isinstance(self.friction, dict) else [self.friction]
+        return max(given) > 0 or self.friction_table is not None or self.friction_power is not None
+
 
 class Stage(_Table):
-    """One step of the process; in order. The first is ``locate``, ``measure`` may only come last.
+    """One stage of the process; in order. The first is ``locate``, ``measure`` may only come last.
 
     ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that
     name it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`;
-    ``measure`` reads the measurements. What each of them does is a list of actions (`mic.process.actions`).
+    ``measure`` reads the measurements. What each of them does is a list of steps, one after the other, in each of which
+    actions happen together (`mic.process.actions`); `mic check` prints them.
     """
 
     kind: Literal["locate", "clamp", "weld", "release", "measure"] = Field(description="what the stage does")
     name: Name | None = Field(None, description="what `stage` keys refer to; the kind if left out")
     keep: list[Name] | None = Field(
-        None, description="release only: the locators that still hold the assembly; all if left out"
+        None, description="release only: the locators and clamps that stay closed; if left out, all locators"
     )
-    order: list[list[Name]] | None = Field(
+    order: Annotated[list[list[Name]], Field(min_length=1)] | None = Field(
         None,
-        description="what closes, or opens, one after the other: groups of names, each group together; left out, "
-        "locators come before clamps, clamps as the file has them, welds together, and a release is the reverse",
+        description="clamp, weld, release: what closes, or opens, one after the other: groups of names, each group "
+        "together. Left out, further locators close first and together, then clamps as the file has them, neighbours "
+        "that press two parts together as one; welds are made together; a release opens last what closed first",
     )
     sequence: bool = Field(False, description="weld only: one weld after the other, in the order of the file")
-    path: Literal["followed", "increments", "one-step"] = Field(
-        "followed",
-        description="how friction's path is followed: `followed` by steps of controlled error; `increments`, so many "
-        "equal ones for each step of the process; `one-step`, all that the stage does at once, as the paper has it",
+    settle: bool = Field(
+        True,
+        description="locate only: parts that overlap where they were set down come to rest on each other before "
+        "anything closes; `false`: while the first thing closes",
+    )
+    path: Literal["followed", "increments", "one-step"] | None = Field(
+        None,
+        description="clamp, weld, release: how friction's path is followed: `followed`, the default, by steps of "
+        "controlled error; `increments`, so many equal ones for each step of the stage; `one-step`, all that the stage "
+        "does at once, overlaps included, as the paper has it",
     )
     increments: Annotated[int, Field(ge=1)] | None = Field(
-        None, description='of each step of the process; makes path = "increments"'
+        None, description='of each step of the stage; means path = "increments"'
     )
+
+    #: Kinds of stages to which a key applies.
+    applies: ClassVar[dict[str, tuple[str, ...]]] = {
+        "keep": ("release",),
+        "order": ("clamp", "weld", "release"),
+        "sequence": ("weld",),
+        "settle": ("locate",),
+        "path": ("clamp", "weld", "release"),
+        "increments": ("clamp", "weld", "release"),
+    }
 
     @model_validator(mode="after")
     def _fill(self):
-        if self.keep is not None and self.kind != "release":
-            raise ValueError(f"keep applies to release stages only, this one is of kind {self.kind!r}: remove it")
-        if self.increments is not None and "path" not in self.model_fields_set:
-            object.__setattr__(self, "path", "increments")
+        for key, kinds in self.applies.items():
+            if self.kind not in kinds and getattr(self, key) != type(self).model_fields[key].default:
+                raise ValueError(
+                    f"{key} applies to {', '.join(kinds)} stages only, this one is of kind {self.kind!r}: remove it"
+                )
+        if self.order is not None and self.sequence:
+            raise ValueError("order and sequence both say in which order welds are made: remove one of them")
+        if self.path == "one-step" and (self.order is not None or self.sequence):
+            key = "sequence" if self.sequence else "order"
+            raise ValueError(f'path = "one-step" does all at once, {key} one after the other: remove one of them')
+        if self.increments is not None and self.path not in (None, "increments"):
+            raise ValueError(f"increments do not go with path = {self.path!r}: remove one of them")
+        if self.increments is None and self.path == "increments":
+            raise ValueError('path = "increments" needs increments, how many for each step of the stage: give it')
         if self.name is None:
             object.__setattr__(self, "name", self.kind)
         return self
@@ -360,6 +470,18 @@ class MonteCarlo(_Table):
     )
 
 
+class FollowedPath(_Table):
+    """How closely friction's path is followed, in stages that ask for nothing else.
+
+    The tolerance is that of one step: the error of the contacts' tangential positions that it may leave, as a share of
+    the motion that the step of the process asks of the contacts (root mean squares over the contacts).
+    """
+
+    tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Field(
+        Followed.tolerance, description="relative; below its least value steps would be judged by rounding"
+    )
+
+
 class Scene(_Table):
     """A whole scene: one TOML file, or a folder that holds ``scene.toml``."""
 
@@ -382,6 +504,7 @@ class Scene(_Table):
     stages: Annotated[list[Stage], Field(min_length=1)]
     deviations: list[Deviation] = []
     measurements: list[Measurement] = []
+    path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()
     folder: Path = Field(Path("."), exclude=True, description="set by load_scene: where relative file names start")

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from mic.contact.path import Followed
+
 __all__ = ["SETTINGS", "fill_in"]
 
 #: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per
-#: zone, load increments per stage, samples. What each of them costs, and how far off it is, `verification/trade`
-#: measures. The tolerance of the contact solver is not among them: the tightest costs no more than the loosest.
+#: zone, how friction's path is followed (equal increments for each step of the process; without, the tolerance of the
+#: path that is followed), samples. What each of them costs, and how far off it is, `verification/trade` measures. The
+#: tolerance of the contact solver is not among them: the tightest costs no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {
     "draft": {"size": "coarse", "pairs": 17, "increments": 1, "samples": 100},
-    "standard": {"size": "medium", "pairs": 34, "increments": 16, "samples": 500},
-    "reference": {"size": "fine", "pairs": 68, "increments": 32, "samples": 2000},
+    "standard": {"size": "medium", "pairs": 34, "tolerance": Followed.tolerance, "samples": 500},
+    "reference": {"size": "fine", "pairs": 68, "tolerance": Followed.tolerance / 10, "samples": 2000},
 }
+FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
 
 
 def fill_in(table: dict[str, Any]) -> dict[str, Any]:
@@ -24,8 +28,8 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
         return table
 
     def filled(item, key, rivals=(), applies=True):
-        given = not isinstance(item, dict) or any(item.get(name) is not None for name in (key, *rivals))
-        return item if given or not applies else item | {key: setting[key]}
+        given = not isinstance(item, dict) or any(name in item for name in (key, *rivals))  # null is an answer, too
+        return item if given or not applies or key not in setting else item | {key: setting[key]}
 
     def each(key, fill):
         return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
@@ -33,10 +37,14 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
     def generated(part):
         return isinstance(part, dict) and part.get("geometry") is not None
 
+    def follows(stage):
+        return isinstance(stage, dict) and stage.get("kind") in FOLLOWING
+
     return (
         table
         | each("parts", lambda part: filled(part, "size", ("accuracy",), applies=generated(part)))
         | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
-        | each("stages", lambda stage: filled(stage, "increments"))
+        | each("stages", lambda stage: filled(stage, "increments", ("path",), follows(stage)))
+        | ({"path": filled(table.get("path", {}), "tolerance")} if "tolerance" in setting else {})
         | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples")}
     )

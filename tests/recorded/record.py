@@ -20,12 +20,18 @@ import mic
 from mic.contact import laws
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
+from mic.scene.schema import PressurePower
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
 LAWS = tuple(laws.LAWS)
 INCREMENTS = (1, 3)
+#: What a law reads beyond a coefficient: a function of pressure, and a tangential stiffness per area.
+FRICTION = {
+    "friction_power": PressurePower(mu0=0.27, p0=0.05, n=0.3, mu_min=0.1, mu_max=0.6),
+    "tangential_stiffness": 1e4,
+}
 SAMPLES = 5
 PAIRS = ("gap", "area", "point", "frame")
 WHOLE = ("measurements", "failed", "motion", "functional_force")  # of an evaluation
@@ -33,10 +39,11 @@ STAGE = ("force", "displacement", "state", "reaction")  # of each stage that res
 
 
 def reduced(name: str, cache: Path) -> ReducedModel:
-    """A shipped scene under all three laws, with slip."""
+    """A shipped scene under all laws, with slip, its zones given what the laws read."""
     scene = mic.load_scene(ROOT / "meshes" / name)
-    scene = scene.model_copy(update={"report": scene.report.model_copy(update={"laws": list(LAWS), "slip": True})})
-    return mic.reduce(scene, cache)
+    zones = [zone.model_copy(update=FRICTION) for zone in scene.zones]
+    report = scene.report.model_copy(update={"laws": list(LAWS), "slip": True})
+    return mic.reduce(scene.model_copy(update={"report": report, "zones": zones}), cache)
 
 
 def drawn(name: str) -> np.ndarray:

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from scipy.sparse import csr_matrix, hstack, vstack
 
 from fem_reference.full.equilibrium import ContactLaw, Equilibrium, Parts, State
+from fem_reference.full.friction import ContactFriction
 from fem_reference.shell.part import ShellPart
 from mic.compliance.functional import Functionals
 from mic.geometry.structured import extrude
@@ -56,9 +57,8 @@ def interleave(*rows):
 def contact_law(friction, gap, stiffness, dimension, penalty=1e8):
     m = len(gap)
     zero = np.zeros((m, dimension))
-    return ContactLaw(
-        np.full(m, friction), np.asarray(gap, float), zero, zero, np.full(m, penalty * stiffness), np.full(m, stiffness)
-    )
+    rough, stiff = ContactFriction.constant(np.full(m, friction)), np.full(m, stiffness)
+    return ContactLaw(rough, np.asarray(gap, float), zero, zero, penalty * stiff, stiff)
 
 
 def rest(system):

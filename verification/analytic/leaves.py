@@ -113,7 +113,14 @@ class Leaves:
         return load / 2 * L**3 / (3 * EI) - couple * (at * L - at**2 / 2) / EI
 
 
-def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increments: int = 1, mid_surface: bool = False):
+def scene(
+    leaves: Leaves,
+    folder,
+    loads,
+    weld_at: float | None = None,
+    increments: int | None = None,
+    mid_surface: bool = False,
+):
     """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next
     load.
 
@@ -128,8 +135,8 @@ def scene(leaves: Leaves, folder, loads, weld_at: float | None = None, increment
         P after each stage, N.
     weld_at : float, optional
         Welds across the whole width at this distance to both sides of the middle, mm.
-    increments : int
-        Of each stage that brings a load.
+    increments : int, optional
+        Of each stage that brings a load; followed without.
     mid_surface : bool
         Let the pairs read the mid-surfaces, where friction has no lever.
     """
@@ -232,7 +239,12 @@ def slips(leaves: Leaves, context, load: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def deflections(
-    leaves: Leaves, context, loads, weld_at: float | None = None, increments: int = 1, mid_surface: bool = False
+    leaves: Leaves,
+    context,
+    loads,
+    weld_at: float | None = None,
+    increments: int | None = None,
+    mid_surface: bool = False,
 ) -> np.ndarray:
     """(k,) deflections of the middle after each of the loads, mm; the arguments are those of :func:`scene`."""
     built = scene(leaves, context.cache / "meshes", loads, weld_at, increments, mid_surface)

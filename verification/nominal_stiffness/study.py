@@ -10,7 +10,7 @@ from fem_reference.full.model import ContactFailure, FullModel
 from mic.sampling.draw import draw
 from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
-from verification.scenes import shipped
+from verification.scenes import going, shipped
 from verification.study import Acceptance, Finding, Study
 
 CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", 12.0, 12.0), ("wheelhouse", "coarse", None))
@@ -112,7 +112,8 @@ def run(context):
         for name, size, quick in CASES
         if not context.quick or quick is not None
     ]
-    built = {name: reduced_and_assembly(shipped(name, size), context.cache) for name, size in cases}
+    scenes = {name: going(shipped(name, size), "increments", 1) for name, size in cases}
+    built = {name: reduced_and_assembly(scene, context.cache) for name, scene in scenes.items()}
     sizes = QUICK_DEVIATIONS if context.quick else DEVIATIONS
     items = [(name, size) for name, _ in cases for size in sizes]
     rows = pd.DataFrame(

@@ -25,6 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mic.contact.friction import Friction
+
 __all__ = ["LAWS", "Law", "find"]
 
 #: Every law by its name, in the order of reports; :mod:`mic.contact.laws` fills it.
@@ -59,6 +61,22 @@ def _former(old, new):
     return find
 
 
+def _one_coefficient(friction: Friction) -> np.ndarray:
+    return friction.coefficient[:, None]
+
+
+def _scaled_coefficient(parameters, d_n, d_t):
+    return parameters * (d_n / d_t)[:, None]
+
+
+def _constant(parameters, normal):
+    return np.broadcast_to(parameters[:, 0], normal.shape)
+
+
+def _rigid(friction):
+    return np.zeros(len(friction))
+
+
 @dataclass(frozen=True, eq=False)
 class Law(metaclass=_FormerEnumeration):
     """A contact law: one object, known by its name.
@@ -81,11 +99,24 @@ class Law(metaclass=_FormerEnumeration):
         :func:`mic.contact.laws.coulomb.equation`.  Plain Python on numbers and small arrays, to be compiled by Numba,
         so it calls nothing but ``math``, ``numpy`` and what Numba compiled.  None for a law without friction only.
     gauss_seidel : bool
-        Whether the exact solution of a single contact in the Gauss-Seidel sweeps is this law's.
+        Whether the exact solution of a single contact in the Gauss-Seidel sweeps is this law's, with its coefficient
+        held.
     followed : bool
         Whether small steps of the law tend to the law itself, so that its path can be followed.
     paper_backend : str
         The backend that the paper used for it; native where the paper had none.
+    reads : {"", "pressure", "compliance"}
+        The field of :class:`mic.contact.friction.Friction` that it reads beyond the coefficient; where a contact has
+        none, the law is Coulomb's there.
+    parameters : function
+        ``parameters(friction)``: the (m, p) array that the equation takes, the coefficient first.
+    scaled : function
+        ``scaled(parameters, d_n, d_t)``: the same for the scaled force ``y_n = f_n/d_n``, ``y_t = f_t/d_t``; both (m,).
+    coefficient : function
+        ``coefficient(parameters, normal)``: μ (..., m) under the normal forces (..., m), scaled as the parameters are.
+    compliance : function
+        ``compliance(friction)``: (m,) tangential compliance ``c`` in series with the slider [length / force].  The law
+        ties the force to the slider's displacement ``w_t = u_t + c f_t``, see :mod:`mic.contact.laws.micro_slip`.
 
     Raises
     ------
@@ -103,6 +134,11 @@ class Law(metaclass=_FormerEnumeration):
     gauss_seidel: bool = False
     followed: bool = False
     paper_backend: str = "native"
+    reads: str = ""
+    parameters: Callable[[Friction], np.ndarray] = _one_coefficient
+    scaled: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] = _scaled_coefficient
+    coefficient: Callable[[np.ndarray, np.ndarray], np.ndarray] = _constant
+    compliance: Callable[[Friction], np.ndarray] = _rigid
 
     def __post_init__(self):
         if self.frictional and self.equation is None:
@@ -118,6 +154,11 @@ class Law(metaclass=_FormerEnumeration):
         return hash(self.name)
 
     @property
+    def varies(self) -> bool:
+        """Whether the coefficient changes with the normal force."""
+        return self.coefficient is not _constant
+
+    @property
     def value(self) -> str:
         """Deprecated: the name."""
         warnings.warn("law.value is deprecated: use law.name", DeprecationWarning, stacklevel=2)
@@ -130,7 +171,7 @@ class Law(metaclass=_FormerEnumeration):
         ----------
         x : (..., m, 3) array
             One vector (n, t1, t2) per contact.
-        mu : (m,) array
+        mu : (..., m) array
             Coefficients of friction; ``0`` makes the cone the half-line ``f_n >= 0``.
 
         Returns
@@ -157,7 +198,7 @@ class Law(metaclass=_FormerEnumeration):
         ----------
         u : (..., m, 3) array
             Relative displacements.
-        mu : (m,) array
+        mu : (..., m) array
             Coefficients of friction.
 
         Returns
@@ -171,9 +212,9 @@ class Law(metaclass=_FormerEnumeration):
         shifted[..., 0] += self.shift * mu * np.hypot(u[..., 1], u[..., 2])
         return shifted
 
-    def bound(self, normal: np.ndarray, mu: np.ndarray) -> np.ndarray:
-        """Largest tangential force ``μ f_n`` under the normal forces (..., m)."""
-        return mu * normal
+    def bound(self, normal: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Largest tangential force ``g(f_n) = μ f_n`` under the normal forces (..., m), with :attr:`parameters`."""
+        return self.coefficient(parameters, normal) * normal
 
     def opening(self, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
         """``û_n - μ‖u_t‖ = u_n - (1 - s) μ‖u_t‖``: a contact without force obeys the law exactly where it is not
@@ -183,7 +224,7 @@ class Law(metaclass=_FormerEnumeration):
         ----------
         u : (..., m, 3) array
             Relative displacements.
-        mu : (m,) array
+        mu : (..., m) array
             Coefficients of friction.
 
         Returns

@@ -39,11 +39,42 @@ class Search:
     def __init__(self, problem: ScaledProblem, q: np.ndarray, best: np.ndarray):
         self.problem, self.q, self.best, self.interior = problem, q, best, best
         self.sweeping: Iterator = iter(())
+        self.renew(best)
+
+    def renew(self, y: np.ndarray) -> None:
+        """Hold the friction that belongs to the forces ``y``, where it depends on them."""
+        if self.problem.law.varies and np.isfinite(y).all():
+            self.problem = self.problem.renewed(y)
 
 
 def newton(search, rung):
     """Newton from the best force."""
     yield from polished(search.problem, search.q, search.best)
+
+
+def renewed_friction(search, rung):
+    """Coulomb's law with the friction held, solved; then it is renewed from the normal forces.
+
+    Per contact the step to the new coefficient is halved where it turns back, and doubled, up to the whole, where not.
+    """
+    problem, q, y = search.problem, search.q, search.best
+    mu, share, before = problem.friction.copy(), np.ones(len(problem.parameters)), np.zeros(len(problem.parameters))
+    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
+    for _ in range(rung["steps"]):
+        Y = y[None].copy()
+        counts[0] = 0
+        relaxation(problem.held(), rung, rung["tol"])(q[None], Y, errors, counts)
+        y = Y[0]
+        if errors[0] > rung["tol"]:
+            y, steps = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
+            counts[0] += steps
+        for z, more, _ in polished(problem, q, y):
+            yield z, int(counts[0]) + more, int(counts[0]) + more
+            counts[0] = 0
+        step = problem.renewed(y).friction - mu
+        share = np.where(step * before < 0.0, 0.5 * share, np.minimum(1.0, 2.0 * share))
+        before, mu = step, mu + share * step
+        problem = problem.holding(mu)
 
 
 def interior(search, rung):
@@ -64,25 +95,25 @@ def last_sweeps(search, rung):
 
 def fixed_point(search, rung):
     """De Saxcé's fixed point: the convex problem with the shift ``s μ‖w_t‖`` held is solved, then the shift renewed."""
-    problem, q = search.problem, search.q
-    held = np.zeros(len(problem.parameters))
+    q, held = search.q, np.zeros(len(search.problem.parameters))
     for _ in range(rung["steps"]):
         yield from _interior_polished(search, 0.0, held)
+        problem = search.problem
         w = problem.W @ search.interior + q
         held = problem.law.shift * np.hypot(w[1::3], w[2::3])
 
 
 def proximal_points(search, rung):
     """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, move there, and lower ``α`` while that succeeds."""
-    problem, q = search.problem, search.q
-    starts = (search.best, search.interior) if problem.law.frictional else (search.best,)
+    q = search.q
+    starts = (search.best, search.interior) if search.problem.law.frictional else (search.best,)
     errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
     for y in starts:
         alpha = rung["start"]
         for _ in range(rung["steps"]):
             Q, Y = (q - alpha * y)[None], y[None].copy()
             counts[0] = 0
-            relaxation(problem.proximal(alpha), rung, 1e-13)(Q, Y, errors, counts)
+            relaxation(search.problem.proximal(alpha), rung, 1e-13)(Q, Y, errors, counts)
             # A step from a problem that is itself unsolved leads astray, unless it is long against its error.
             step = np.linalg.norm(Y[0] - y)
             solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
@@ -113,9 +144,11 @@ def _interior_polished(search, shift, held=None):
 
 
 def _sweeping(search, rung):
-    problem, q = search.problem, search.q
-    y, w, slip = search.best.copy(), problem.W @ search.best + q, np.zeros(len(problem.parameters))
+    q, y, slip = search.q, search.best.copy(), np.zeros(len(search.problem.parameters))
+    w = search.problem.W @ y + q
     for run in range(rung["runs"]):
+        search.renew(y)
+        problem = search.problem
         sweeps, _ = kernels.gauss_seidel(
             problem.W, problem.factors, problem.parameters, y, w, slip, rung["sweeps"] * 2**run, 1e-15
         )
@@ -128,6 +161,7 @@ def _sweeping(search, rung):
 #: The method of every rung of :data:`mic.contact.ladder.PATIENT`, by its name.
 METHODS = {
     "newton": newton,
+    "renewed friction": renewed_friction,
     "interior point": interior,
     "patient sweeps": patient_sweeps,
     "fixed point": fixed_point,

@@ -2,7 +2,8 @@
 
 With ``f = D y``, ``w = D u``, ``D_k = diag(d_n, d_t, d_t)``, ``d_n = S_nn^{-1/2}`` and one ``d_t`` per contact, so that
 the cone stays circular, the problem becomes ``w = W y + q`` with ``W = D S D``, ``q = D b`` and ``μ' = μ d_n / d_t``:
-the same laws, without units.
+the same laws, without units.  A coefficient that depends on the normal force is held by most methods and renewed from
+their forces; Newton's method knows it as a function.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.linalg import eigvalsh, inv
 
 from mic.contact.ladder import SPLITTING
-from mic.contact.laws import Law
+from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled, local_factors
 
 __all__ = ["ScaledProblem", "inverse_root"]
@@ -30,7 +31,7 @@ class ScaledProblem:
     law : Law
     W : (3m, 3m) array, or (m, m) for a law without friction
     parameters : (m, p) array
-        Of the law, contact by contact; scaled friction ``μ'`` first.
+        Of the law, contact by contact; scaled friction ``μ'`` first, as it is held.
     equation : compiled function or None
         The law's equation; None without friction.
     factors : (m, 7) array or None
@@ -44,9 +45,9 @@ class ScaledProblem:
     factors: np.ndarray | None
 
     @classmethod
-    def of(cls, law: Law, W: np.ndarray, friction: np.ndarray) -> ScaledProblem:
-        """The problem of scaled compliance ``W`` and scaled friction (m,)."""
-        parameters = np.ascontiguousarray(friction, dtype=float).reshape(-1, 1)
+    def of(cls, law: Law, W: np.ndarray, parameters: np.ndarray) -> ScaledProblem:
+        """The problem of scaled compliance ``W`` and scaled parameters (m, p) of the law."""
+        parameters = np.ascontiguousarray(parameters, dtype=float)
         if not law.frictional:
             return cls(law, W, parameters, None, None)
         return cls(law, W, parameters, compiled(law.equation), local_factors(W))
@@ -71,6 +72,21 @@ class ScaledProblem:
             np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))),
             rho,
         )
+
+    def renewed(self, y: np.ndarray) -> ScaledProblem:
+        """The same contacts, the friction held that belongs to the forces ``y``."""
+        return self.holding(self.law.coefficient(self.parameters, y[::3]))
+
+    def holding(self, friction: np.ndarray) -> ScaledProblem:
+        """The same contacts, with this scaled friction held (m,)."""
+        parameters = self.parameters.copy()
+        parameters[:, 0] = friction
+        return replace(self, parameters=parameters)
+
+    def held(self) -> ScaledProblem:
+        """The same contacts under Coulomb's law with the friction that is held."""
+        parameters = np.ascontiguousarray(self.parameters[:, :1])
+        return replace(self, law=COULOMB, parameters=parameters, equation=compiled(COULOMB.equation))
 
     def proximal(self, alpha: float) -> ScaledProblem:
         """The same contacts with ``W + α I``."""

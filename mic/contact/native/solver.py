@@ -9,10 +9,12 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from mic.contact import ladder
+from mic.contact.friction import Friction
 from mic.contact.laws import Law
-from mic.contact.native import batch, patience
+from mic.contact.native import batch, follower, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.problem import ScaledProblem, inverse_root
+from mic.contact.path import Increments, Leg, Path
 
 __all__ = ["NativeSolver"]
 
@@ -28,8 +30,8 @@ class NativeSolver:
     Parameters
     ----------
     S : (3m, 3m) array, or (m, m) for ``dimension`` 1
-        Symmetric compliance.
-    mu : (m,) array
+        Symmetric compliance, all that stands in series with the sliders included.
+    friction : Friction, or what makes one
     law : Law
     tol : float
         Certificate to reach.
@@ -43,23 +45,24 @@ class NativeSolver:
         ``D``, the scaled force's unit.
     """
 
-    def __init__(self, S: np.ndarray, mu: np.ndarray, law: Law, tol: float, threads: int, dimension: int):
+    def __init__(self, S: np.ndarray, friction, law: Law, tol: float, threads: int, dimension: int):
         self.tol, self.threads = tol, threads
         # Without friction the normal rows are all there is to solve.
         self._stride = 1 if law.frictional else dimension
         self._size = 3 if law.frictional else 1
         S = S[:: self._stride, :: self._stride]
         diagonal = S.diagonal()
+        parameters = law.parameters(Friction.of(friction, len(S) // self._size))
         if law.frictional:
             diagonal = diagonal.reshape(-1, 3)
             d_n = inverse_root(diagonal[:, 0])
             d_t = inverse_root(0.5 * (diagonal[:, 1] + diagonal[:, 2]))
             self.scaling = np.column_stack([d_n, d_t, d_t]).ravel()
-            mu = mu * d_n / d_t
+            parameters = law.scaled(parameters, d_n, d_t)
         else:
             self.scaling = inverse_root(diagonal)
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
-        self.problem = ScaledProblem.of(law, W, mu)
+        self.problem = ScaledProblem.of(law, W, parameters)
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All samples, by the cheap rungs: each takes those that the ones before left unsolved.
@@ -95,12 +98,58 @@ class NativeSolver:
                 if not rung.applies(self.problem.law):
                     continue
                 for y, iterations, work in patience.METHODS[rung.name](search, rung):
+                    search.renew(y)
                     candidate = np.zeros_like(b)
                     candidate[:: self._stride] = y * self.scaling
                     yield candidate, iterations, rung.name
                     budget -= work
                     if budget < 0.0:
                         return
+
+    def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
+        """All samples from one load to the next; see :meth:`mic.contact.backends.Backend.follow`."""
+        problem, D, n, m = self.problem, self.scaling, len(b0), len(self.problem.parameters)
+        unit = 1.0 / D.reshape(m, 3)[:, 1]
+        Q0, Q1 = np.ascontiguousarray(b0 * D), np.ascontiguousarray(b1 * D)
+        Y, Q = np.ascontiguousarray(force / D), np.zeros_like(Q0)
+        L = np.ascontiguousarray((anchor / unit[:, None]).reshape(n, 2 * m))
+        slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
+        estimate, counts = np.zeros(n), np.zeros((n, 5), dtype=np.int64)
+        if isinstance(path, Increments):
+            settings: tuple = (1, path.count, 0.0, 0.0)
+        else:
+            settings = (2, path.steps or 0, path.tolerance, path.floor)
+        settings += (
+            ladder.MARGIN * self.tol,
+            follower.SWEEPS * problem.law.gauss_seidel,
+        )
+        follow = follower.follower()
+
+        def chunk(own):
+            follow(
+                problem.equation,
+                problem.W,
+                problem.factors,
+                problem.parameters,
+                unit,
+                *(a[own] for a in (Q0, Q1, L, Y)),
+                *settings,
+                *(a[own] for a in (Q, slip, length, work, share, estimate, counts)),
+            )
+
+        with _THREADPOOLS.limit(limits=1):
+            self._each(chunk, n)
+        return Leg(
+            force=Y * D,
+            b=Q / D,
+            anchor=L.reshape(n, m, 2) * unit[:, None],
+            slip=slip * unit[:, None],
+            length=length * unit,
+            work=work,
+            share=share,
+            error=estimate,
+            counts=counts,
+        )
 
     def infeasible(self, b: np.ndarray) -> bool:
         """See :meth:`mic.contact.backends.Backend.infeasible`."""
@@ -112,17 +161,20 @@ class NativeSolver:
     def _share(self, method, samples, Q, Y, errors, iterations):
         """Run ``method(Q, Y, errors, iterations)`` on chunks of the samples, in parallel."""
 
-        def chunk(first):
-            pick = samples[first : first + size]
+        def chunk(pick):
             parts = Q[pick], Y[pick], errors[pick], iterations[pick]
             method(*parts)
             Y[pick], errors[pick], iterations[pick] = parts[1:]
 
-        size = -(-len(samples) // (TASKS * self.threads if self.threads > 1 else 1))
-        starts = range(0, len(samples), size)
+        self._each(lambda own: chunk(samples[own]), len(samples))
+
+    def _each(self, work, n):
+        """``work(slice)`` for slices of n samples, in parallel."""
+        size = -(-n // (TASKS * self.threads if self.threads > 1 else 1))
+        slices = [slice(first, first + size) for first in range(0, n, max(size, 1))]
         if self.threads == 1:
-            for first in starts:
-                chunk(first)
+            for own in slices:
+                work(own)
         else:
             with ThreadPoolExecutor(self.threads) as pool:
-                list(pool.map(chunk, starts))
+                list(pool.map(work, slices))

@@ -1,0 +1,67 @@
+"""What is known of the friction of each contact; a law reads what it needs of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Friction"]
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction of m contacts.
+
+    Attributes
+    ----------
+    coefficient : (m,) array
+        μ of the laws with a constant coefficient.
+    pressure : (m, q, 5) array or None
+        μ as a function of the normal force, in pieces: see :mod:`mic.contact.laws.pressure_dependent`.  None where it
+        is constant.
+    compliance : (m,) array or None
+        Tangential compliance ``c = 1/(k_t A)`` in series with the slider [length / force], for
+        :mod:`mic.contact.laws.micro_slip`.  None where contacts do not yield before they slip.
+    """
+
+    coefficient: np.ndarray
+    pressure: np.ndarray | None = None
+    compliance: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, value, contacts: int) -> Friction:
+        """Friction from a number, one coefficient per contact, or itself; checked.
+
+        Raises
+        ------
+        ValueError
+            Naming what has the wrong shape, is not finite, or negative.
+        """
+        if not isinstance(value, Friction):
+            return cls(_checked("mu", value, contacts))
+        coefficient, pressure = _checked("mu", value.coefficient, contacts), value.pressure
+        compliance = None if value.compliance is None else _checked("compliance", value.compliance, contacts)
+        if pressure is not None:
+            pressure = np.asarray(pressure, dtype=float)
+            if pressure.ndim != 3 or pressure.shape[::2] != (contacts, 5) or not pressure.shape[1]:
+                raise ValueError(f"pressure must have the shape ({contacts}, pieces, 5); got {pressure.shape}")
+        return cls(coefficient, pressure, compliance)
+
+    def __len__(self):
+        return len(self.coefficient)
+
+
+def _checked(name, value, contacts):
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers") from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} contains NaN or infinite entries")
+    if array.shape not in ((), (contacts,)):
+        one = f"have one entry per contact, ({contacts},)"
+        raise ValueError(f"{name} must be a number or {one}; got shape {array.shape}")
+    if (array < 0.0).any():
+        raise ValueError(f"{name} must not be negative")
+    return np.broadcast_to(array, (contacts,)).copy()

@@ -1,0 +1,711 @@
+r"""Path following of second order: one load after another, in scaled variables, compiled.
+
+Between two loads ``q(s) = q⁰ + s (q¹ - q⁰)``, and with ``w = W y + q`` measured tangentially from the anchors a law
+asks, where a contact is closed,
+
+.. math::  \dot w_n = 0, \qquad \dot w_t = -\lambda e, \; \lambda \ge 0, \quad e = y_t / \|y_t\|,
+
+with ``λ > 0`` only where the force is on the cone.  A step goes like this.
+
+1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start; a
+   slider whose rate would push it back is stuck.  The step ends just behind the first contact that closes on this way.
+2. **Solution.**  Backward Euler's method measures slip from where the step began, which drags a slider straight towards
+   its end, and a contact that closes from too far back.  Both are mended, to second order, by moving the point from
+   which slip is measured, and the same problem as ever is solved:
+
+   - a slider that slips by ``l`` and starts along ``e⁰``: by ``-(1 - θ) l e⁰`` with ``1 - θ = 1/z - 1/(eᶻ - 1)``, ``z =
+     l/‖y_t‖``.  A contact of compliance 1 that is drawn along a straight line forgets its old direction as ``e⁻ᶻ``
+     (the tractrix), so that θ goes from ½, the trapezoidal rule, to 1, backward Euler;
+   - a contact that closes at the fraction ``c`` of the step: by ``c`` of the tangential motion that it makes but for
+     its own force.
+
+   ``l`` and ``c`` are the prediction's.
+3. **Error.**  ``l`` and ``c`` of the solution give other shifts.  How far they differ, root mean square over the
+   contacts, estimates the step's error.  Too large, the step is solved once more with the better shifts, then cut.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numba import boolean, int64, types, void
+
+from mic.contact.native import kernels
+from mic.contact.native.kernels import (
+    _blocks,
+    _counts,
+    _derivative,
+    _equation,
+    _jit,
+    _matrix,
+    _number,
+    _times,
+    _vector,
+    gauss_seidel,
+    newton,
+    starting_scale,
+)
+from mic.contact.states import OPEN, SLIP, STICK
+
+__all__ = ["follower"]
+
+# Of a step of the whole path.
+LONGEST = 0.5  # the estimate sees two directions of a slider, not what it does in between
+SHORTEST = 1e-2  # behind a closing, too: contacts that close within it do so together
+#: Newton's tolerance within a path; at its end it is the solver's. Looser, statuses flicker and steps are cut in vain.
+INNER = 1e-5
+#: A contact this near its cone (relative) at the start of a step may slide.
+NEAR = 1e-7
+#: Shrinking the step aims below the tolerance by this factor, the usual one of step control.
+SAFETY = 0.8
+#: Of the compliance's diagonal, so that a singular one does no harm.
+DAMPING = 1e-12
+#: Contacts that open within one prediction before it is cut short, and sliders that do not slide.
+EVENTS, PASSES = 16, 16
+#: Newton's steps before the sweeps are asked, sweeps of the first call for help, and calls before the path is given up.
+NEWTON, SWEEPS, HELP = 12, 10, 6
+
+STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
+
+
+@_jit(_number(_number))
+def _lag(z):
+    """``1 - θ = 1/z - 1/(eᶻ - 1)``: how far behind the end of its slip a slider's reference is, in shares of it."""
+    if z < 1e-3:
+        return 0.5 - z / 12.0
+    if z > 300.0:
+        return 1.0 / z
+    return 1.0 / z - 1.0 / np.expm1(z)
+
+
+@_jit(_number(_number, _number))
+def _crossing(start, end):
+    """Where a line from ``start >= 0`` to ``end < 0`` crosses zero."""
+    start = max(start, 0.0)
+    return start / (start - end)
+
+
+@_jit(void(_matrix, _vector, _vector, _counts, _matrix, _vector, _vector, _vector, _counts, boolean, _matrix, _vector))
+def _shifts(W, y0, w0, state0, e0, motion, y, w, state, solved, shift, touched):
+    """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
+
+    Parameters
+    ----------
+    y0, w0, state0, e0
+        The step's start: forces, displacements, states and directions of sliders.
+    motion : (3m,) array
+        Change of ``w`` over the step as predicted.
+    y, w, state
+        The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
+    shift : (m, 2) array
+    touched : (m,) array
+        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.
+    """
+    for k in range(len(state0)):
+        i = 3 * k
+        shift[k, 0] = shift[k, 1] = touched[k] = 0.0
+        if state0[k] == OPEN:
+            touched[k] = 1.0
+            if solved and state[k] == OPEN:
+                continue
+            gap, m1, m2 = w0[i] + motion[i], motion[i + 1], motion[i + 2]
+            if solved:  # but for the contact's own force
+                gap, m1, m2 = w[i], w[i + 1], w[i + 2]
+                for j in range(i, i + 3):
+                    gap -= W[i, j] * y[j]
+                    m1 -= W[i + 1, j] * y[j]
+                    m2 -= W[i + 2, j] * y[j]
+            if gap < 0.0:
+                c = _crossing(w0[i], gap)
+                touched[k] = c
+                shift[k, 0], shift[k, 1] = c * m1, c * m2
+        elif state0[k] == SLIP and (not solved or state[k] == SLIP):  # one that breaks loose slides from where it stuck
+            d1, d2 = e0[k, 0], e0[k, 1]
+            if solved:
+                length = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
+            else:
+                length = max(-(d1 * w[i + 1] + d2 * w[i + 2]), 0.0)
+            bound = min(np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2), np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
+            back = _lag(length / max(bound, 1e-300)) * length
+            shift[k, 0], shift[k, 1] = -back * d1, -back * d2
+
+
+@_jit(_number(_vector, _counts, _vector, _vector, _counts, _matrix, _matrix, _vector))
+def _error(y0, state0, y, w, state, shift, other, unit):
+    """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
+
+    Per contact, how far the shifts of the solution are from those that were taken; and for a slider that turns by Δφ
+    along its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``.
+    """
+    total = 0.0
+    for k in range(len(state)):
+        i = 3 * k
+        error = np.sqrt((other[k, 0] - shift[k, 0]) ** 2 + (other[k, 1] - shift[k, 1]) ** 2)
+        if state0[k] == SLIP and state[k] == SLIP:
+            t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
+            t1 = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+            turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t1, 1e-300)
+            error += np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2) * max(turn, 0.0) / 12.0
+        total += (error * unit[k]) ** 2
+    return np.sqrt(total / max(len(state), 1))
+
+
+@_jit(
+    void(
+        _vector,
+        _counts,
+        _vector,
+        _vector,
+        _counts,
+        _vector,
+        _matrix,
+        _vector,
+        _matrix,
+        _number,
+        _matrix,
+        _vector,
+        _vector,
+        _matrix,
+    )
+)
+def _record(y0, state0, y, w, state, touched, shift, opened, gone, part, slip, length, work, share):
+    """Add a step to what the contacts went through: slip under load, its length, friction's work, shares of the path.
+
+    Forces grow linearly between touching and the step's end, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``. A
+    contact that opens has done so where the prediction has it: after the share ``opened``, having ``gone`` so far.
+    """
+    for k in range(len(state)):
+        i = 3 * k
+        m1, m2 = w[i + 1], w[i + 2]
+        begin, end = touched[k], 1.0  # of the step, under load
+        if state0[k] == OPEN:
+            if state[k] == OPEN:
+                share[k, 0] += part
+                continue
+            m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
+        elif state[k] == OPEN:
+            end, m1, m2 = opened[k], gone[k, 0], gone[k, 1]
+            if end == 1.0:  # the prediction did not see it
+                end = _crossing(y0[i], -max(w[i], 1e-300))
+                m1, m2 = end * w[i + 1], end * w[i + 2]
+        slides = 1.0  # share of the time under load in which the contact slides
+        if state[k] == STICK or state[k] == OPEN and state0[k] == STICK:
+            slides = 0.5 if state0[k] == SLIP else 0.0
+            if state0[k] != SLIP:
+                m1 = m2 = 0.0
+        elif state0[k] == STICK:
+            # Its own compliance, 1, as if it were all: first the force grows, then the contact moves.
+            t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
+            t1 = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+            moved = np.sqrt(m1 * m1 + m2 * m2)
+            slides = moved / max(moved + abs(t1 - t0), 1e-300)
+        share[k, 0] += part * (1.0 - (end - begin))
+        share[k, 1] += part * (end - begin) * (1.0 - slides)
+        share[k, 2] += part * (end - begin) * slides
+        slip[k, 0] += m1
+        slip[k, 1] += m2
+        length[k] += np.sqrt(m1 * m1 + m2 * m2)
+        work[k] -= 0.5 * ((y0[i + 1] + y[i + 1]) * m1 + (y0[i + 2] + y[i + 2]) * m2)
+
+
+@_jit(_matrix(_matrix, _matrix))
+def _solve_small(M, R):
+    """``M⁻¹ R``; zeros if M is singular."""
+    try:
+        return np.ascontiguousarray(np.linalg.solve(M, R))
+    except Exception:
+        return np.zeros_like(R)
+
+
+@_jit(_matrix(_matrix, _blocks, _blocks, _counts))
+def _inverse(W, A, B, closed):
+    """Inverse of ``A_k x_k + B_k (W x)_k`` over the contacts that are closed; zeros if it is singular."""
+    n = 3 * len(closed)
+    J = np.empty((n, n))
+    for a in range(len(closed)):
+        i = 3 * closed[a]
+        for row in range(3):
+            b0, b1, b2 = B[closed[a], row, 0], B[closed[a], row, 1], B[closed[a], row, 2]
+            for b in range(len(closed)):
+                j = 3 * closed[b]
+                for column in range(3):
+                    J[3 * a + row, 3 * b + column] = (
+                        b0 * W[i, j + column] + b1 * W[i + 1, j + column] + b2 * W[i + 2, j + column]
+                    )
+            for column in range(3):
+                J[3 * a + row, 3 * a + column] += A[closed[a], row, column] + DAMPING * B[closed[a], row, column]
+    try:
+        return np.ascontiguousarray(np.linalg.inv(J))
+    except Exception:
+        return np.zeros((n, n))
+
+
+@_jit(void(_matrix, _blocks, _counts, _matrix, _vector, _vector, _vector))
+def _rates(W, B, closed, inverse, rate, dy, dw):
+    """``A_k dy_k + B_k dw_k = 0`` with ``dw = W dy + rate``, and ``dy = 0`` where contacts are open."""
+    n = 3 * len(closed)
+    right = np.empty(n)
+    for a in range(len(closed)):
+        k = closed[a]
+        for row in range(3):
+            total = 0.0
+            for column in range(3):
+                total -= B[k, row, column] * rate[3 * k + column]
+            right[3 * a + row] = total
+    solution = np.dot(inverse, right)
+    dy[:] = 0.0
+    for a in range(len(closed)):
+        for row in range(3):
+            dy[3 * closed[a] + row] = solution[3 * a + row]
+    _times(W, dy, dw)
+    dw += rate
+
+
+@_jit(void(_matrix, _blocks, _blocks, _counts, _matrix, int64))
+def _hold(W, A, B, closed, inverse, a):
+    """The slider ``closed[a]`` sticks from now on, ``dw = 0``: its rows of the system change, the inverse by rank 3."""
+    n, k = len(inverse), closed[a]
+    V = np.zeros((3, n))
+    for row in range(3):
+        for b in range(len(closed)):
+            for column in range(3):
+                total = 0.0
+                for c in range(3):
+                    total += ((1.0 if c == row else 0.0) - B[k, row, c]) * W[3 * k + c, 3 * closed[b] + column]
+                V[row, 3 * b + column] = total
+        for column in range(3):
+            same = 1.0 if column == row else 0.0
+            V[row, 3 * a + column] += DAMPING * (same - B[k, row, column]) - A[k, row, column]
+            A[k, row, column] = 0.0
+    for row in range(3):
+        for column in range(3):
+            B[k, row, column] = 1.0 if column == row else 0.0
+    left = inverse[:, 3 * a : 3 * a + 3].copy()
+    VJ = np.dot(V, inverse)
+    middle = np.eye(3) + np.dot(V, left)
+    inverse -= np.dot(left, _solve_small(middle, VJ))
+
+
+@_jit(void(_matrix, int64))
+def _let_go(inverse, a):
+    """The contact ``closed[a]`` opens: its rows and columns leave the system, the inverse by rank 3."""
+    i = 3 * a
+    left, right = inverse[:, i : i + 3].copy(), inverse[i : i + 3].copy()
+    inverse -= np.dot(left, _solve_small(inverse[i : i + 3, i : i + 3].copy(), right))
+    inverse[:, i : i + 3] = 0.0
+    inverse[i : i + 3] = 0.0
+
+
+def _compile(digest):
+    """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
+
+    @_jit(
+        int64(
+            _equation, _matrix, _matrix, _matrix, _vector, _vector, _vector, _vector, _number, _number, int64, _counts
+        )
+    )
+    def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, counts):
+        """One problem of the law from the guess (y, w): Newton, else sweeps from `start` and Newton again.
+
+        Returns 1 if it is solved.
+        """
+        digest  # noqa: B018  (a variable of the closure, and so part of the cache's key)
+        m = len(parameters)
+        none = np.empty((0, 0))
+        best = y.copy()
+        slip = np.zeros(m)
+        if sweeps > 0:
+            gauss_seidel(W, P, parameters, y, w, slip, 10, 1e-15)
+            _times(W, y, w)
+            w += q
+        error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, 0, m)
+        counts[FACTORISATIONS] += steps
+        best[:] = start
+        run = sweeps
+        for _ in range(HELP):
+            if error <= tol:
+                return 1
+            counts[RESCUES] += 1
+            y[:] = best
+            _times(W, y, w)
+            w += q
+            if sweeps > 0:
+                gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
+                best[:] = y
+                _times(W, y, w)
+                w += q
+            halvings = 0 if sweeps > 0 else 20
+            error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, halvings, m)
+            counts[FACTORISATIONS] += steps
+            run *= 2
+        return 1 if error <= tol else 0
+
+    @_jit(
+        _number(
+            _equation,
+            _matrix,
+            _matrix,
+            _vector,
+            _vector,
+            _vector,
+            _vector,
+            _number,
+            _number,
+            _number,
+            _counts,
+            _matrix,
+            _vector,
+            _vector,
+            _vector,
+            _matrix,
+            _counts,
+        )
+    )
+    def predict(
+        equation, W, parameters, unit, y0, w0, rate, step, behind, apart, state0, e0, x, motion, opened, gone, counts
+    ):
+        """Where a step leads with statuses held, but that contacts open on the way.
+
+        Parameters
+        ----------
+        y0, w0 : (3m,) array
+            The step's start, ``w_t = 0``.
+        rate : (3m,) array
+            Change of ``q`` over the whole path.
+        unit : (m,) array
+            Length of a unit of ``w_t``.
+        step, behind : float
+            Length of the step, in shares of the path; and how far it goes behind the first contact that closes.
+        apart : float
+            A contact that slid farther than this length ends the step where it opens, too.
+        state0, e0 : (m,), (m, 2) array
+            Receive the statuses of the start, and the directions of sliders.
+        x, motion : (3m,) array
+            Receive the changes of forces and displacements.
+        opened, gone : (m,), (m, 2) array
+            Receive the share of the step after which a contact opens, 1 if it does not, and its tangential motion
+            until then.
+
+        Returns
+        -------
+        float
+            Length of the step, shorter where a contact closes.
+        """
+        digest  # noqa: B018
+        m = len(parameters)
+        phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        y, w = y0.copy(), w0.copy()
+        dy, dw = np.empty(3 * m), np.empty(3 * m)
+        for k in range(m):  # a little forward along the way of a slider, so that one on its cone is one
+            i = 3 * k
+            w[i + 1] -= NEAR * y[i + 1] + 1e-12 * abs(y[i])
+            w[i + 2] -= NEAR * y[i + 2]
+            opened[k] = 1.0
+            gone[k, 0] = gone[k, 1] = 0.0
+        _derivative(equation, parameters, y, w, phi, A, B, state0)
+        for k in range(m):
+            i = 3 * k
+            if y[i] <= 0.0:
+                state0[k] = OPEN
+            if state0[k] == SLIP:
+                v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
+                t = np.sqrt(v1 * v1 + v2 * v2)
+                e0[k, 0], e0[k, 1] = v1 / t, v2 / t
+        w[:] = w0
+        x[:] = 0.0
+        motion[:] = 0.0
+        state = state0.copy()
+        closed = np.flatnonzero(state != OPEN)
+        inverse = _inverse(W, A, B, closed)
+        counts[FACTORISATIONS] += 1
+        reached = 0.0
+        for event in range(EVENTS):
+            for _ in range(PASSES):
+                _rates(W, B, closed, inverse, rate, dy, dw)
+                # Of the sliders that would be pushed back, the one pushed hardest sticks: others may then slide.
+                hardest, worst = 0.0, -1
+                for a in range(len(closed)):
+                    k = closed[a]
+                    pushed = dw[3 * k + 1] * e0[k, 0] + dw[3 * k + 2] * e0[k, 1]
+                    if state[k] == SLIP and pushed > hardest:
+                        hardest, worst = pushed, a
+                if worst < 0:
+                    break
+                state[closed[worst]] = STICK
+                _hold(W, A, B, closed, inverse, worst)
+            if event == 0:
+                state0[:] = state
+            advance, first = step - reached, -1
+            closes = False
+            for k in range(m):
+                i = 3 * k
+                if state0[k] == OPEN:
+                    if dw[i] < 0.0 and max(w[i], 0.0) < -dw[i] * advance:
+                        advance, first, closes = max(w[i], 0.0) / -dw[i], k, True
+                elif state[k] != OPEN and dy[i] < 0.0 and max(y[i], 0.0) < -dy[i] * advance:
+                    advance, first, closes = max(y[i], 0.0) / -dy[i], k, False
+            if closes:
+                advance = min(advance + behind, step - reached)
+            y += advance * dy
+            w += advance * dw
+            x += advance * dy
+            motion += advance * dw
+            reached += advance
+            if closes or first < 0 or event == EVENTS - 1:
+                break
+            i = 3 * first
+            opened[first] = reached
+            gone[first, 0], gone[first, 1] = motion[i + 1], motion[i + 2]
+            for row in range(3):
+                x[i + row] = -y0[i + row]
+                y[i + row] = 0.0
+            state[first] = OPEN
+            # Where it was counts, if it slid so far that the time of its opening does.
+            if unit[first] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > apart:
+                step = min(step, reached + behind)
+            for a in range(len(closed)):
+                if closed[a] == first:
+                    _let_go(inverse, a)
+        if reached < step:
+            step = max(reached, min(behind, step))
+        for k in range(m):
+            if opened[k] < 1.0:
+                opened[k] /= step
+        return step
+
+    @_jit(
+        void(
+            _equation,
+            _matrix,
+            _matrix,
+            _matrix,
+            _vector,
+            _matrix,
+            _matrix,
+            _matrix,
+            _matrix,
+            int64,
+            int64,
+            _number,
+            _number,
+            _number,
+            int64,
+            _matrix,
+            _blocks,
+            _matrix,
+            _matrix,
+            _blocks,
+            _vector,
+            types.Array(int64, 2, "C"),
+        )
+    )
+    def follow(
+        equation,
+        W,
+        P,
+        parameters,
+        unit,
+        Q0,
+        Q1,
+        L,
+        Y,
+        order,
+        equal,
+        tolerance,
+        floor,
+        tol,
+        sweeps,
+        Q,
+        slip,
+        length,
+        work,
+        share,
+        estimate,
+        counts,
+    ):
+        """Every sample of a batch from one load to the next.
+
+        Parameters
+        ----------
+        unit : (m,) array
+            Length of a unit of ``w_t``.
+        Q0, Q1 : (n, 3m) array
+            ``q`` at the two loads, without the anchors.
+        L, Y : (n, 2m), (n, 3m) array
+            Anchors and forces, at the start and, in place, at the end.
+        order : {1, 2}
+            1 for backward Euler's method as it is: neither prediction nor shifts, and no estimate.
+        equal : int
+            So many equal steps; 0 for steps of controlled error.
+        tolerance, floor : float
+            A step's error may be this share of the motion that the prediction sees over the whole path, root mean
+            square over the contacts, or this length.
+        tol : float
+            Newton's tolerance at the end.
+        sweeps : int
+            Of Gauss-Seidel, where Newton needs help; 0 if they are not the law's.
+        Q : (n, 3m) array
+            Receives the right-hand side of the last step: what the certificate is measured against.
+        slip, length, work, share : (n, m, 2), (n, m), (n, m), (n, m, 3) array
+            Receive what :class:`mic.contact.path.Trace` holds, the first two in scaled lengths.
+        estimate : (n,) array
+            Receives the sum of the steps' errors.
+        counts : (n, 5) int array
+        """
+        size = Q0.shape[1]
+        m = len(parameters)
+        y, w, q = np.empty(size), np.empty(size), np.empty(size)
+        y0, w0, yp, wp = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+        x, motion, rate = np.empty(size), np.empty(size), np.empty(size)
+        state0, state, e0 = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros((m, 2))
+        shift, other = np.zeros((m, 2)), np.zeros((m, 2))
+        touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
+        phi, nothing = np.empty(size), np.empty((0, 3, 3))
+        smallest = 1.0 / equal if equal > 0 else SHORTEST
+        for sample in range(len(Q0)):
+            done = counts[sample]
+            y[:] = Y[sample]
+            q[:] = Q0[sample]
+            for k in range(m):
+                q[3 * k + 1] -= L[sample, 2 * k]
+                q[3 * k + 2] -= L[sample, 2 * k + 1]
+            _times(W, y, w)
+            w += q
+            rate[:] = Q1[sample] - Q0[sample]
+            scale = max(starting_scale(q), starting_scale(q + rate))
+            y0[:] = y
+            if solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
+                done[FAILED] += 1
+                continue
+            s, h, allowed = 0.0, 1.0 / equal if equal > 0 else LONGEST, -1.0
+            while True:
+                for k in range(m):
+                    for c in range(2):
+                        L[sample, 2 * k + c] += w[3 * k + 1 + c]
+                        w[3 * k + 1 + c] = 0.0
+                if s == 1.0:
+                    break
+                y0[:], w0[:] = y, w
+                step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
+                solved, error = 1, 0.0
+                while True:
+                    if order == 1:
+                        equation(parameters, y0, w0, phi, nothing, nothing, state0, False)
+                    else:
+                        behind = 1.0 if equal > 0 else smallest
+                        apart = np.inf if equal > 0 or allowed < 0.0 else allowed * np.sqrt(m)
+                        step = predict(
+                            equation,
+                            W,
+                            parameters,
+                            unit,
+                            y0,
+                            w0,
+                            rate,
+                            step,
+                            behind,
+                            apart,
+                            state0,
+                            e0,
+                            x,
+                            motion,
+                            opened,
+                            gone,
+                            done,
+                        )
+                    if allowed < 0.0:
+                        total = 0.0
+                        for k in range(m):
+                            total += (motion[3 * k + 1] ** 2 + motion[3 * k + 2] ** 2) * unit[k] ** 2
+                        allowed = max(tolerance * np.sqrt(total / max(m, 1)) / step, floor)
+                    target = 1.0 if s + step > 1.0 - 1e-9 else s + step
+                    yp[:], wp[:] = y0 + x, w0 + motion
+                    if order == 2:
+                        _shifts(W, y0, w0, state0, e0, motion, yp, wp, state0, False, shift, touched)
+                    for turn in range(order):
+                        q[:] = Q0[sample] + target * rate
+                        for k in range(m):
+                            for c in range(2):
+                                q[3 * k + 1 + c] -= L[sample, 2 * k + c] + shift[k, c]
+                        if turn == 0:
+                            y[:] = yp
+                            # Linear rates overrun a slider that turns fast: it starts from its old direction.
+                            for k in range(m):
+                                i = 3 * k
+                                if order == 2 and state0[k] == SLIP and y0[i] > 0.0:
+                                    grown = max(y[i], 0.0) / y0[i]
+                                    y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
+                        _times(W, y, w)
+                        w += q
+                        end = target == 1.0
+                        solved = solve(
+                            equation,
+                            W,
+                            P,
+                            parameters,
+                            y,
+                            w,
+                            q,
+                            y0,
+                            tol if end or equal > 0 else INNER,
+                            starting_scale(q) if end else scale,
+                            sweeps,
+                            done,
+                        )
+                        _times(W, y, w)
+                        w += q
+                        equation(parameters, y, w, phi, nothing, nothing, state, False)
+                        for k in range(m):
+                            w[3 * k + 1] += shift[k, 0]
+                            w[3 * k + 2] += shift[k, 1]
+                        if order == 1:
+                            break
+                        _shifts(W, y0, w0, state0, e0, motion, y, w, state, True, other, late)
+                        error = _error(y0, state0, y, w, state, shift, other, unit)
+                        if turn == 1 or error <= allowed and equal == 0:
+                            break
+                        shift[:] = other
+                        touched[:] = late
+                    if solved == 1 and error <= allowed or step <= 1.0001 * smallest:
+                        break
+                    done[CUT] += 1
+                    shrink = SAFETY * np.sqrt(allowed / error) if solved == 1 else 0.25
+                    step *= max(min(0.5, max(0.25, shrink)), smallest / step)
+                if solved == 0:
+                    done[FAILED] += 1
+                    break
+                _record(
+                    y0,
+                    state0,
+                    y,
+                    w,
+                    state,
+                    touched,
+                    shift,
+                    opened,
+                    gone,
+                    target - s,
+                    slip[sample],
+                    length[sample],
+                    work[sample],
+                    share[sample],
+                )
+                estimate[sample] += error
+                done[STEPS] += 1
+                s = target
+                h = min(LONGEST, max(smallest, step * SAFETY * np.sqrt(allowed / max(error, 1e-300))))
+                if equal > 0:
+                    h = smallest
+            Q[sample] = q
+            Y[sample] = y
+
+    return follow
+
+
+@cache
+def follower():
+    """The compiled follower."""
+    return _compile(hashlib.sha256(Path(kernels.__file__).read_bytes()).hexdigest())

@@ -1,0 +1,371 @@
+"""How much hangs on the order: a scene's key characteristics and slips where its process happens in another order.
+
+The same samples under every order, so that what differs is the order's doing. Everything that a scene says of its
+process stays (what is closed in which stage, what is kept, how the path is followed) but for the order in which the
+locators and clamps of a stage, its welds, or what a release opens come one after the other, and for whether parts that
+overlap settle before anything closes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from pydantic import ValidationError
+
+from mic.contact.laws import LAWS
+from mic.contact.states import OPEN
+from mic.errors import SceneError
+from mic.process.actions import SUGAR, Close, Hold, Open, Push, Withdraw
+from mic.process.evaluation import Evaluation
+from mic.process.model import ReducedModel
+from mic.sampling.draw import draw
+from mic.scene import Scene
+from mic.scene.settings import FOLLOWING
+
+__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "orders", "variants"]
+
+STATED = "as stated"
+PERMUTATIONS = 4  #: random orders beside those that have a name
+
+# A doubt rests on a few samples under one increment for each step, some per cent off: limits well above that.
+DOUBT_SAMPLES = 8
+FRICTION_MATTERS = 0.05  # share of the contacts' tangential motion that friction must change
+SETTLING_MATTERS = 0.02  # of a tolerance: change of a mean or of 6σ
+
+Groups = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Order:
+    """One order of a scene's process.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    scene : Scene
+        The scene with this order.
+    """
+
+    name: str
+    scene: Scene
+
+
+def orders(scene: Scene, permutations: int = PERMUTATIONS, seed: int = 1) -> list[Order]:
+    """The order that a scene states, first, and all that are worth a comparison.
+
+    Parameters
+    ----------
+    scene : Scene
+    permutations : int
+        Random orders of what the clamp stages close.
+    seed : int
+        Of these.
+    """
+    found = {STATED: scene}
+    for name, change in chain(_closing(scene), _welding(scene), _releasing(scene)):
+        found.setdefault(name, change)
+    settle = scene.stages[0].settle
+    found["parts settle while the first thing closes" if settle else "parts settle first"] = _changed(
+        scene, {0: {"settle": not settle}}
+    )
+    draws = np.random.default_rng(seed)
+    for number in range(permutations):
+        found[f"random {number + 1}"] = _reordered(
+            scene, "clamp", lambda groups: [groups[i] for i in draws.permutation(len(groups))]
+        )
+    unique: list[Order] = []
+    for name, other in found.items():
+        same = [each for each in unique if _process(each.scene) == _process(other)]
+        if not same:
+            unique.append(Order(name, other))
+    return unique
+
+
+def variants(scene: Scene, path: Path) -> list[Order]:
+    """The order that a scene states, first, and those of a file.
+
+    The file is a TOML table: each of ``[[orders]]`` has a ``name``, and in ``stages`` by their names the keys that are
+    others in the scene's stages; an empty list takes a key away.
+
+    Raises
+    ------
+    SceneError
+        Naming the file, the order, the key and the remedy.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: not valid TOML: {error}; mend the syntax there") from None
+    found = [Order(STATED, scene)]
+    listed = table.get("orders")
+    if set(table) != {"orders"} or not isinstance(listed, list) or not listed:
+        raise SceneError(f"{path}: give one or more [[orders]], and nothing else")
+    for i, order in enumerate(listed):
+        key = f"{path}: orders[{i}]"
+        if set(order) != {"name", "stages"} or not isinstance(order["stages"], dict):
+            raise SceneError(f"{key}: give name and stages, the stages by their names, and nothing else")
+        dumped = scene.model_dump(mode="json")
+        own = {str(stage.name): dumped["stages"][number] for number, stage in enumerate(scene.stages)}
+        unknown = set(order["stages"]) - set(own)
+        if unknown:
+            raise SceneError(
+                f"{key}.stages: the scene has no stage called {min(unknown)!r}; name one of: {', '.join(own)}"
+            )
+        for name, keys in order["stages"].items():
+            own[name].update({key: None if value == [] else value for key, value in keys.items()})
+        try:
+            changed = Scene(**dumped).model_copy(update={"folder": scene.folder})
+        except ValidationError as error:
+            told = error.errors()[0]
+            place = ".".join(map(str, told["loc"]))
+            raise SceneError(f"{key}: {place}{': ' * bool(place)}{told['msg'].removeprefix('Value error, ')}") from None
+        found.append(Order(str(order["name"]), changed))
+    names = [order.name for order in found]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise SceneError(f"{path}: the name {twice[0]!r} stands more than once; give each order its own")
+    return found
+
+
+def _process(scene: Scene):
+    """What happens, whatever it is called: what makes two orders one."""
+    before: list = []
+    told = []
+    for stage in scene.stages:
+        moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
+        before += moves
+        if stage.path == "one-step":
+            moves = [tuple(action for move in moves for action in move)]
+        told.append([frozenset(move) for move in moves])
+    return told, scene.stages[0].settle
+
+
+def _closing(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    locators = {locator.name for locator in scene.locators}
+
+    def by_kind(groups: Groups, first: bool) -> Groups:
+        own = [[name for name in group if name in locators] for group in groups]
+        rest = [[name for name in group if name not in locators] for group in groups]
+        return [group for group in (own + rest if first else rest + own) if group]
+
+    yield "reverse", _reordered(scene, "clamp", lambda groups: groups[::-1])
+    yield "locators first", _reordered(scene, "clamp", lambda groups: by_kind(groups, True))
+    yield "clamps first", _reordered(scene, "clamp", lambda groups: by_kind(groups, False))
+    yield "clamps first, in reverse", _reordered(scene, "clamp", lambda groups: by_kind(groups[::-1], False))
+    yield "all together", _reordered(scene, "clamp", lambda groups: [list(chain(*groups))])
+
+
+def _welding(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """A weld that keeps what it finds moves nothing, so that only those that close their gaps have an order."""
+    if any(weld.close for weld in scene.welds):
+        yield "welds one by one", _reordered(scene, "weld", lambda groups: [[name] for name in chain(*groups)])
+        yield "welds in reverse", _reordered(scene, "weld", lambda groups: [[n] for n in chain(*groups)][::-1])
+        yield "welds together", _reordered(scene, "weld", lambda groups: [list(chain(*groups))])
+
+
+def _releasing(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    yield "opened in the order of closing", _reordered(scene, "release", lambda groups: groups[::-1])
+    yield "opened all together", _reordered(scene, "release", lambda groups: [list(chain(*groups))])
+
+
+def _reordered(scene: Scene, kind: str, change: Callable[[Groups], Groups]) -> Scene:
+    """The scene with the groups of all its stages of a kind changed."""
+    before: list = []
+    updates: dict[int, dict] = {}
+    for i, stage in enumerate(scene.stages):
+        moves = list(SUGAR[stage.kind](scene, stage, before))
+        before += moves
+        groups = [names for move in moves if (names := _names(scene, move))]
+        if stage.kind == kind and len(groups) + len(groups[0] if groups else ()) > 2:
+            path = None if stage.path == "one-step" else stage.path
+            updates[i] = {"order": [group for group in change(groups) if group], "sequence": False, "path": path}
+    return _changed(scene, updates)
+
+
+def _names(scene: Scene, move) -> list[str]:
+    """What a move closes or opens."""
+    found: list[str] = []
+    for action in move:
+        if isinstance(action, Hold | Open):
+            found += [scene.locators[i].name for i in action.locators]
+        if isinstance(action, Hold | Withdraw):
+            found += [scene.clamps[i].name for i in action.strokes]
+        if isinstance(action, Push | Withdraw):
+            found += [scene.clamps[i].name for i in action.forces]
+        if isinstance(action, Close):
+            found += [scene.welds[i].name for i in action.welds]
+    return found
+
+
+def _changed(scene: Scene, updates: dict[int, dict]) -> Scene:
+    stages = [stage.model_copy(update=updates.get(i, {})) for i, stage in enumerate(scene.stages)]
+    return scene.model_copy(update={"stages": stages})
+
+
+def compare(
+    model: ReducedModel,
+    others: Sequence[Order],
+    law: str,
+    samples: int,
+    seed: int,
+    threads: int = 1,
+    done: Callable[[str], None] = lambda name: None,
+) -> pd.DataFrame:
+    """Key characteristics and slips under each order, and how they differ from the first.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    others : sequence of Order
+    law : str
+    samples, seed : int
+        The same samples for all.
+    threads : int
+    done : callable, optional
+        Called with the name of each order that is evaluated.
+
+    Returns
+    -------
+    DataFrame
+        One row for each order and quantity, the stated order first, then those that change most of a tolerance:
+        ``order``; ``quantity``, a key characteristic's name or ``"slip STAGE ZONE"``, the root mean square over a
+        zone's pairs of the net slip under load of a stage; ``tolerance`` (mm, NaN for slips); ``mean`` and
+        ``six_sigma`` (mm); ``mean_change`` and ``six_sigma_change`` (mm) with jackknife standard errors ``mean_error``
+        and ``six_sigma_error``; ``samples`` that neither order failed.
+    """
+    deviations = draw(model.scene, seed, 0, samples)
+    tables, base, base_failed = [], None, None
+    for other in others:
+        own = replace(model, scene=other.scene)
+        evaluation = own.process(law, threads=threads).evaluate(deviations)
+        values = _quantities(own, evaluation)
+        if base is None or base_failed is None:
+            base, base_failed = values, evaluation.failed
+        tables.append(_changes(other.name, values, base, ~(evaluation.failed | base_failed)))
+        done(other.name)
+    table = pd.concat(tables, ignore_index=True)
+    tolerance = {item.name: item.upper - item.lower for item in model.scene.measurements}
+    table.insert(2, "tolerance", table["quantity"].map(tolerance).astype(float))
+    return _by_largest(table)
+
+
+def _quantities(model, evaluation: Evaluation) -> pd.DataFrame:
+    """One column for each key characteristic and for the slip of each zone with friction in each stage, mm."""
+    names = [item.name for item in model.scene.measurements] if evaluation.measurements.size else []
+    columns = dict(zip(names, evaluation.measurements.T))
+    if LAWS[evaluation.law].frictional:
+        for stage, resolution in evaluation.resolutions.items():
+            square = (resolution.trace.slip**2).sum(axis=-1)
+            for i, zone in enumerate(model.scene.zones):
+                own = model.contacts.zone == i
+                if model.contacts.friction[own].any():
+                    columns[f"slip {stage} {zone.name}"] = np.sqrt(square[:, own].mean(axis=1))
+    return pd.DataFrame(columns)
+
+
+def _changes(name: str, values: pd.DataFrame, base: pd.DataFrame, valid: np.ndarray) -> pd.DataFrame:
+    """How much mean and 6σ of each column differ from the stated order's, over the samples that are valid in both."""
+    a, b, n = values.to_numpy()[valid], base.to_numpy()[valid], int(valid.sum())
+
+    def statistics(x):
+        return x.mean(axis=0), 6 * x.std(axis=0, ddof=1) if len(x) > 1 else np.full(x.shape[1], np.nan)
+
+    mean, six_sigma = statistics(a)
+    base_mean, base_six_sigma = statistics(b)
+    left_out = [[np.subtract(*pair) for pair in zip(*map(statistics, _without(i, a, b)))] for i in range(n)]
+    error = np.sqrt((n - 1) * np.var(left_out, axis=0)) if n > 2 else np.full((2, a.shape[1]), np.nan)
+    return pd.DataFrame(
+        {
+            "order": name,
+            "quantity": values.columns,
+            "mean": mean,
+            "mean_change": mean - base_mean,
+            "mean_error": error[0],
+            "six_sigma": six_sigma,
+            "six_sigma_change": six_sigma - base_six_sigma,
+            "six_sigma_error": error[1],
+            "samples": n,
+        }
+    )
+
+
+def _without(i: int, *samples: np.ndarray) -> tuple[np.ndarray, ...]:
+    return tuple(np.delete(x, i, axis=0) for x in samples)
+
+
+def _by_largest(table: pd.DataFrame) -> pd.DataFrame:
+    change = table[["mean_change", "six_sigma_change"]].abs().max(axis=1)
+    scale = table["tolerance"].where(table["tolerance"].notna(), np.inf)
+    largest = (change / scale).groupby(table["order"]).max()
+    rank = table["order"].map(largest.rank(ascending=False, method="first")).where(table["order"] != STATED, 0)
+    return table.assign(_rank=rank).sort_values("_rank", kind="stable").drop(columns="_rank").reset_index(drop=True)
+
+
+def doubts(model: ReducedModel) -> list[str]:
+    """What a process as stated leaves to doubt: stages in which friction hardly matters, and an outcome that hangs on
+    how the parts are set down; one sentence each.
+
+    A few samples under one increment for each step say it: enough for a doubt, not for a number.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    """
+    scene = model.scene
+    law = next((law for law in scene.report.laws if LAWS[law].frictional), None)
+    if law is None or model.contacts.dimension == 1 or not model.contacts.friction.any():
+        return []
+    rough = {
+        i: {"path": "increments", "increments": 1}
+        for i, stage in enumerate(scene.stages)
+        if stage.path != "one-step" and stage.kind in FOLLOWING
+    }
+    stated = _changed(scene, rough)
+    other = _changed(stated, {0: {"settle": not scene.stages[0].settle}})
+    deviations = draw(scene, scene.monte_carlo.seed, 0, DOUBT_SAMPLES)
+    rubbing, smooth, unsettled = (
+        replace(model, scene=each).process(name).evaluate(deviations)
+        for each, name in ((stated, law), (stated, "frictionless"), (other, law))
+    )
+    found = [_idle_friction(model, rubbing, smooth, stage) for stage in rubbing.resolutions]
+    return [sentence for sentence in (*found, _hangs_on_settling(model, rubbing, unsettled)) if sentence]
+
+
+def _idle_friction(model, rubbing: Evaluation, smooth: Evaluation, stage: str) -> str | None:
+    """Tangential motion of the contacts that end the stage closed, with friction and without."""
+    with_, without = rubbing.resolutions[stage], smooth.resolutions[stage]
+    closed = (with_.state != OPEN) & (model.contacts.friction > 0)
+    moved = without.displacement[closed][:, 1:]
+    held = np.linalg.norm(with_.displacement[closed][:, 1:] - moved)
+    if held > FRICTION_MATTERS * np.linalg.norm(moved):
+        return None
+    return (
+        f"stage {stage}: friction changes where the contacts end by no more than {100 * FRICTION_MATTERS:g} % of their "
+        "motion: what moves here moves before the parts press on each other, or not along them"
+    )
+
+
+def _hangs_on_settling(model, stated: Evaluation, other: Evaluation) -> str | None:
+    limits = np.array([item.upper - item.lower for item in model.scene.measurements])
+    a, b = (each.measurements for each in (stated, other))
+    if not a.size:
+        return None
+    change = np.maximum(np.abs(a.mean(0) - b.mean(0)), 6 * np.abs(a.std(0, ddof=1) - b.std(0, ddof=1)))
+    worst = int(np.argmax(change / limits))
+    if change[worst] <= SETTLING_MATTERS * limits[worst]:
+        return None
+    when = "while" if model.scene.stages[0].settle else "before"
+    return (
+        f"the outcome hangs on how the parts are set down: {model.scene.measurements[worst].name} changes by "
+        f"{1000 * change[worst]:.0f} µm, {100 * change[worst] / limits[worst]:.0f} % of its tolerance, if parts that "
+        f"overlap come to rest on each other {when} the first thing closes"
+    )

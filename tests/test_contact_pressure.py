@@ -1,0 +1,201 @@
+"""Friction that depends on pressure: pieces, closed forms, the certificate, and every method that looks for it."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from mic.contact import ContactSolver, certify, ladder, solve
+from mic.contact.backends import BACKENDS
+from mic.contact.friction import Friction
+from mic.contact.laws import COULOMB, PRESSURE_DEPENDENT
+from mic.contact.laws.pressure_dependent import power, rescaled, table
+from mic.contact.native import patience
+from mic.contact.native.solver import NativeSolver
+from mic.contact.problems import compliant, slip_dominated
+
+POINTS = [(0.5, 0.5), (1.0, 0.4), (2.0, 0.3), (5.0, 0.25)]
+FUNCTIONS = {
+    "table": (table(POINTS), lambda p: np.interp(p, *np.array(POINTS).T)),
+    "rising table": (table([(0.0, 0.1), (3.0, 0.6)]), lambda p: np.interp(p, [0.0, 3.0], [0.1, 0.6])),
+    "power": (power(0.3, 1.0, 0.5, 0.1, 0.8), lambda p: np.clip(0.3 * p**-0.5, 0.1, 0.8)),
+    "rising power": (power(0.3, 1.0, -0.5, 0.1, 0.8), lambda p: np.clip(0.3 * p**0.5, 0.1, 0.8)),
+    "constant bound": (power(0.3, 1.0, 1.0, 0.0, 5.0), lambda p: np.clip(0.3 / p, 0.0, 5.0)),
+}
+CASES = pytest.mark.parametrize("pieces, mu", FUNCTIONS.values(), ids=FUNCTIONS)
+
+
+def friction(pieces, m, area=1.0):
+    """m contacts of one area under one function of pressure; the coefficient of other laws is another."""
+    own = np.broadcast_to(rescaled(pieces, 1.0 / area), (m, *pieces.shape))
+    return Friction(np.full(m, 0.9), own.copy())
+
+
+@CASES
+def test_pieces_are_the_function_that_they_came_from(pieces, mu):
+    p = np.concatenate([np.geomspace(1e-3, 100.0, 200), [x for x, _ in POINTS]])
+    area = 2.5
+    parameters = PRESSURE_DEPENDENT.parameters(friction(pieces, len(p), area))
+    found = PRESSURE_DEPENDENT.coefficient(parameters, p * area)
+    np.testing.assert_allclose(found, mu(p), rtol=1e-12)
+    np.testing.assert_allclose(PRESSURE_DEPENDENT.bound(p * area, parameters), mu(p) * p * area, rtol=1e-12)
+
+
+@CASES
+def test_a_contact_that_slides_holds_what_its_pressure_gives(pieces, mu):
+    """S = I: the normal force is the overlap, the friction force ``μ(f_n/A) f_n``."""
+    area = 0.7
+    for overlap in (0.01, 0.4, 1.3, 3.0, 30.0):
+        solution = solve(np.eye(3), [-overlap, 100.0, 0.0], friction(pieces, 1, area), PRESSURE_DEPENDENT)
+        held = mu(overlap / area) * overlap
+        np.testing.assert_allclose(solution.force, [overlap, -held, 0.0], rtol=1e-10)
+
+
+@CASES
+def test_coupling_of_normal_and_tangential_compliance_is_solved_exactly(pieces, mu):
+    """``w_n = 0``, ``f_t = -g(f_n) e`` with ``S_nt ≠ 0``: one equation for f_n."""
+    S = np.array([[1.0, 0.3, 0.0], [0.3, 1.4, 0.0], [0.0, 0.0, 1.2]])
+    for overlap in (0.1, 1.0, 4.0):
+        b = np.array([-overlap, 50.0, 0.0])
+        f_n = brentq(lambda f, overlap=overlap: S[0, 0] * f - S[0, 1] * mu(f) * f - overlap, 1e-9, 1e2, xtol=1e-14)
+        solution = solve(S, b, friction(pieces, 1), PRESSURE_DEPENDENT)
+        np.testing.assert_allclose(solution.force, [f_n, -mu(f_n) * f_n, 0.0], rtol=1e-9)
+
+
+def test_a_pressed_disc_slides_at_the_integral_of_its_bound():
+    """``p = p0 (1 - r²/a²)``, ``μ = μ0 (p/p0)^(-n)``: ``Q = ∫ μ p dA = μ0 π a² p0/(2 - n)``, by rings of equal area."""
+    rings, a, p0, n = 400, 3.0, 2.0, 0.4
+    area = np.pi * a**2 / rings
+    p = p0 * (1.0 - (np.arange(rings) + 0.5) / rings)
+    b = np.column_stack([-p * area, np.full(rings, 1e3), np.zeros(rings)]).ravel()
+    function = friction(power(0.3, p0, n, 0.0, 1e3), rings, area)
+    solution = solve(np.eye(3 * rings), b, function, PRESSURE_DEPENDENT)
+    assert -solution.force[1::3].sum() == pytest.approx(0.3 * np.pi * a**2 * p0 / (2.0 - n), rel=1e-3)
+
+
+@CASES
+def test_it_is_coulombs_law_with_the_coefficients_of_the_force_itself(pieces, mu):
+    rng = np.random.default_rng(5)
+    problem = slip_dominated(30, 20, rng)
+    law = friction(pieces, 30, 0.2)
+    solution = solve(problem.S, problem.b, law, PRESSURE_DEPENDENT)
+    assert solution.converged.all() and solution.residual.max() <= 1e-10
+    others = []
+    for b, force in zip(problem.b, solution.force):
+        own = mu(np.maximum(force[::3], 1e-300) / 0.2)
+        assert certify(problem.S, b, own, force, COULOMB).residual <= 1e-10
+        others.append(certify(problem.S, b, 1.05 * own, force, COULOMB).residual)
+    assert np.median(others) > 1e-4  # a sample in which all contacts stick obeys others, too
+
+
+def test_the_answer_does_not_depend_on_units():
+    rng = np.random.default_rng(6)
+    problem = slip_dominated(20, 5, rng)
+    pieces = FUNCTIONS["table"][0]
+    here = solve(problem.S, problem.b, friction(pieces, 20, 0.3), PRESSURE_DEPENDENT)
+    # mm → m, N → kN: pressures in the table go from N/mm² to kN/m².
+    length, force = 1e-3, 1e-3
+    there = rescaled(pieces, length**2 / force)
+    other = solve(
+        problem.S * length / force, problem.b * length, friction(there, 20, 0.3 * length**2), PRESSURE_DEPENDENT
+    )
+    np.testing.assert_allclose(other.force / force, here.force, atol=1e-9 * np.abs(here.force).max())
+
+
+@CASES
+def test_all_samples_converge_on_the_cheap_rungs(pieces, mu):
+    problem = slip_dominated(60, 60, np.random.default_rng(7))
+    solution = solve(problem.S, problem.b, friction(pieces, 60, 0.2), PRESSURE_DEPENDENT)
+    assert solution.converged.all()
+    assert not {*solution.rung} & {rung.name for rung in ladder.PATIENT}
+
+
+def test_every_patient_rung_renews_the_friction_that_it_holds(monkeypatch):
+    """From nothing and without Newton's polish, the rungs end at the law asked for and not at Coulomb's."""
+    monkeypatch.setattr(ladder, "BUDGET", 1e6)
+    problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
+    law = friction(FUNCTIONS["table"][0], 6, 0.2)
+    backend = BACKENDS["native"](problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
+    best = {}
+    for force, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
+        residual = certify(problem.S, problem.b[0], law, force, PRESSURE_DEPENDENT).residual
+        best[rung] = min(residual, best.get(rung, np.inf))
+    assert list(best) == [rung.name for rung in ladder.PATIENT if rung.applies(PRESSURE_DEPENDENT)]
+    assert "renewed friction" in best and max(best.values()) <= 1e-10, best
+
+
+def test_methods_that_hold_friction_are_given_that_of_the_last_force(monkeypatch):
+    """Newton would hide it: with Newton left out, sweeps and De Saxcé's fixed point end at the law asked for."""
+    monkeypatch.setattr(ladder, "BUDGET", 1e6)
+    monkeypatch.setattr(patience, "polished", lambda problem, q, y: iter([(y.copy(), 0, 0.0)]))
+    problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
+    law = friction(FUNCTIONS["table"][0], 6, 0.2)
+    native = NativeSolver(problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
+    best = {}
+    for force, _, rung in native.attempts(problem.b[0], np.zeros(18)):
+        residual = certify(problem.S, problem.b[0], law, force, PRESSURE_DEPENDENT).residual
+        best[rung] = min(residual, best.get(rung, np.inf))
+    assert best["patient sweeps"] <= 1e-9 and best["fixed point"] <= 1e-4, best
+
+
+@CASES
+def test_renewing_the_coefficients_alone_converges(pieces, mu, monkeypatch):
+    """What is handed to Newton gets there by itself: with Newton left out, the coefficients settle."""
+    handed = []
+
+    def unpolished(problem, q, y):
+        handed.append(y)
+        yield y, 0, 0.0
+
+    monkeypatch.setattr(patience, "polished", unpolished)
+    problem = slip_dominated(8, 1, np.random.default_rng(9), condition=1e2)
+    law = friction(pieces, 8, 0.2)
+    native = NativeSolver(problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
+    search = patience.Search(native.problem, problem.b[0] * native.scaling, np.zeros(24))
+    rung = next(rung for rung in ladder.PATIENT if rung.name == "renewed friction")
+    for _ in patience.METHODS["renewed friction"](search, rung):
+        pass
+    residuals = [certify(problem.S, problem.b[0], law, y * native.scaling, PRESSURE_DEPENDENT).residual for y in handed]
+    assert len(handed) == rung["steps"] and residuals[-1] <= 1e-7 < residuals[0]
+
+
+def test_with_little_friction_every_start_leads_to_one_solution():
+    """``cond(S) sup|g'| < 1``: there is but one."""
+    rng = np.random.default_rng(10)
+    S = compliant(10, rng, condition=5.0)
+    pieces = table([(0.0, 0.0), (100.0, 0.05)])  # g' = 2 μ at most 0.1
+    assert np.linalg.cond(S) * 0.1 < 1.0
+    solver = ContactSolver(S, friction(pieces, 10, 0.05), PRESSURE_DEPENDENT)
+    b = rng.standard_normal(30)
+    b[::3] -= 2.0
+    guesses = 10.0 * rng.standard_normal((20, 30))
+    found = solver.solve(np.tile(b, (20, 1)), guess=guesses)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.force, found.force[:1].repeat(20, 0), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "build, words",
+    [
+        (lambda: table([(0.0, 0.5), (1.0, 0.1)]), "must not fall with pressure, and does between 0 and 1 MPa"),
+        (lambda: table([(1.0, 0.5), (1.0, 0.1)]), "pressures must rise"),
+        (lambda: table([(0.0, -0.1)]), "must not be negative"),
+        (lambda: table([]), "at least one point"),
+        (lambda: power(0.3, 1.0, 1.2, 0.1, 0.5), "must not fall with pressure, and does with n = 1.2"),
+        (lambda: power(0.3, 1.0, 0.0, 0.1, 0.5), "nothing depends on pressure"),
+        (lambda: power(0.3, 1.0, 0.5, 0.6, 0.5), "mu_min <= mu_max"),
+        (lambda: solve(np.eye(3), -np.ones(3), Friction(np.ones(1), np.ones((2, 1, 5)))), "pressure must have"),
+        (lambda: solve(np.eye(3), -np.ones(3), Friction(np.ones(1), None, -np.ones(1))), "compliance must not be neg"),
+    ],
+)
+def test_bad_functions_are_refused(build, words):
+    with pytest.raises(ValueError, match=words):
+        build()
+
+
+def test_a_straight_line_of_a_table_may_fall_until_its_bound_is_level():
+    """``(μ p)' = μ + p dμ/dp`` vanishes at the second point for ``μ₂ = μ₁ p₂/(2 p₂ - p₁)``."""
+    p1, p2, mu1 = 1.0, 3.0, 0.5
+    level = mu1 * p2 / (2.0 * p2 - p1)
+    table([(p1, mu1), (p2, level)])
+    with pytest.raises(ValueError, match="must not fall"):
+        table([(p1, mu1), (p2, level - 1e-6)])

@@ -1,0 +1,181 @@
+"""How much hangs on the order of a process: which orders are compared, with the same samples, and what is doubted."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import mic
+from mic.commands import app
+from mic.orders import STATED, compare, doubts, orders, variants
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLES = 6
+
+
+@pytest.fixture(scope="module")
+def found(hat_model):
+    others = orders(hat_model.scene, permutations=1)
+    return others, compare(hat_model, others, "coulomb", SAMPLES, seed=3)
+
+
+def with_tolerance(model, width):
+    measurements = [
+        item.model_copy(update={"lower": -width / 2, "upper": width / 2}) for item in model.scene.measurements
+    ]
+    return replace(model, scene=model.scene.model_copy(update={"measurements": measurements}))
+
+
+def closing(order):
+    return next(stage.order for stage in order.scene.stages if stage.kind == "clamp")
+
+
+def test_orders_are_scenes_that_a_user_could_write_and_no_two_are_one(found):
+    others, _ = found
+    for order in others:
+        assert mic.Scene(**order.scene.model_dump(mode="json")).stages == order.scene.stages
+    by_name = {order.name: order for order in others}
+    assert others[0].name == STATED and closing(others[0]) is None
+    assert closing(by_name["reverse"]) == [["C4"], ["C3"], ["C2"], ["C1"], ["plate-A4", "plate-A5"]]
+    assert closing(by_name["clamps first"]) == [["C1"], ["C2"], ["C3"], ["C4"], ["plate-A4", "plate-A5"]]
+    assert closing(by_name["all together"]) == [["plate-A4", "plate-A5", "C1", "C2", "C3", "C4"]]
+    assert sorted(sum(closing(by_name["random 1"]), [])) == sorted(sum(closing(by_name["reverse"]), []))
+    assert "locators first" not in by_name and "welds together" not in by_name  # as stated
+    assert {"welds one by one", "welds in reverse", "opened all together"} <= set(by_name)
+
+
+def test_a_lap_joint_of_one_pair_of_tongs_has_no_order_of_closing(lap_scene):
+    names = [order.name for order in orders(lap_scene)]
+    assert names == [
+        STATED,
+        "opened in the order of closing",
+        "opened all together",
+        "parts settle while the first thing closes",
+    ]
+
+
+CHANGED = """
+[[orders]]
+name = "C2 first"
+stages.clamp.order = [["C2"], ["C1", "C3"], ["C4", "plate-A4", "plate-A5"]]
+
+[[orders]]
+name = "as the paper has it"
+stages.locate.settle = false
+stages.clamp = { order = [], path = "one-step" }
+"""
+
+
+def test_a_file_of_variants_changes_the_keys_of_the_stages_that_it_names(hat_model, tmp_path):
+    (tmp_path / "orders.toml").write_text(CHANGED)
+    base = next(order for order in orders(hat_model.scene, 0) if order.name == "reverse").scene
+    stated, first, paper = variants(base, tmp_path / "orders.toml")
+    assert stated.scene == base and stated.name == STATED
+    assert closing(first) == [["C2"], ["C1", "C3"], ["C4", "plate-A4", "plate-A5"]]
+    assert first.scene.model_copy(update={"stages": base.stages}) == base
+    assert closing(paper) is None and [stage.path for stage in paper.scene.stages] == [
+        None,
+        "one-step",
+        None,
+        None,
+        None,
+    ]
+    assert not paper.scene.stages[0].settle and base.stages[0].settle
+
+
+BROKEN = {
+    "no file": (None, ["cannot be read", "check the path"]),
+    "no TOML": ("[[orders", ["not valid TOML", "mend"]),
+    "no orders": ('name = "x"', ["give one or more [[orders]]"]),
+    "no stages": ('[[orders]]\nname = "x"', ["orders[0]", "give name and stages"]),
+    "no such stage": ('[[orders]]\nname = "x"\nstages.clmp.order = [["C1"]]', ["orders[0].stages", "'clmp'", "clamp"]),
+    "no such key": ('[[orders]]\nname = "x"\nstages.clamp.ordre = [["C1"]]', ["orders[0]", "stages.1.ordre"]),
+    "left out": ('[[orders]]\nname = "x"\nstages.clamp.order = [["C1"]]', ["orders[0]", "closes 'plate-A4'", "add"]),
+    "one name for two": (
+        '[[orders]]\nname = "x"\nstages.weld.sequence = true\n' * 2,
+        ["'x' stands more than once", "its own"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_file_of_variants_that_cannot_be_is_one_sentence(case, hat_model, tmp_path):
+    text, words = BROKEN[case]
+    path = tmp_path / "orders.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(mic.SceneError) as caught:
+        variants(hat_model.scene, path)
+    for word in (str(path), *words):
+        assert word in str(caught.value)
+
+
+def test_the_wheelhouse_has_variants_of_the_order_that_it_states():
+    scene = mic.load_scene(ROOT / "meshes" / "wheelhouse")
+    found = variants(scene, ROOT / "verification" / "order" / "orders.toml")
+    (clamps,) = [stage.order for stage in scene.stages if stage.kind == "clamp"]
+    assert len(clamps) == 4 and all("-A" in name for name in clamps[-1]) and len(found) == 8
+
+
+def test_what_changes_is_the_order_s_doing(found, hat_model):
+    """The same samples: nothing differs from itself, and an order by hand gives what its row says."""
+    others, table = found
+    stated = table[table["order"] == STATED]
+    assert (stated[["mean_change", "six_sigma_change"]] == 0).all(axis=None) and (table["samples"] == SAMPLES).all()
+    first = next(order for order in others if order.name == "clamps first")
+    a, b = (
+        replace(hat_model, scene=scene).evaluate(mic.sampling.draw.draw(scene, 3, 0, SAMPLES), "coulomb")
+        for scene in (first.scene, hat_model.scene)
+    )
+    rows = table[table["order"] == first.name].set_index("quantity")
+    for i, item in enumerate(hat_model.scene.measurements):
+        x, y = a.measurements[:, i], b.measurements[:, i]
+        assert rows.loc[item.name, "mean_change"] == pytest.approx((x - y).mean(), abs=1e-12)
+        assert rows.loc[item.name, "six_sigma_change"] == pytest.approx(6 * (x.std(ddof=1) - y.std(ddof=1)), abs=1e-12)
+        # The jackknife error of a mean is the standard error.
+        assert rows.loc[item.name, "mean_error"] == pytest.approx((x - y).std(ddof=1) / SAMPLES**0.5, rel=1e-9)
+    assert rows["mean_change"].abs().max() > 0.005  # mm
+
+
+def test_orders_stand_by_how_much_of_a_tolerance_they_change(found):
+    _, table = found
+    change = table[["mean_change", "six_sigma_change"]].abs().max(axis=1) / table["tolerance"]
+    largest = change.groupby(table["order"], sort=False).max()
+    assert largest.index[0] == STATED and (np.diff(largest.to_numpy()[1:]) <= 0).all()
+    assert largest.iloc[1] > 3 * largest.iloc[-1]
+
+
+def test_a_stage_in_which_friction_hardly_matters_is_named_and_no_other(lap_model, hat_model):
+    """The strips of the lap joint settle first; one pair of tongs then presses them, and they hardly slide."""
+    assert [doubt.split(":")[0] for doubt in doubts(lap_model)] == ["stage clamp", "stage release"]
+    assert not any(doubt.startswith("stage clamp") for doubt in doubts(hat_model))
+    smooth = [zone.model_copy(update={"friction": 0.0}) for zone in hat_model.scene.zones]
+    scene = hat_model.scene.model_copy(update={"zones": smooth})
+    contacts = replace(hat_model.contacts, friction=np.zeros(len(hat_model.contacts)))
+    assert doubts(replace(hat_model, scene=scene, contacts=contacts)) == []  # nothing that friction could do
+
+
+def test_an_outcome_that_hangs_on_how_parts_are_set_down_is_named(lap_model):
+    """Some µm: little of the tolerance of 2 mm, and much of one of 20 µm."""
+    wide, narrow = (
+        [doubt for doubt in doubts(with_tolerance(lap_model, width)) if "set down" in doubt] for width in (2.0, 0.02)
+    )
+    assert wide == [] and len(narrow) == 1
+    assert "of its tolerance, if parts that overlap come to rest on each other while the first thing" in narrow[0]
+
+
+def test_order_takes_a_saved_model_and_writes_what_it_prints(hat_model, tmp_path):
+    hat_model.save(tmp_path / "model.npz")
+    arguments = ["order", str(tmp_path / "model.npz"), "--samples", "3", "--permutations", "0"]
+    done = CliRunner().invoke(app, [*arguments, "--table", str(tmp_path / "orders.csv")], env={"COLUMNS": "160"})
+    assert done.exit_code == 0, done.output
+    written = pd.read_csv(tmp_path / "orders.csv")
+    others = orders(hat_model.scene, permutations=0)
+    expected = compare(hat_model, others, "coulomb", 3, hat_model.scene.monte_carlo.seed)
+    pd.testing.assert_frame_equal(written, expected, check_exact=False, rtol=1e-9, atol=1e-12)
+    worst = expected[expected["order"] == "clamps first"].set_index("quantity").loc["M2"]
+    assert f"{1000 * worst['mean_change']:.1f}".replace("-", "−") in done.output
+    assert all(order.name in done.output for order in others[1:])

@@ -1,0 +1,225 @@
+"""The order in which a process closes decides what friction holds: the wheelhouse in the orders of its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mic.orders import STATED, Order, variants
+from mic.process.evaluation import Evaluation
+from mic.sampling.draw import draw
+from verification.comparison import zone_slip
+from verification.plots import panels
+from verification.scenes import shipped
+from verification.study import Acceptance, Finding, Study
+
+ORDERS = Path(__file__).parent / "orders.toml"
+LOCATED = "A4-A8, then clamps one by one"  # all that moves has moved before the clamps press
+MEANWHILE = "A4-A8, then clamps, settled meanwhile"  # the same, but for how the parts were set down
+PRESSED = (STATED, "clamps together, then A4-A8")  # the sheets slide under clamps
+RESAMPLED = 2000
+SHARE, ABSOLUTE, MEASURED = 0.01, 2e-3, 0.005  # of a slip's mean or 6σ; mm; of a key characteristic's 6σ
+
+
+def evaluate(model, order: Order, deviations, law="coulomb") -> Evaluation:
+    """The samples through the wheelhouse's process in one order."""
+    return replace(model, scene=order.scene).process(law).evaluate(deviations)
+
+
+def increments(order: Order, count: int) -> Order:
+    """The order with its path in so many increments for each step, but where it is taken in one."""
+    stages = [
+        stage if stage.path == "one-step" else stage.model_copy(update={"path": None, "increments": count})
+        for stage in order.scene.stages
+    ]
+    return Order(order.name, order.scene.model_copy(update={"stages": stages}))
+
+
+def spread(values):
+    """Mean and 6σ over the samples, (2, …)."""
+    return np.stack([values.mean(axis=0), 6 * values.std(axis=0, ddof=1)])
+
+
+def ratios(model, rubbing: Evaluation, smooth: Evaluation):
+    """Tangential displacement of the zones while clamping, with friction over without: mean and 6σ, (2, zones), and
+    the ends of their bootstrap intervals (95 %), (2, 2, zones); samples are drawn in pairs."""
+    valid = ~(rubbing.failed | smooth.failed)
+    a, b = (
+        zone_slip(each.resolutions["clamp"].displacement[valid], model.contacts, len(model.scene.zones))
+        for each in (rubbing, smooth)
+    )
+    chosen = np.random.default_rng(1).integers(0, len(a), (RESAMPLED, len(a)))
+    again = np.stack([spread(a[rows]) / spread(b[rows]) for rows in chosen])
+    return spread(a) / spread(b), np.quantile(again, (0.025, 0.975), axis=0)
+
+
+def departure(found: Evaluation, exact: Evaluation, model) -> tuple[float, float]:
+    """Largest difference of mean and 6σ, of slips under load and of key characteristics, in units of what is allowed:
+    the larger of a share of the exact mean or 6σ (of 6σ alone for key characteristics) and an absolute amount."""
+    slip = []
+    for stage in exact.resolutions:
+        for zone in range(len(model.scene.zones)):
+            own = model.contacts.zone == zone
+            pair = [
+                spread(np.sqrt((each.resolutions[stage].trace.slip[:, own] ** 2).sum(-1).mean(1)))
+                for each in (found, exact)
+            ]
+            slip.append(np.abs(pair[0] - pair[1]) / np.maximum(SHARE * np.abs(pair[1]), ABSOLUTE))
+    a, b = spread(found.measurements), spread(exact.measurements)
+    return float(np.max(slip)), float((np.abs(a - b) / np.maximum(MEASURED * b[1], ABSOLUTE)).max())
+
+
+def table_of(model, others, rubbing, smooth):
+    """One row for each order: ratios with their intervals, and how far key characteristics are from the stated order's,
+    in shares of its 6σ."""
+    rows = []
+    base = spread(next(each for order, each in zip(others, rubbing) if order.name == STATED).measurements)
+    for order, each in zip(others, rubbing):
+        ratio, (low, high) = ratios(model, each, smooth)
+        change = np.abs(spread(each.measurements) - base) / base[1]
+        row = {"order": order.name}
+        for kind, (r, l, h) in zip(("mean", "6σ"), zip(ratio, low, high)):
+            for zone, *values in zip(model.scene.zones, r, l, h):
+                row |= dict(zip((f"{zone.name} {kind}", f"{zone.name} {kind} from", f"{zone.name} {kind} to"), values))
+        row |= {"key characteristics: mean": change[0].max(), "key characteristics: 6σ": change[1].max()}
+        rows.append(row | {"failed samples": int(each.failed.sum())})
+    return pd.DataFrame(rows).set_index("order")
+
+
+def columns(table, kind="", end=""):
+    """Those of the ratios, of a kind (mean, 6σ), or of one end of their intervals."""
+    own = [name for name in table if name.startswith("CZ") and kind in name]
+    return table[[name for name in own if name.endswith(end or ("mean", "6σ"))]]
+
+
+def judge(table, settled) -> dict[str, float]:
+    """The numbers that are held against limits, but for what the path left."""
+    return {
+        "located": float((columns(table).loc[LOCATED] - 1).abs().max()),
+        "pressed": float(columns(table, "mean", "to").loc[list(PRESSED)].to_numpy().max()),
+        "set-down": settled,
+        "matters": float(table["key characteristics: mean"].loc[LOCATED]),
+    }
+
+
+def run(context):
+    scene = shipped("wheelhouse", "coarse" if context.quick else "medium", ("coulomb", "frictionless"))
+    others = variants(scene, ORDERS)
+    samples, few, count = (40, 4, 64) if context.quick else (100, 10, 256)
+    model = context.model(scene)
+    deviations = draw(scene, 303, 0, samples)
+    smooth = evaluate(model, others[0], deviations, "frictionless")
+    rubbing = context.team.map(lambda order: evaluate(model, order, deviations), others)
+    table = table_of(model, others, rubbing, smooth)
+    by_name = {order.name: each for order, each in zip(others, rubbing)}
+    settled = departure(by_name[MEANWHILE], by_name[LOCATED], model)[1]
+
+    def path_left(order):
+        """Against many increments, a few samples."""
+        pair = [evaluate(model, each, deviations[:few]) for each in (order, increments(order, count))]
+        return departure(*pair, model)
+
+    followed = [order for order in others if order.scene.stages[1].path != "one-step"]
+    left = context.team.map(path_left, followed)
+    paths = pd.DataFrame(left, columns=["slip", "key characteristics"], index=[order.name for order in followed])
+
+    figure, axes = panels(2, width=6.0)
+    for axis, kind in zip(axes, ("mean", "6σ")):
+        for z, zone in enumerate(scene.zones):
+            y = np.arange(len(table)) + 0.2 * (z - 1)
+            r, low, high = (table[f"{zone.name} {kind}{end}"] for end in ("", " from", " to"))
+            axis.errorbar(r, y, xerr=[r - low, high - r], fmt="o", ms=4, capsize=2, label=zone.name)
+        axis.axvline(1.0, color="0.4", ls=":")
+        axis.set(xlabel=f"{kind} of the zone's tangential displacement, friction / none", yticks=range(len(table)))
+        axis.set_yticklabels(table.index if kind == "mean" else [])
+        axis.invert_yaxis()
+    axes[1].legend()
+    numbers = judge(table, settled)
+    moved = table["key characteristics: mean"].drop(STATED)
+    return [
+        Finding(
+            "located",
+            numbers["located"],
+            f"{samples} samples, the same for every order; intervals are 95 % of {RESAMPLED} bootstrap samples.",
+            figure,
+            table.reset_index(),
+        ),
+        Finding("pressed", numbers["pressed"]),
+        Finding("set-down", numbers["set-down"]),
+        Finding(
+            "matters",
+            numbers["matters"],
+            f"The order that moves key characteristics most, {moved.idxmax()}, moves a mean by {moved.max():.2g} 6σ.",
+        ),
+        Finding(
+            "path-slip", float(paths["slip"].max()), f"{few} samples, {count} increments.", table=paths.reset_index()
+        ),
+        Finding("path-measured", float(paths["key characteristics"].max())),
+    ]
+
+
+STUDY = Study(
+    order=32,
+    title="Order",
+    claim=(
+        "Whether friction matters is decided by the order in which clamps and further locators close; where locators "
+        "close before the sheets are pressed, it holds nothing, and where clamps come first it holds much."
+    ),
+    reference=(
+        "The same samples without friction; the same orders in many increments for each step; physics: friction holds "
+        "only what still moves."
+    ),
+    acceptance=(
+        Acceptance(
+            "located",
+            (
+                "Further locators, then clamps: friction leaves mean and 6σ of every zone's tangential displacement as "
+                "they are: largest relative change."
+            ),
+            0.05,
+        ),
+        Acceptance(
+            "pressed",
+            (
+                "Clamps, then further locators: friction lowers the mean in every zone by a tenth or more: upper end "
+                "of the ratio's interval, the largest."
+            ),
+            0.9,
+        ),
+        Acceptance(
+            "set-down",
+            (
+                "Further locators, then clamps: how the parts were set down leaves no trace in the key "
+                "characteristics: largest change of a mean or 6σ, over the larger of 0.5 % of 6σ and 2 µm."
+            ),
+            1.0,
+        ),
+        Acceptance(
+            "matters",
+            (
+                "The order is worth stating: it moves the mean of some key characteristic by at least ten times what "
+                "a followed path may leave: largest change over 6σ."
+            ),
+            0.05,
+            bound="at least",
+        ),
+        Acceptance(
+            "path-slip",
+            (
+                "The path followed agrees with many increments in every order: largest difference of a zone's mean or "
+                "6σ of slip under load, over the larger of 1 % and 2 µm."
+            ),
+            1.0,
+        ),
+        Acceptance(
+            "path-measured",
+            ("So do key characteristics: largest difference of a mean or 6σ, over the larger of 0.5 % of 6σ and 2 µm."),
+            1.0,
+        ),
+    ),
+    seconds=(900, 90),
+    run=run,
+)
