@@ -81,6 +81,38 @@ def test_check_shows_what_is_not_modelled(cache, tmp_path):
     assert "no field solves" in lean
 
 
+def test_check_says_where_normals_come_from_and_draws_them(cache, tmp_path):
+    """A geometry that leaves normals out: a bend of two rows by 100°, and flats."""
+    script = """
+import numpy as np
+from mic.geometry.structured import extrude
+SIZES = {"medium": 5.5}
+def build(part, size):
+    at = np.radians([0, 50, 100])
+    arc = np.column_stack([25 + 6 * np.sin(at), 6 - 6 * np.cos(at)])
+    end = arc[-1] + 15 * np.array([np.cos(at[-1]), np.sin(at[-1])])
+    return extrude(np.vstack([[[0, 0]], arc, [end]]), 0.0, 100.0, size)[:2]
+"""
+    scene = lap_with(tmp_path)
+    environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
+    told = CliRunner().invoke(app, ["check", scene], env=environment).output
+    rows = [line.split("│")[1:-1] for line in told.splitlines() if "the geometry" in line]
+    assert [[field.strip() for field in row[:2] + row[3:]] for row in rows] == [
+        [part, "the geometry", "0", "0", "0", "0"] for part in ("lower", "upper")
+    ]
+    assert all(int(row[2]) > 1000 for row in rows)
+    text = (tmp_path / "scene.toml").read_text()
+    bent = text.replace('name = "lower"\ngeometry = "geometry.py"', 'name = "lower"\ngeometry = "bent.py"')
+    assert bent != text
+    (tmp_path / "scene.toml").write_text(bent)
+    (tmp_path / "bent.py").write_text(script)
+    picture = tmp_path / "normals.png"
+    told = CliRunner().invoke(app, ["check", scene, "--normals", str(picture)], env=environment).output
+    assert re.search(r"lower +│ nobody +│ 0 +│ [1-9]\d* +│ [1-9]\d* +│ [1-9]\d* +│ 0", told)
+    assert "turn by more than 40° and count as curved" in " ".join(told.split())
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 def lap_with(tmp_path, *edits):
     """The lap joint's scene, edited, in a folder of its own."""
     text = (LAP / "scene.toml").read_text()

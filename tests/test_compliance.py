@@ -54,6 +54,17 @@ def part(element="springs"):
     return Part("p", surface, 1.0, 210e3, 0.3, element, one)
 
 
+def test_given_normals_are_part_of_what_coefficients_depend_on():
+    """Estimated ones are not: they follow from the mesh."""
+    plain, surface = part(), part().surface
+    told = np.full((1, 3, 3), np.nan)
+    told[0, 0] = [0.1, 0, 1]
+    with_normals = replace(plain, surface=Surface(surface.points, surface.triangles, told.copy()))
+    told[0, 0, 0] = 0.2
+    others = replace(plain, surface=Surface(surface.points, surface.triangles, told))
+    assert len({one.fingerprint() for one in (plain, with_normals, others, part())}) == 3
+
+
 class Springs:
     """A provider that is not a finite-element code."""
 

@@ -300,6 +300,7 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
         x, _, z = part.surface.points.T
         fields[part.name][:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
         fields[part.name][:, 2] = np.cos(angle) * z - np.sin(angle) * x - z
+        fields[part.name][:, 4] = np.tan(angle)  # to first order in which normals turn
     parts = deviated_parts(lap, fields)
     normals = [
         i
@@ -308,6 +309,10 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
     ]
     turned = np.array([np.sin(angle), 0, np.cos(angle)])
     np.testing.assert_allclose(parts[0].functionals.direction[normals], np.tile(turned, (len(normals), 1)), atol=1e-12)
+    for part in parts:
+        np.testing.assert_allclose(
+            part.surface.corner_normals, np.broadcast_to(turned, (len(part.surface.triangles), 3, 3))
+        )
     assert np.abs(opening(lap, "contact", parts)[::3]).max() < 1e-9
     fields["upper"][:, :3] += 0.1 * turned
     np.testing.assert_allclose(opening(lap, "contact", deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9)

@@ -42,6 +42,15 @@ def test_a_script_is_run_once_and_its_mesh_kept(tmp_path):
     assert len(calls(tmp_path)) == 3  # another size key, another script: other meshes
 
 
+def test_normals_that_a_script_returns_are_kept_with_its_mesh(tmp_path):
+    leaning = STRIP.replace("[0, 2, 3]]", "[0, 2, 3]], np.full((2, 3, 3), [0.3, 0, 1.0])")
+    for _ in range(2):
+        surface = script(tmp_path, leaning)
+        assert surface.given_normals == pytest.approx(np.full((2, 3, 3), [0.3, 0, 1.0]))
+        assert surface.corner_normals == pytest.approx(surface.given_normals / np.sqrt(1.09))
+    assert len(calls(tmp_path)) == 1
+
+
 def test_a_kept_mesh_that_is_damaged_is_generated_again(tmp_path):
     first = script(tmp_path, STRIP)
     (kept,) = (tmp_path / "cache" / "meshes").iterdir()

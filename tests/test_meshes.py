@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from mic import examples
 from mic.geometry.load import load_script
+from mic.geometry.surface import Surface
 
 GEOMETRIES = {name: load_script(examples.folder(name) / "geometry.py") for name in examples.names()}
 wheelhouse = GEOMETRIES["wheelhouse"]
@@ -71,6 +72,17 @@ def test_building_is_deterministic(medium, case):
     again = GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["medium"])
     for first, second in zip(medium[case], again):
         assert np.array_equal(first, second)
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_normals_are_those_of_the_surface_at_the_corners(medium, case):
+    """Against estimates from the mesh, which know the sheet's side and, on these meshes, nearly its normals."""
+    points, triangles, normals = medium[case]
+    assert np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=1e-12)
+    estimated = Surface(points, triangles).corner_normals
+    angle = np.degrees(np.arccos(np.clip((normals * estimated).sum(axis=2), -1, 1)))
+    assert np.median(angle) < 0.1 and angle.mean() < 1 and angle.max() < 30
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)

@@ -14,10 +14,12 @@ from mic.scene import SETTINGS
 from verification.algebra.study import STUDY as ALGEBRA
 from verification.algebra.study import compare
 from verification.comparison import reduced_and_assembly, relative, zone_slip
+from verification.curved_sheets import study as curved_sheets
 from verification.law import study as law
 from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
 from verification.scenes import shipped
+from verification.study import Context, Team
 from verification.trade import study as trade
 
 pytestmark = pytest.mark.fem
@@ -166,6 +168,16 @@ def test_mesh_sequences_without_an_order():
     )
     assert converge((4, 2, 1), (1.1, 1.0, 1.0)).index == pytest.approx(0, abs=1e-12)
     assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
+
+
+def test_curved_sheets_are_not_bent_by_triangles_that_are_taken_for_flat(monkeypatch, tmp_path):
+    """The study's quick version passes; with the triangles' own normals each of its limits is broken but the finest."""
+    context = Context(quick=True, cache=tmp_path, team=Team())
+    assert all(judged.passed for judged in curved_sheets.STUDY.judge(context))
+    flat = ("dkt-opt", "mesh")
+    monkeypatch.setattr(curved_sheets, "KINDS", dict.fromkeys(curved_sheets.KINDS, flat))
+    broken = {judged.acceptance.name for judged in curved_sheets.STUDY.judge(context) if not judged.passed}
+    assert broken == {name for name, *_ in curved_sheets.JUDGED} - {"panel 2.5 mm"}
 
 
 def test_stretching_of_a_cylinder_by_hand():

@@ -1,7 +1,7 @@
 """Curved sheets that bend without stretching, on meshes whose triangles lie askew to their generators.
 
-Each function of `CASES` returns the ratio of a computed deflection to its reference, for an element and a kind of
-normals: ``exact`` of the surface, or ``mesh``, estimated from the mesh alone.
+Each takes an element, a kind of normals (``exact``, of the surface, or ``mesh``, estimated from the mesh alone) and the
+seed of the vertices' jitter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fem_reference.shell.part import ShellPart
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Patch, Surface
 
-__all__ = ["Normals", "cylinder", "hemisphere", "panel_compliance", "twisted_beam"]
+__all__ = ["Normals", "cylinder", "hemisphere", "panel_error", "twisted_beam"]
 
 Normals = Literal["exact", "mesh"]
 Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -146,9 +146,20 @@ def twisted_beam(
 
 PANEL_PLACES = np.array([[60, 40], [0, -60], [100, -20], [-50, 30], [42, 10.0]])
 PANEL_RADIUS = 8.0
+#: H₀, mm/N: a shell with shear (Naghdi) by quadrilaterals of degree 5, 51 840 freedoms. `p2-cr`, with shear too, comes
+#: within 1.8, 0.3 and 0.08 % of it on regular cells of 5, 2.5 and 1.25 mm.
+PANEL_COMPLIANCE = np.array(
+    [
+        [0.0773273, 0.0304109, 0.0754738, 0.0238654, 0.0618483],
+        [0.0304109, 0.0665677, 0.0894313, 0.0124802, 0.0445689],
+        [0.0754738, 0.0894313, 0.1851800, 0.0232983, 0.0903940],
+        [0.0238654, 0.0124802, 0.0232983, 0.0101944, 0.0200453],
+        [0.0618483, 0.0445689, 0.0903940, 0.0200453, 0.0591868],
+    ]
+)
 
 
-def panel(h: float, jitter: float, seed: int, normals: Normals) -> Surface:
+def panel(h: float, jitter: float, seed: int, normals: Normals, other: bool = False) -> Surface:
     """Doubly curved sheet of 240 × 160 mm with a hole of radius 30 mm, cells of about h."""
     around, outwards, random = 8 * max(1, round(2 * np.pi * 75 / h / 8)), round(68 / h), np.random.default_rng(seed)
     i, j = (a.ravel().astype(float) for a in np.meshgrid(np.arange(around), np.arange(outwards + 1), indexing="ij"))
@@ -166,7 +177,7 @@ def panel(h: float, jitter: float, seed: int, normals: Normals) -> Surface:
     x, y = shape(X / around, Y / outwards).T
     i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(outwards), indexing="ij"))
     at = lambda i, j: (i % around) * (outwards + 1) + j
-    triangles = _split(at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j), (i + j) % 2 == 1)
+    triangles = _split(at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j), (i + j) % 2 == int(other))
     return _mapped(x, y, triangles, panel_height, normals)
 
 
@@ -184,40 +195,24 @@ def _disc(plan, centre):
     return Patch(found.triangle, found.barycentric, np.repeat(weight, 16) / 32)
 
 
-def panel_compliance(element: str, normals: Normals, seed: int, h: float, jitter: float = 0.2) -> dict[str, np.ndarray]:
-    """H of the panel clamped along x = −120, mm/N: its normal block, and its block of both tangents (*stretch*).
+def panel_error(element: str, normals: Normals, seed: int, h: float, jitter: float = 0.2, other: bool = False) -> float:
+    """‖H − H₀‖/‖H₀‖ of the panel clamped along x = −120, t = 1.2 mm: its compliance at the five places.
 
-    Averages over discs of radius 8 mm in the plane of x and y, along the exact normal and tangents above their centres,
-    t = 1.2 mm.
+    Averages over discs of radius 8 mm in the plane of x and y, along the exact normals above their centres. With
+    `other` the cells are divided the other way.
     """
-    surface = panel(h, jitter, seed, normals)
+    surface = panel(h, jitter, seed, normals, other)
     plan = Surface(surface.points * [1, 1, 0], surface.triangles)
-    patches, directions = [], {"normal": [], "stretch": []}
+    patches, directions, step = [], [], 1e-5
     for x, y in PANEL_PLACES:
-        centre, step = panel_height(np.array([x]), np.array([y])), 1e-5
-        t1, t2 = (
-            (panel_height(np.array([x + step * a]), np.array([y + step * b])) - centre)[0] for a, b in ((1, 0), (0, 1))
-        )
-        n, t1 = np.cross(t1, t2), t1 / np.linalg.norm(t1)
-        n /= np.linalg.norm(n)
+        at = lambda dx, dy, x=x, y=y: panel_height(np.array([x + dx]), np.array([y + dy]))[0]
+        n = np.cross(at(step, 0) - at(-step, 0), at(0, step) - at(0, -step))
+        directions.append(n / np.linalg.norm(n))
         patches.append(_disc(plan, [x, y]))
-        directions["normal"].append([n])
-        directions["stretch"].append([t1, np.cross(n, t1)])
-    part = ShellPart(surface, 1.2, 210e3, 0.3, element)
-    held = _held(part, (lambda x: near(x[:, 0], -120), range(6)))
-    free = np.setdiff1d(np.arange(part.ndof), held)
-    K, found = part.stiffness_csr()[free][:, free], {}
-    for block, rows in directions.items():
-        each, count = len(rows[0]), len(rows) * len(rows[0])
-        L = part.functional_matrix(
-            Functionals(
-                tuple(patches),
-                np.repeat(np.arange(len(patches)), each),
-                np.concatenate(rows),
-                np.zeros(count, bool),
-                np.zeros(count),
-                tuple(f"{block} {i}" for i in range(count)),
-            )
-        )
-        found[block] = Factorisation(K, L[:, free]).influence
-    return found
+    part, count = ShellPart(surface, 1.2, 210e3, 0.3, element), len(patches)
+    free = np.setdiff1d(np.arange(part.ndof), _held(part, (lambda x: near(x[:, 0], -120), range(6))))
+    rows = Functionals(
+        tuple(patches), np.arange(count), np.array(directions), np.zeros(count, bool), np.zeros(count), ("",) * count
+    )
+    K, L = part.stiffness_csr()[free][:, free], part.functional_matrix(rows)[:, free]
+    return float(np.linalg.norm(Factorisation(K, L).influence - PANEL_COMPLIANCE) / np.linalg.norm(PANEL_COMPLIANCE))

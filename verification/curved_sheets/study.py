@@ -1,0 +1,97 @@
+"""Curved sheets under loads that bend them and need not stretch them, on meshes askew to their generators."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pandas as pd
+
+from verification.curved_sheets import sheets
+from verification.study import Acceptance, Finding, Study
+
+KINDS = {
+    "flat": ("dkt-opt", "mesh"),
+    "exact normals": ("dkt-opt-curved", "exact"),
+    "estimated normals": ("dkt-opt-curved", "mesh"),
+}
+SEEDS, QUICK_SEEDS = (11, 12, 13), (11,)
+
+
+def off(ratio):
+    """Relative error of a case that gives the ratio of its deflection to the reference."""
+    return lambda *arguments: ratio(*arguments) - 1
+
+
+#: (name, what it is, error as a function of element, normals and seed, its limit or None where it is only shown)
+CASES = (
+    ("hemisphere", "pinched hemisphere, 16 × 16", off(sheets.hemisphere), 0.01),
+    ("cylinder 1.2 t", "quarter cylinder, rise h²/8R = 1.2 t", off(partial(sheets.cylinder, rise=1.2)), 0.02),
+    ("cylinder 5 t", "quarter cylinder, rise 5 t", off(partial(sheets.cylinder, rise=5.0)), 0.02),
+    ("cylinder 12 t", "quarter cylinder, rise 12 t", off(partial(sheets.cylinder, rise=12.0)), 0.03),
+    ("beam across", "twisted beam 24 × 4, t = 0.0032, across", off(partial(sheets.twisted_beam, direction=1)), 0.01),
+    (
+        "beam in plane",
+        "twisted beam 24 × 4, t = 0.0032, in plane",
+        off(partial(sheets.twisted_beam, direction=2)),
+        0.01,
+    ),
+    ("panel 10 mm", "panel with a hole, 10 mm, regular", partial(sheets.panel_error, h=10.0, jitter=0.0), 0.10),
+    ("panel 5 mm", "panel with a hole, 5 mm, regular", partial(sheets.panel_error, h=5.0, jitter=0.0), 0.03),
+    ("panel 2.5 mm", "panel with a hole, 2.5 mm, regular", partial(sheets.panel_error, h=2.5, jitter=0.0), 0.013),
+    ("askew 10 mm", "panel with a hole, 10 mm, jittered", partial(sheets.panel_error, h=10.0), None),
+    ("askew 5 mm", "panel with a hole, 5 mm, jittered", partial(sheets.panel_error, h=5.0), None),
+    ("askew 5 mm, other", "… with the other diagonals", partial(sheets.panel_error, h=5.0, other=True), None),
+)
+JUDGED = [case for case in CASES if case[-1] is not None]
+
+
+def measure(context) -> dict[tuple[str, str], float]:
+    """The error of largest size over the seeds, by case and kind."""
+    seeds = QUICK_SEEDS if context.quick else SEEDS
+    regular = [name for name, text, *_ in CASES if text.endswith("regular")]
+    runs = [(name, kind, s) for name, *_ in CASES for kind in KINDS for s in (seeds[:1] if name in regular else seeds)]
+    error = {name: function for name, _, function, _ in CASES}
+    found = context.team.map(lambda run: error[run[0]](*KINDS[run[1]], run[2]), runs)
+    worst: dict[tuple[str, str], float] = {}
+    for (name, kind, _), value in zip(runs, found):
+        worst[name, kind] = max(worst.get((name, kind), 0.0), value, key=abs)
+    return worst
+
+
+def table(worst) -> pd.DataFrame:
+    """One row for each case, errors in per cent."""
+    return pd.DataFrame(
+        [
+            {"case": text} | {f"{kind}, %": round(100 * worst[name, kind], 2) for kind in KINDS}
+            for name, text, *_ in CASES
+        ]
+    )
+
+
+def run(context):
+    worst = measure(context)
+    curved = {name: max(abs(worst[name, kind]) for kind in KINDS if kind != "flat") for name, *_ in JUDGED}
+    findings = [Finding(name, curved[name]) for name in curved]
+    first = next(iter(curved))
+    findings[0] = Finding(
+        first, curved[first], "The worst of the seeds; errors of deflections have their sign.", None, table(worst)
+    )
+    return findings
+
+
+STUDY = Study(
+    order=44,
+    title="Curved sheets",
+    claim="Triangles that know the normals of the sheet bend it without stretching it, however its mesh lies.",
+    reference=(
+        "Closed forms, published solutions (MacNeal and Harder 1985; Belytschko, Wong and Chiang 1992), and for the "
+        "panel a shell with shear by elements of degree 5. Vertices are moved at random by up to 0.2–0.3 cells, "
+        "those of the panel that is judged are not."
+    ),
+    acceptance=tuple(
+        Acceptance(name, f"{text[0].upper()}{text[1:]}: largest error, exact and estimated normals.", limit)
+        for name, text, _, limit in JUDGED
+    ),
+    seconds=(30, 8),
+    run=run,
+)
