@@ -27,12 +27,24 @@ class Shells:
 
     def coefficients(self, parts, comm=None) -> dict[str, InfluenceCoefficients]:
         """Collective on `comm` (default: this process alone); parts are shared out over it."""
+        comm = comm or MPI.COMM_SELF
+        bodies = {part.name: _Weighed(part) for part in parts}
         computed = compute_influence(
-            {part.name: lambda part=part: shell_part(part) for part in parts},
+            {name: lambda body=body: body for name, body in bodies.items()},
             {part.name: part.functionals for part in parts},
-            comm or MPI.COMM_SELF,
+            comm,
         )
-        return {part.name: InfluenceCoefficients(part.name, *computed[part.name], _provenance(part)) for part in parts}
+        found = {}
+        for part in parts:
+            memory = max(comm.allgather(bodies[part.name].memory))  # it was factorised on one of them
+            provenance = {
+                "element": part.element,
+                "nodes": len(part.surface.points),
+                "triangles": len(part.surface.triangles),
+                "memory": memory,
+            }
+            found[part.name] = InfluenceCoefficients(part.name, *computed[part.name], provenance)
+        return found
 
     def field(self, part, forces):
         """Fields at the vertices on this process alone."""
@@ -40,9 +52,14 @@ class Shells:
         return shell.field(part.functionals, forces), shell.rigid_field()
 
 
-def _provenance(part):
-    return {
-        "element": part.element,
-        "nodes": len(part.surface.points),
-        "triangles": len(part.surface.triangles),
-    }
+class _Weighed:
+    """A part's body, made where it is needed and let go with its factors; what remains is the memory they took, MB."""
+
+    def __init__(self, part):
+        self._part, self.memory = part, 0.0
+
+    def influence(self, functionals):
+        shell = shell_part(self._part)
+        found = shell.influence(functionals)
+        self.memory = shell.memory
+        return found

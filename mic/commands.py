@@ -26,6 +26,7 @@ from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.geometry.normals import COARSE, Rule
+from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
 from mic.orders import variants as read_variants
@@ -42,6 +43,7 @@ from mic.store import replacing
 
 __all__ = ["app", "plain", "sentence"]
 
+ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
 
 app = typer.Typer(
@@ -268,6 +270,14 @@ def _hanging(law):
 def check(
     scene: SceneArgument,
     law: LawOption = None,
+    accuracy: Annotated[
+        bool,
+        typer.Option(
+            "--accuracy",
+            help="Estimate the error that each part's mesh leaves: its influence coefficients are computed on it, and "
+            "at half its size.",
+        ),
+    ] = False,
     normals: Annotated[
         Path | None,
         typer.Option(
@@ -278,8 +288,9 @@ def check(
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
 
-    Nothing is factorised. Where the influence coefficients are at hand, a few samples show whether friction matters in
-    each stage, and whether the outcome hangs on how the parts are set down.
+    Nothing is factorised but where --accuracy, or a part's own, asks for it. Where the influence coefficients are at
+    hand, a few samples show whether friction matters in each stage, and whether the outcome hangs on how the parts are
+    set down.
     """
     console = Console()
     asked = _requested(load_scene(scene), law)
@@ -289,7 +300,8 @@ def check(
             highlight=False,
             soft_wrap=True,
         )
-    assembly = assemble(asked, cache_folder())
+    say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
+    assembly = assemble(asked, cache_folder(), progress=say)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_normals(console, assembly)
@@ -298,6 +310,8 @@ def check(
     _print_process(console, assembly, plans)
     _print_doubts(console, assembly)
     _print_cost(console, assembly, plans)
+    if accuracy:
+        _print_accuracy(console, assembly, say)
     if normals is not None:
         from mic.report.space_pictures import normals_picture  # drawing libraries are slow to import
 
@@ -451,6 +465,31 @@ def _print_cost(console, assembly, plans):
     console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
 
 
+def _print_accuracy(console, assembly, say):
+    from mic.report.style import number, percent  # drawing libraries are slow to import
+
+    found = estimate_accuracy(assembly, cache_folder(), say)
+    table = Table(
+        "part", "influence coefficients", "set down on six", "on all locators", title="Estimated errors of the meshes"
+    )
+    for part in found:
+        for one in part.estimates:
+            name = "H, across the sheet" if one is part.estimates[0] else one.quantity
+            table.add_row(part.part, name, percent(one.set_down, 1), percent(one.located, 1))
+    console.print(table)
+    for part in found:
+        for words, mesh in (("half the size", part.finer), (f"{percent(ENOUGH, 0)} at most", part.reach(ENOUGH))):
+            memory = f" and {mesh.memory:.0f} MB" if mesh.memory else ""
+            if mesh is part.finer or part.worst > ENOUGH:
+                console.print(
+                    f"• {plain(part.part)}, {words}: {mesh.nodes} nodes, {number(mesh.seconds, 2)} s{memory} beside "
+                    f"{part.mesh.nodes} nodes, {number(part.mesh.seconds, 2)} s",
+                    highlight=False,
+                    soft_wrap=True,
+                )
+    console.print("Time and memory as measured here, at the functionals that were compared, and as they grew.")
+
+
 @app.command()
 @_on_first
 def order(
@@ -522,11 +561,10 @@ def _model(console, source):
     if source.is_file() and source.suffix == ".npz":
         return ReducedModel.load(source)
     scene = load_scene(source)
-    assembly = assemble(scene, cache_folder())
+    say = lambda line: console.print(f"{plain(line)} …", highlight=False)
+    assembly = assemble(scene, cache_folder(), progress=say)
     plan_stages(scene, assembly.weld_size)
-    coefficients, _ = influence_coefficients(
-        assembly, cache_folder(), lambda line: console.print(f"{plain(line)} …", highlight=False)
-    )
+    coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
     return ReducedModel.build(assembly, coefficients)
 
 

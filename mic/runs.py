@@ -15,9 +15,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mic.compliance.cache import influence_coefficients
+from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.results.accuracy import write_accuracy
 from mic.results.fields import write_fields
 from mic.results.folder import Block, RunFolder, versions
 from mic.results.forecast import forecast
@@ -80,7 +82,8 @@ def run(
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
         with clock("meshes and pairs"):
             listener.say(f"{scene.name}: meshing and pairing …")
-            assembly = on_first(world, lambda: assemble(scene, cache))
+            say = lambda line: listener.say(f"{line} …")
+            assembly = on_first(world, lambda: assemble(scene, cache, progress=say))
             scene = assembly.scene  # the first process's, should the file have changed meanwhile
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
@@ -94,10 +97,13 @@ def run(
 
         on_first(world, prepare)  # a folder that cannot be used is refused before anything is computed
         with clock("influence coefficients"):
-            influence, cached = influence_coefficients(assembly, cache, lambda line: listener.say(f"{line} …"), world)
+            influence, cached = influence_coefficients(assembly, cache, say, world)
             reused = [name for name, hit in cached.items() if hit]
             if reused:
                 listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
+        if scene.report.accuracy:
+            with clock("accuracy of the meshes"):
+                on_first(world, lambda: write_accuracy(folder, estimate_accuracy(assembly, cache, say)))
         with clock("reduced model"):
             with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
                 model = ReducedModel.build(assembly, influence)

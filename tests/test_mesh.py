@@ -41,6 +41,56 @@ def test_rectangles_split_alike_however_they_are_turned():
         np.testing.assert_array_equal(repair(points @ turn, np.zeros((0, 3), int), quadrilaterals)[1], triangles)
 
 
+def valences(points, triangles):
+    """How many triangles meet at each point."""
+    return np.bincount(triangles.ravel(), minlength=len(points))
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.1])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_diagonals_of_about_the_same_length_meet_at_every_other_point(skew, order):
+    points, quadrilaterals = grid(8, 6)
+    points = points + skew * points[:, [1, 2, 2]]
+    shuffled = np.random.default_rng(order).permutation(quadrilaterals)
+    shuffled = np.array([np.roll(one, i) for i, one in enumerate(shuffled)])  # any first corner
+    _, triangles, _ = repair(points, np.zeros((0, 3), int), shuffled)
+    inside = (points[:, 0] > 0.9) & (points[:, 0] < 7.5) & (points[:, 1] > 0) & (points[:, 1] < 6)
+    assert set(valences(points, triangles)[inside]) == {4, 8}
+
+
+def test_the_diagonals_that_meet_are_the_shorter_ones_of_the_two_choices():
+    points, quadrilaterals = grid(6, 6)
+    points[:, 0] += 0.15 * np.sin(np.pi * points[:, 0]) + 0.1 * (points.sum(axis=1) % 2 == 0) * points[:, 1] / 6
+    length = {}
+    for first in (0, 1):  # number the points from another corner: another colour comes first
+        order = np.arange(len(points)) if first == 0 else np.roll(np.arange(len(points)), 2)
+        number = np.argsort(order)
+        new, triangles, _ = repair(points[order], np.zeros((0, 3), int), number[quadrilaterals])
+        length[first] = Surface(new, triangles).edge_lengths.sum()
+    assert length[0] == pytest.approx(length[1], rel=1e-12)
+
+
+def test_a_diagonal_that_is_longer_by_far_is_never_taken():
+    points, quadrilaterals = grid(6, 6)
+    points = points + 0.4 * points[:, [1, 2, 2]]
+    _, triangles, _ = repair(points, np.zeros((0, 3), int), quadrilaterals)
+    assert Surface(points, triangles).edge_lengths.max() < 1.2  # √(0.6² + 1), not √(1.4² + 1)
+
+
+def test_a_triangle_among_quadrilaterals_disturbs_the_pattern_only_along_a_seam():
+    points, quadrilaterals = grid(20, 20)
+    middle = int(np.argmin(np.linalg.norm(points[quadrilaterals].mean(axis=1) - [10.5, 10.5, 0], axis=1)))
+    a, b, c, d = quadrilaterals[middle]
+    points = np.vstack([points, points[[a, b, c, d]].mean(axis=0)])
+    centre = len(points) - 1
+    rest = np.delete(quadrilaterals, middle, axis=0)
+    _, triangles, report = repair(points, [[a, b, centre], [a, centre, d]], np.vstack([rest, [b, c, d, centre]]))
+    assert report.quadrilaterals_split == 400 and Surface(points, triangles).areas.sum() == pytest.approx(400)
+    odd = ~np.isin(valences(points, triangles), (4, 8))
+    inside = (points[:, :2] > 0).all(axis=1) & (points[:, :2] < 20).all(axis=1)
+    assert (odd & inside).sum() < 60  # of 362
+
+
 def test_quadrilaterals_split_along_the_shorter_diagonal():
     points = np.array([[0, 0, 0], [3, 0, 0], [4, 1, 0], [1, 1, 0.0]])  # diagonals √17 and √5
     _, triangles, report = repair(points, np.zeros((0, 3), int), [[0, 1, 2, 3]])

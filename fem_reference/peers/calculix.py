@@ -1,7 +1,9 @@
 """Linear shells by CalculiX: its input written, ccx run, its results read. Debian: apt-get install calculix-ccx.
 
-CalculiX has no shell theory of its own: it expands each quadratic triangle S6 into a solid wedge and ties them at
-folds, so that nothing but the geometry is shared with `fem_reference.shell.element`.
+CalculiX has no shell theory of its own: it expands each quadratic shell into a solid (S6 into a wedge, S8R into a
+brick of reduced integration) and ties them at folds, so that nothing but the geometry is shared with
+`fem_reference.shell.element`. At the sizes at which parts are meshed its shells are themselves several per cent too
+stiff on curved sheets: no single mesh of them is a reference, :mod:`fem_reference.peers.references` extrapolates three.
 """
 
 from __future__ import annotations
@@ -9,13 +11,14 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from mic.geometry.surface import Surface
+__all__ = ["CalculixError", "available", "quadratic", "read", "run", "shell_displacements"]
 
-__all__ = ["CalculixError", "available", "read", "run", "shell_displacements"]
+SHELLS = {6: "S6", 8: "S8R"}  # CalculiX's name of the shell with so many nodes: corners, then midsides
 
 
 class CalculixError(RuntimeError):
@@ -27,27 +30,54 @@ def available() -> bool:
     return shutil.which("ccx") is not None
 
 
-def shell_displacements(
-    surface: Surface, thickness: float, young: float, poisson: float, clamped: np.ndarray, forces: np.ndarray
-) -> np.ndarray:
-    """Displacements (n, 3, r), mm, of the vertices of a sheet clamped along edges, under r load cases.
+def quadratic(
+    coordinates: np.ndarray, corners: np.ndarray, shape: Callable[[np.ndarray], np.ndarray] = lambda x: x
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (m, 3), mm, and quadratic elements (k, 6 or 8) over elements that are known by their corners.
 
     Parameters
     ----------
-    surface : Surface
-        Of n points, mm; the triangles become S6 elements with straight sides.
+    coordinates : (n, c) array
+        Of the corners, in whatever they are laid out in; they become the first n nodes.
+    corners : (k, 3 or 4) int array
+    shape : callable
+        Carries coordinates (n, c) into space (n, 3), mm. A side's midpoint is taken before that, so that it lies on the
+        surface too; by default coordinates are positions and sides are straight.
+    """
+    sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges, of_side = np.unique(sides, axis=0, return_inverse=True)
+    nodes = shape(np.vstack([coordinates, coordinates[edges].mean(axis=1)]))
+    return nodes, np.hstack([corners, len(coordinates) + of_side.reshape(corners.shape)])
+
+
+def shell_displacements(
+    nodes: np.ndarray,
+    elements: np.ndarray,
+    thickness: float,
+    young: float,
+    poisson: float,
+    clamped: np.ndarray,
+    forces: np.ndarray,
+) -> np.ndarray:
+    """Displacements (n, 3, r), mm, of the first n nodes of a clamped sheet under r load cases.
+
+    Parameters
+    ----------
+    nodes, elements
+        As :func:`quadratic` gives them.
     thickness, young, poisson : float
         mm, MPa.
-    clamped : (n,) bool array
-        Vertices held in all six freedoms, and with them the midpoints of the edges between two of them.
+    clamped : (m,) bool array
+        Nodes held in all six freedoms.
     forces : (n, 3, r) array
-        N, at the vertices.
+        N, at the first n nodes.
 
     Raises
     ------
     CalculixError
     """
-    displacements = read(run(_deck(surface, thickness, young, poisson, clamped, forces)), len(surface.points))
+    text = run(_deck(nodes, elements, thickness, young, poisson, clamped, forces))
+    displacements = read(text, len(forces))
     if displacements.shape[2] != forces.shape[2]:
         raise CalculixError(f"ccx solved {displacements.shape[2]} of {forces.shape[2]} load cases")
     return displacements
@@ -72,29 +102,20 @@ def run(deck: str) -> str:
         return results.read_text()
 
 
-def _deck(surface, thickness, young, poisson, clamped, forces) -> str:
-    triangles, n = surface.triangles, len(surface.points)
-    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    edges, of_side = np.unique(sides, axis=0, return_inverse=True)
-    midpoints = surface.points[edges].mean(axis=1)
-    elements = np.hstack([triangles, n + of_side.reshape(3, -1).T]) + 1  # CalculiX counts from 1
-    held = np.concatenate([np.flatnonzero(clamped), n + np.flatnonzero(clamped[edges].all(axis=1))]) + 1
+def _deck(nodes, elements, thickness, young, poisson, clamped, forces) -> str:
     lines = ["*NODE, NSET=ALL"]
-    lines += [
-        f"{i}, {x:.12e}, {y:.12e}, {z:.12e}"
-        for i, (x, y, z) in enumerate(np.vstack([surface.points, midpoints]), start=1)
-    ]
-    lines += ["*NSET, NSET=VERTICES, GENERATE", f"1, {n}, 1"]
-    lines += ["*ELEMENT, TYPE=S6, ELSET=SHEET"]
-    lines += [", ".join(map(str, [k, *nodes])) for k, nodes in enumerate(elements.tolist(), start=1)]
+    lines += [f"{i}, {x:.12e}, {y:.12e}, {z:.12e}" for i, (x, y, z) in enumerate(nodes, start=1)]  # counted from 1
+    lines += ["*NSET, NSET=READ, GENERATE", f"1, {len(forces)}, 1"]
+    lines += [f"*ELEMENT, TYPE={SHELLS[elements.shape[1]]}, ELSET=SHEET"]
+    lines += [", ".join(map(str, [k, *own])) for k, own in enumerate((elements + 1).tolist(), start=1)]
     lines += ["*MATERIAL, NAME=SHEET", "*ELASTIC", f"{young!r}, {poisson!r}"]
     lines += ["*SHELL SECTION, ELSET=SHEET, MATERIAL=SHEET", f"{thickness!r}"]
-    lines += ["*BOUNDARY", *(f"{node}, 1, 6" for node in held)]
+    lines += ["*BOUNDARY", *(f"{node}, 1, 6" for node in np.flatnonzero(clamped) + 1)]
     for case in np.moveaxis(forces, 2, 0):
         lines += ["*STEP", "*STATIC", "*CLOAD, OP=NEW"]
         loaded = np.argwhere(case)
         lines += [f"{node + 1}, {axis + 1}, {case[node, axis]:.12e}" for node, axis in loaded]
-        lines += ["*NODE PRINT, NSET=VERTICES", "U", "*END STEP"]
+        lines += ["*NODE PRINT, NSET=READ", "U", "*END STEP"]
     return "\n".join(lines) + "\n"
 
 

@@ -343,6 +343,11 @@ class ShellPart:
         self._check_conditioning(factorisation)
         return factorisation
 
+    @property
+    def memory(self) -> float:
+        """MB that the factors took at most while they were computed."""
+        return self._factorisation.memory
+
     def _check_conditioning(self, factorisation: Factorisation) -> None:
         """Move the pins rigidly and see whether the part follows: the exact answer to six solves is known.
 

@@ -3,7 +3,8 @@
 A geometry script is a Python file that defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface
 of one part as points (n, 3) in mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each
 triangle, which may be left out and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``,
-a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`).
+a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`). Where the scene states
+an accuracy, the size is a :class:`mic.geometry.grading.GradedSize`, a number that tells smaller ones too.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import importlib.util
 import os
 import sys
 import traceback
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,24 +23,34 @@ import numpy as np
 
 from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
-from mic.geometry import structured
+from mic.geometry import grading, structured
+from mic.geometry.grading import GradedSize
 from mic.geometry.opened import Dependencies, opened_files
+from mic.geometry.refinement import halved
 from mic.geometry.surface import Surface
 from mic.store import Format, fingerprint
 
-__all__ = ["fixture_surface", "load_fixture", "load_part", "load_script", "part_surface"]
+__all__ = [
+    "coarsest_size",
+    "finer_surface",
+    "fixture_surface",
+    "load_fixture",
+    "load_part",
+    "load_script",
+    "part_surface",
+]
 
 GENERATED = Format("generated mesh", 3, ABSENT)
 
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
 
-def part_surface(part: Any, folder: Path, cache: Path) -> Surface:
+def part_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
     """Surface of a part, see :func:`load_part`."""
-    return load_part(part, folder, cache)[0]
+    return load_part(part, folder, cache, size)[0]
 
 
-def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, str | None]]:
+def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> tuple[Surface, dict[str, str | None]]:
     """Surface of a part, from its mesh file or its geometry script, and the content of the files that it was made from.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
@@ -51,6 +63,8 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
     folder : Path
         Of the scene file; the part's paths are relative to it.
     cache : Path
+    size : float, optional
+        Element size, mm, of a part that gives none; may be a :class:`mic.geometry.grading.GradedSize`.
 
     Returns
     -------
@@ -72,18 +86,35 @@ def load_part(part: Any, folder: Path, cache: Path) -> tuple[Surface, dict[str, 
         )
     if part.mesh is not None:
         return _read(f"part {part.name!r}", path, part.mesh)
-    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path)
-    found = meshes.find(key)
-    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
-    if found is not None and read is not None and read.unchanged(path):
-        surface = _surface_of(found[1])
-    else:
-        surface, read = _generate(part, path)
-        meshes.keep(key, read.header(), _arrays(surface))
+    surface, read = _generated(part, path, cache, size or part.size)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
     return surface, inputs | {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
+
+
+def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
+    """Surface of a part at half the element size: built anew by its geometry, else its mesh divided on its curvature.
+
+    Parameters and errors are those of :func:`load_part`.
+    """
+    if part.mesh is not None:
+        surface = part_surface(part, folder, cache)
+        return Surface(*halved(surface.points, surface.triangles, surface.corner_normals))
+    return _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0]
+
+
+def coarsest_size(part: Any, folder: Path) -> float | None:
+    """The largest of the sizes that a part's geometry script names, mm; None where it names none.
+
+    Raises
+    ------
+    SceneError
+    """
+    path = folder / part.geometry
+    with _told(part, path):
+        script = load_script(path)
+        return max((_size(script, name, 1.0) for name in getattr(script, "SIZES", {})), default=None)
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
@@ -158,20 +189,42 @@ def _read(owner, path, name):
     return surface, {name: fingerprint(path.read_bytes())} | others
 
 
-def _key(part, path):
+def _generated(part, path, cache, size, share=1.0):
+    """Surface that a script makes at a share of a size, from the cache where it fits; and what it read."""
+    meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path, size, share)
+    found = meshes.find(key)
+    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
+    if found is not None and read is not None and read.unchanged(path):
+        return _surface_of(found[1]), read
+    surface, read = _generate(part, path, size, share)
+    meshes.keep(key, read.header(), _arrays(surface))
+    return surface, read
+
+
+def _key(part, path, size, share):
     """Name of a generated mesh in the cache: hash of what it depends on and is known before the script has run."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
-    contents = [source.read_bytes().hex() for source in (Path(structured.__file__), *sources) if source.is_file()]
-    return fingerprint([part.name, part.size, path.name, contents])
+    ours = (Path(structured.__file__), Path(grading.__file__))
+    contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
+    graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
+    return fingerprint([part.name, size, graded, share, path.name, contents])
 
 
-def _generate(part, path):
-    """Run a geometry script; whatever goes wrong in it ends in one sentence. Surface, and what the script read."""
-    try:
+def _generate(part, path, size, share):
+    """Run a geometry script. Surface, and what the script read."""
+    with _told(part, path):
         with opened_files() as heard:
             script = load_script(path)
-            surface = _surface(script.build(part.name, _size(script, part.size)))
+            surface = _surface(script.build(part.name, _size(script, size, share)))
         return surface, Dependencies.of(path, _declared(script), heard)
+
+
+@contextmanager
+def _told(part, path):
+    """Whatever goes wrong in a script ends in one sentence."""
+    try:
+        yield
+        return
     except ImportError as problem:
         missing = (problem.name or "").split(".")[0]
         if (path.parent / f"{missing}.py").is_file():
@@ -198,16 +251,18 @@ def _words(problem, path):
     return f"{type(problem).__name__}: {text}{where}" if text else f"{type(problem).__name__}{where}"
 
 
-def _size(script, size):
-    """Element size in mm."""
+def _size(script, size, share):
+    """A share of an element size, in mm."""
+    if isinstance(size, GradedSize):
+        return size.times(share)
     if not isinstance(size, str):
-        return size
+        return share * size
     sizes = getattr(script, "SIZES", {})
     if not isinstance(sizes, dict):
         raise ValueError(f"SIZES must be a dict of mm by name, not {type(sizes).__name__}")
     if size not in sizes:
         raise ValueError(f"there is no size called {size!r}; known: {', '.join(map(str, sizes)) or 'none, give mm'}")
-    return sizes[size]
+    return share * sizes[size]
 
 
 def _declared(script):

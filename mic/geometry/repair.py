@@ -13,14 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
 __all__ = ["MeshReport", "repair"]
 
 MERGE = 1e-7  # points closer than this share of the mesh's diagonal are one
 FLAT = 1e-6  # a triangle lower than this share of its longest side has no area
-SQUARE = 1e-7  # diagonals that differ by less than this share are equal: the one from the first corner is taken
+ALIKE = 1.25  # a diagonal longer than the other by this factor makes worse triangles, whatever their neighbours do
+EQUAL = 1e-7  # lengths that differ by less than this share are equal
 ON_EDGE = 1e-4  # a point nearer to an edge than this share of its length lies on it
 
 
@@ -76,7 +77,7 @@ class MeshReport:
 
     def __str__(self) -> str:
         lines = [
-            (self.quadrilaterals_split, "quadrilaterals split along their shorter diagonals"),
+            (self.quadrilaterals_split, "quadrilaterals split"),
             (self.points_merged, "points merged with coincident ones"),
             (self.triangles_without_area, "triangles without area dropped"),
             (self.triangles_repeated, "repeated triangles dropped"),
@@ -98,7 +99,9 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         mm.
     triangles : (k, 3) int array
     quadrilaterals : (q, 4) int array, optional
-        Each becomes two triangles, divided along its shorter diagonal.
+        Each becomes two triangles. It is divided along its shorter diagonal where that is shorter by far; diagonals of
+        about the same length meet at every other point, as in a union jack: a mesh whose diagonals all run one way is
+        stiffer, on curved sheets up to twice as far off.
 
     Raises
     ------
@@ -119,6 +122,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
     if quadrilaterals is not None:
         quadrilaterals = np.array(quadrilaterals, dtype=np.int64)
         _check_numbers(quadrilaterals, len(points))
+        quadrilaterals = _merge(points)[quadrilaterals]  # neighbours share their points
         triangles = np.concatenate([triangles, _split_quadrilaterals(points, quadrilaterals)])
         split = len(quadrilaterals)
         halves = np.tile(quadrilaterals, (2, 1))[:, None, :] == triangles[-2 * split :, :, None]
@@ -168,11 +172,36 @@ def _check_numbers(elements, n_points):
 
 def _split_quadrilaterals(points, quadrilaterals):
     a, b, c, d = quadrilaterals.T
-    length = lambda i, j: np.linalg.norm(points[i] - points[j], axis=1)
-    across_ac = (length(a, c) <= (1 + SQUARE) * length(b, d))[:, None]
-    first = np.where(across_ac, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
-    second = np.where(across_ac, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
+    ac, bd = (np.linalg.norm(points[i] - points[j], axis=1) for i, j in ((a, c), (b, d)))
+    along_ac = ac <= (1 + EQUAL) * bd
+    sheet, colour = (table[quadrilaterals].T for table in _checkerboard(len(points), quadrilaterals))
+    # corners that are no checkerboard, beside a triangle or where the board does not close, keep the shorter diagonal
+    regular = (colour[0] == colour[2]) & (colour[1] == colour[3]) & (colour[0] != colour[1])
+    regular &= (ac <= ALIKE * bd) & (bd <= ALIKE * ac)
+    # of the board's two colours the diagonals join the one that makes them shorter, else that of the first point
+    longer = np.bincount(sheet[0], np.where(regular, np.where(colour[0] == 0, ac - bd, bd - ac), 0))
+    total = np.bincount(sheet[0], np.where(regular, ac + bd, 0))
+    joined = (longer > EQUAL * total).astype(int)
+    along_ac = np.where(regular, colour[0] == joined[sheet[0]], along_ac)[:, None]
+    first = np.where(along_ac, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
+    second = np.where(along_ac, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
     return np.concatenate([first, second])
+
+
+def _checkerboard(n, quadrilaterals):
+    """(n,) the sheet that each of n points belongs to, and its colour there, 0 or 1, so that sides join different
+    colours as far as that goes: the parity of the way from the sheet's first point."""
+    used, corner = np.unique(quadrilaterals, return_inverse=True)
+    corner = corner.reshape(quadrilaterals.shape)
+    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(len(used), len(used))).tocsr()
+    sheet, colour = np.zeros((2, n), dtype=int)
+    sheet[used] = connected_components(graph, directed=False)[1]
+    for root in np.unique(sheet[used], return_index=True)[1]:
+        order, before = breadth_first_order(graph, root, directed=False)
+        for point in order[1:]:
+            colour[used[point]] = 1 - colour[used[before[point]]]
+    return sheet, colour
 
 
 def _merge(points):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
+from mic.model.meshing import chosen_sizes
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.scene import Scene
@@ -105,6 +107,8 @@ class Assembly:
         Nominal gap at each weld, mm.
     inputs : dict of str to str
         Hashes of the files that the meshes of parts and fixtures were made from.
+    sizes : dict of str to float
+        Element sizes, mm, of the parts that state an accuracy.
     """
 
     scene: Scene
@@ -115,6 +119,7 @@ class Assembly:
     weld_size: tuple[int, ...]
     weld_gap: np.ndarray
     inputs: dict[str, str | None]
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def offsets(self) -> np.ndarray:
@@ -122,8 +127,12 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
-def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
+def assemble(
+    scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
+) -> Assembly:
     """Mesh the parts, find the contact pairs and set up all rows.
+
+    Parts that state an accuracy are solved meanwhile, on meshes that become finer until they reach it.
 
     Parameters
     ----------
@@ -133,16 +142,25 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
     every_node : bool
         One contact pair per mesh vertex in the zones (:func:`mic.geometry.pairing.node_pairs`), not the pairs that the
         zones ask for.
+    progress : callable, optional
+        Called with one line of text before each solve.
 
     Raises
     ------
     SceneError
-        Naming the key: a missing mesh, a point off its part, an empty zone.
+        Naming the key: a missing mesh, a point off its part, an empty zone, an accuracy out of reach.
+    MissingProvider
+        If an accuracy is asked for and nothing that solves is installed.
     """
+    sizes = chosen_sizes(scene, cache, partial(_assembled, scene, cache, False), progress)
+    return _assembled(scene, cache, every_node, sizes)
+
+
+def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, float]) -> Assembly:
     inputs: dict[str, str | None] = {}
     surfaces, fixtures = {}, {}
     for part in scene.parts:
-        surfaces[part.name], read = load_part(part, scene.folder, cache)
+        surfaces[part.name], read = load_part(part, scene.folder, cache, sizes.get(part.name))
         inputs |= read
     for fixture in scene.fixtures:
         fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
@@ -177,7 +195,7 @@ def assemble(scene: Scene, cache: Path, every_node: bool = False) -> Assembly:
         for part in scene.parts
     )
     weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
-    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap), inputs)
+    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap), inputs, sizes)
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> float:

@@ -16,6 +16,7 @@ from mic.report.context import read_context
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, change, number, percent, zone_colour
 from mic.report.viewer import viewer_data
+from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.statistics import LEVEL, covered_share
 from mic.store import replacing, write_text
@@ -85,6 +86,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         published=context.published,
         measurements=_records(outcome.measurement_statistics),
         covered=covered_share(outcome.record["samples"]),
+        accuracy=_accuracy(outcome),
         no_fields=context.no_fields,
         contacts=_records(outcome.contact_statistics),
         listed_contacts=LISTED_CONTACTS,
@@ -145,6 +147,15 @@ def _validity(outcome: Outcome) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _accuracy(outcome: Outcome) -> list[dict[str, Any]]:
+    """Per part what its mesh leaves, and the mesh at half the size; nothing where the run did not estimate it."""
+    found = read_accuracy(outcome.folder)
+    if found is None:
+        return []
+    own = found.groupby("part", sort=False)
+    return [{**_records(rows)[0], "part": part, "quantities": _records(rows)} for part, rows in own]
 
 
 def _advice(status):

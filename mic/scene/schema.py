@@ -87,6 +87,11 @@ class Part(_Table):
     size: str | Positive | None = Field(
         None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
     )
+    accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
+        None,
+        description="or the share by which influence coefficients may be off, such as 0.01: the size is then found by "
+        "solving the part on finer and finer meshes",
+    )
     thickness: Positive = Field(description="of the sheet, mm")
     young: Positive = Field(210e3, description="Young's modulus, MPa")
     poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] = Field(0.3, description="Poisson's ratio, −1 < ν < ½")
@@ -95,12 +100,15 @@ class Part(_Table):
     def _one_source(self):
         if (self.mesh is None) == (self.geometry is None):
             raise ValueError('give either mesh = "file" or geometry = "file.py", not both and not neither')
-        if self.geometry is None and self.size is not None:
-            raise ValueError("size applies to geometry sources only: remove it, or give geometry instead of mesh")
-        if self.geometry is not None and self.size is None:
+        for key in ("size", "accuracy"):
+            if self.geometry is None and getattr(self, key) is not None:
+                raise ValueError(f"{key} applies to geometry sources only: remove it, or give geometry instead of mesh")
+        if self.geometry is not None and self.size is None and self.accuracy is None:
             raise ValueError(
-                "a geometry source needs size: an element size in mm, or one of the geometry's named sizes"
+                "a geometry source needs size: an element size in mm, or one of the geometry's named sizes; or accuracy"
             )
+        if self.size is not None and self.accuracy is not None:
+            raise ValueError("give either size or accuracy, not both: accuracy finds the size")
         return self
 
 
@@ -434,6 +442,10 @@ class Report(_Table):
         False,
         description="report tangential motion even where no law with friction is asked for; "
         "without either, a third of the contact functionals suffices",
+    )
+    accuracy: bool = Field(
+        False,
+        description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
     )
     fields: bool = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
 

@@ -44,7 +44,7 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
 
     return (
         table
-        | each("parts", lambda part: filled(part, "size", applies=generated(part)))
+        | each("parts", lambda part: filled(part, "size", ("accuracy",), applies=generated(part)))
         | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
         | each("stages", lambda stage: filled(stage, "increments", ("path",), follows(stage)))
         | {"path": filled(table.get("path", {}), "tolerance")}

@@ -1,0 +1,156 @@
+"""The error that a part's mesh leaves: the estimate against what a much finer mesh tells."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.curved import curved_assembly, curved_scene, held_compliance, mesh_of
+
+import mic
+from mic.compliance import provider
+from mic.compliance.cache import influence_coefficients
+from mic.errors import SceneError
+from mic.model.accuracy import estimate_accuracy
+from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
+from mic.results.accuracy import accuracy_table, read_accuracy
+from mic.results.schema import ACCURACY
+
+pytestmark = pytest.mark.fem
+
+
+def compliance(assembly, cache):
+    return held_compliance(ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0]))
+
+
+@pytest.fixture(scope="module")
+def limit(tmp_path_factory, cache):
+    """Compliance on a mesh of 1.25 mm, H and the measurement's row, on six locators and on all."""
+    return compliance(curved_assembly(tmp_path_factory.mktemp("fine"), cache, size=1.25), cache)
+
+
+def errors(found, limit):
+    """True errors of H and of the key characteristic's influence, on six locators and on all."""
+    relative = lambda a, b: np.linalg.norm(a - b) / np.linalg.norm(b)
+    return np.array([[relative(H[rows], L[rows]) for H, L in zip(found, limit)] for rows in (slice(0, 2), slice(2, 3))])
+
+
+def estimates(accuracy):
+    return np.array([[one.set_down, one.located] for one in accuracy.estimates])
+
+
+@pytest.mark.parametrize("source", ["script", "file"])
+@pytest.mark.parametrize("size", [10.0, 5.0])
+def test_the_estimate_is_the_error_within_a_third(size, source, tmp_path, cache, limit):
+    """A script is run again at half the size; a mesh from a file is divided on the curvature that it tells of."""
+    how = {"size": size} if source == "script" else {"mesh": mesh_of(tmp_path, size)}
+    assembly = curved_assembly(tmp_path, cache, **how)
+    true = errors(compliance(assembly, cache), limit)
+    (found,) = estimate_accuracy(assembly, cache)
+    effectivity = estimates(found) / true
+    print(size, source, true.tolist(), effectivity.tolist())
+    assert [one.quantity for one in found.estimates] == ["H", "K"]
+    assert found.finer.triangles == 4 * found.mesh.triangles
+    assert (0.7 < effectivity).all() and (effectivity < 1.4).all()
+
+
+def test_a_finer_mesh_costs_more_and_is_measured(tmp_path, cache):
+    (found,) = estimate_accuracy(curved_assembly(tmp_path, cache, size=4.0), cache)
+    assert found.finer.nodes > 3.5 * found.mesh.nodes and found.ratio == pytest.approx(2, rel=0.01)
+    assert found.finer.seconds > found.mesh.seconds > 0 and found.finer.memory > 3 * found.mesh.memory > 0
+    reached = found.reach(found.worst / 4)
+    assert reached.nodes == pytest.approx(4 * found.mesh.nodes) and reached.seconds >= 3.99 * found.mesh.seconds
+    assert reached.memory == pytest.approx(found.finer.memory, rel=0.1)
+
+
+def test_an_estimate_is_kept_and_made_anew_where_the_part_changes(tmp_path, cache, monkeypatch):
+    assembly = curved_assembly(tmp_path, cache, size=10.0)
+    first = estimate_accuracy(assembly, cache)
+    told = []
+    assert estimate_accuracy(assembly, cache, told.append) == first and not told
+
+    def refuse(part):
+        raise AssertionError("computed again")
+
+    monkeypatch.setattr(provider, "find", refuse)
+    assert estimate_accuracy(assembly, cache) == first
+    with pytest.raises(AssertionError, match="computed again"):
+        estimate_accuracy(curved_assembly(tmp_path, cache, size=8.0), cache)
+
+
+def test_a_script_that_takes_no_notice_of_the_size_is_found_out(tmp_path, cache):
+    scene = curved_scene(tmp_path, size=10.0)
+    (tmp_path / "panel.py").write_text((tmp_path / "panel.py").read_text().replace("/ size", "/ 10"))
+    with pytest.raises(SceneError, match="'sheet': geometry: .*half the size"):
+        estimate_accuracy(assemble(scene, cache), cache)
+
+
+def test_a_part_that_states_an_accuracy_gets_a_mesh_that_reaches_it(tmp_path, cache, limit):
+    assembly = curved_assembly(tmp_path, cache, accuracy=0.01)
+    true = errors(compliance(assembly, cache), limit)
+    assert true.max() < 0.01 and true.max() > 0.002  # reached, and not by far too fine a mesh
+    assert set(assembly.sizes) == {"sheet"} and 1 < assembly.sizes["sheet"] < 10
+    (found,) = estimate_accuracy(assembly, cache)
+    assert found.worst <= 0.01 and found.mesh.nodes == len(assembly.parts[0].surface.points)
+
+
+def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
+    first = curved_assembly(tmp_path, cache, accuracy=0.03)
+    monkeypatch.setattr("mic.model.meshing.estimate_accuracy", lambda *arguments: pytest.fail("estimated again"))
+    again = curved_assembly(tmp_path, cache, accuracy=0.03)
+    assert again.sizes == first.sizes and again.parts[0].fingerprint() == first.parts[0].fingerprint()
+    with pytest.raises(pytest.fail.Exception):
+        (tmp_path / "panel.py").write_text((tmp_path / "panel.py").read_text().replace("10 * np.sin", "11 * np.sin"))
+        assemble(mic.load_scene(tmp_path), cache)
+
+
+def test_an_accuracy_out_of_reach_is_refused_before_a_mesh_that_large_is_solved(tmp_path, cache):
+    with pytest.raises(SceneError, match="part 'sheet': accuracy: 1e-06 is not reached: .* ask for less"):
+        curved_assembly(tmp_path, cache, accuracy=1e-6)
+
+
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ("size = 5\naccuracy = 0.01", "give either size or accuracy"),
+        ("accuracy = 0", "greater than 0"),
+        ("accuracy = 0.7", "less than or equal to 0.5"),
+        ("", "needs size: .* or accuracy"),
+    ],
+)
+def test_an_accuracy_stands_in_place_of_a_size(tmp_path, keys, words):
+    curved_scene(tmp_path, size=10.0)
+    text = (tmp_path / "scene.toml").read_text()
+    (tmp_path / "scene.toml").write_text(text.replace("size = 10.0", keys))
+    with pytest.raises(SceneError, match=words):
+        mic.load_scene(tmp_path)
+
+
+def test_a_setting_leaves_an_accuracy_alone(tmp_path):
+    scene = curved_scene(tmp_path, accuracy=0.02, keys="")
+    text = (tmp_path / "scene.toml").read_text()
+    (tmp_path / "scene.toml").write_text('setting = "standard"\n' + text)
+    assert mic.load_scene(tmp_path).parts == scene.parts
+
+
+def test_a_run_that_is_asked_for_it_keeps_the_estimate_and_reports_it(tmp_path, cache):
+    from mic.report.page import write_report
+
+    scene = curved_scene(tmp_path, size=10.0, keys="[monte_carlo]\nsamples = 3\n[report]\naccuracy = true\n")
+    outcome = mic.run(scene, tmp_path / "results", cache)
+    expected = accuracy_table(estimate_accuracy(curved_assembly(tmp_path, cache, size=10.0), cache))
+    pd.testing.assert_frame_equal(read_accuracy(tmp_path / "results"), expected, rtol=1e-8)
+    page = write_report(tmp_path / "results", outcome).read_text()
+    table = page[page.index('id="accuracy"') : page.index("Estimated from the same functionals")]
+    for value in (*expected["set_down"], *expected["located"]):
+        assert f"{100 * value:.1f} %" in table
+
+
+def test_a_run_that_is_not_asked_for_it_neither_computes_nor_shows_it(tmp_path, cache, monkeypatch):
+    from mic.report.page import write_report
+
+    monkeypatch.setattr("mic.runs.estimate_accuracy", lambda *arguments: pytest.fail("estimated"))
+    outcome = mic.run(
+        curved_scene(tmp_path, size=10.0, keys="[monte_carlo]\nsamples = 3\n"), tmp_path / "results", cache
+    )
+    assert read_accuracy(tmp_path / "results") is None and not (tmp_path / "results" / ACCURACY.place).exists()
+    assert 'id="accuracy"' not in write_report(tmp_path / "results", outcome).read_text()
