@@ -313,10 +313,10 @@ def check(
     if accuracy:
         _print_accuracy(console, assembly, say)
     if normals is not None:
-        from mic.report.space_pictures import normals_picture  # drawing libraries are slow to import
+        from mic.report.space_pictures import draw_normals  # drawing libraries are slow to import
 
         with replacing(normals) as temporary:
-            temporary.write_bytes(normals_picture({part.name: part.surface for part in assembly.parts}).data)
+            temporary.write_bytes(draw_normals({part.name: part.surface for part in assembly.parts}).data)
         console.print(f"normals: [bold]{plain(normals)}[/]", soft_wrap=True)
     console.print("[green]The scene is valid.[/]")
 

@@ -22,7 +22,7 @@ from mic.report.picture import MOST_PANELS, Picture, png
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
 from mic.results.outcome import Outcome
 
-__all__ = ["ARROW", "assembly_picture", "field_picture", "normals_picture", "overview_picture", "viewpoint"]
+__all__ = ["ARROW", "assembly_picture", "draw_normals", "field_picture", "overview_picture", "viewpoint"]
 
 ARROW = 0.07  # length of the arrow of a locator or clamp, as a share of the largest part
 INK = "#1b1f24"
@@ -133,7 +133,7 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
     return png(fig, "The assembly", text, 110)
 
 
-def normals_picture(surfaces: Mapping[str, Surface]) -> Picture:
+def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
     """Which `mic.geometry.normals.Rule` decided the normal at each corner of the triangles, by colours."""
     fig = Figure(figsize=(6.5 * len(surfaces), 6.0), layout="constrained")
     colours = np.array([to_rgb(RULE_COLOURS[rule]) for rule in Rule])
