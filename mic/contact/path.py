@@ -23,7 +23,7 @@ from mic.contact.states import OPEN, SLIP, STICK, classify
 __all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace"]
 
 #: Increments of a leg for a sample that the follower gives up.
-RESCUE = 64
+RESCUE = 256
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Followed:
         So many equal steps instead, whatever their error: to show the order of the method.
     """
 
-    tolerance: float = 1e-2
+    tolerance: float = 1e-3
     floor: float = 0.0
     steps: int | None = None
 

@@ -66,7 +66,7 @@ DAMPING = 1e-12
 #: Contacts that open or break loose within one prediction before it is cut short, and sliders that do not slide.
 EVENTS, PASSES = 32, 16
 #: Of the share of a step after which a contact breaks loose.
-BISECTIONS = 24
+BISECTIONS = 40
 #: Newton's steps before the sweeps are asked, sweeps of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
 
@@ -504,8 +504,11 @@ def _compile(digest):
             for k in range(m):
                 i = 3 * k
                 if state0[k] == OPEN:
-                    if dw[i] < 0.0 and max(w[i], 0.0) < -dw[i] * advance:
-                        advance, first, closes = max(w[i], 0.0) / -dw[i], k, True
+                    if dw[i] < 0.0:
+                        touches = max(w[i], 0.0) / -dw[i]
+                        # What touches as the step begins has made no way before: it need not be cut for.
+                        if behind - reached < touches < advance:
+                            advance, first, closes = touches, k, True
                 elif state[k] != OPEN and dy[i] < 0.0 and max(y[i], 0.0) < -dy[i] * advance:
                     advance, first, closes = max(y[i], 0.0) / -dy[i], k, False
             breaks = -1
