@@ -351,6 +351,8 @@ def _idle_friction(model, rubbing: Evaluation, smooth: Evaluation, stage: str) -
     """Tangential motion of the contacts that end the stage closed, with friction and without."""
     with_, without = rubbing.resolutions[stage], smooth.resolutions[stage]
     closed = (with_.state != OPEN) & _rubs(model.contacts, stage)
+    if not closed.any():
+        return None  # nothing that presses has friction here
     moved = without.displacement[closed][:, 1:]
     held = np.linalg.norm(with_.displacement[closed][:, 1:] - moved)
     if held > FRICTION_MATTERS * np.linalg.norm(moved):

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
 
 from mic.model.assembly import assemble
+from mic.process.stage import FLOOR
 
 #: How each transformed scene is made from the case and a number, with the matrix and the unit that it is seen in.
 SAME = {
@@ -64,7 +65,9 @@ def test_the_same_scene_has_the_same_measurements(change, seed, tmp_path_factory
     other, _, unit = SAME[change](case, seed)
     for law in ("coulomb", "frictionless"):
         given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
-        changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # a length too, though no scene states it
+            changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())
 
 

@@ -152,6 +152,9 @@ def test_a_stage_in_which_friction_hardly_matters_is_named_and_no_other(lap_mode
     """The strips of the lap joint settle first; one pair of tongs then presses them, and they hardly slide."""
     assert [doubt.split(":")[0] for doubt in doubts(lap_model)] == ["stage clamp", "stage release"]
     assert not any(doubt.startswith("stage clamp") for doubt in doubts(hat_model))
+    friction = lap_model.contacts.friction[-1]
+    contacts = replace(lap_model.contacts, stages=("clamp",), friction=np.stack([0.0 * friction, friction]))
+    assert [doubt.split(":")[0] for doubt in doubts(replace(lap_model, contacts=contacts))] == ["stage release"]
     smooth = [zone.model_copy(update={"friction": 0.0}) for zone in hat_model.scene.zones]
     scene = hat_model.scene.model_copy(update={"zones": smooth})
     contacts = replace(hat_model.contacts, friction=np.zeros_like(hat_model.contacts.friction))

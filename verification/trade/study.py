@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
 from mic import examples
-from mic.contact.laws import LAWS
+from mic.contact import laws
 from mic.contact.path import Followed
 from mic.results import statistics
 from mic.sampling.draw import draw
@@ -27,6 +27,7 @@ from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
 WHEELHOUSE = examples.folder("wheelhouse")
+LAWS = tuple(name for name, law in laws.LAWS.items() if not law.reads)  # its zones give no more than a coefficient
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
 SEED = 17
