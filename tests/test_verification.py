@@ -261,17 +261,18 @@ def friction_ignored(monkeypatch):
 
 
 def welds_forgotten(monkeypatch):
-    from mic.process import stage
+    from mic.process import process, stage
 
     plan = stage.plan_stages
 
-    def without(*arguments):
-        return [
-            replace(item, bilateral=tuple(row for row in item.bilateral if row[0] != "weld"))
-            for item in plan(*arguments)
-        ]
+    def unwelded(step):
+        return replace(step, bilateral=tuple(row for row in step.bilateral if row[0] != "weld"))
 
-    monkeypatch.setattr(stage, "plan_stages", without)
+    def without(*arguments):
+        return [replace(item, steps=tuple(map(unwelded, item.steps))) for item in plan(*arguments)]
+
+    for module in (process, stage):
+        monkeypatch.setattr(module, "plan_stages", without)
 
 
 def thickness_doubled(monkeypatch):

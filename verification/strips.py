@@ -55,7 +55,8 @@ def build(folder: Path, sheets: dict, turn: np.ndarray | None = None, **tables) 
         own = [
             clamp["name"] for clamp in tables["clamps"] if clamp.get("stage", clamping[0].get("name", "clamp")) == name
         ]
-        stage["order"] = [own]
+        if own:
+            stage["order"] = [own]
     parts = []
     for name, sheet in sheets.items():
         x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))

@@ -120,7 +120,7 @@ def law_cost_picture(outcome: Outcome, context: Context) -> Picture | None:
 def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
     """The laws on some of the samples as friction is scaled down and up, from the study that the run left."""
     study = outcome.friction_study
-    if study is None:
+    if study is None or not outcome.stages:
         return None
     table, laws = summarise(study), [law for law in LAWS if law in set(study["law"])]
     here = outcome.model.contacts.friction_in(outcome.stages[0]).coefficient.mean()

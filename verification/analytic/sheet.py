@@ -208,7 +208,9 @@ def dragged_ends(sheet: Sheet, context, forces) -> np.ndarray:
             )
             deviations.append(dict(name=f"pull{j}-{k}", kind="clamp", target=f"pull{j}-{k}", sigma=0))
     measurements = [dict(name=f"end{j}", point=(0, yj, 0), direction=(-1, 0, 0)) for j, yj in enumerate(y)]
-    stages = [dict(kind="clamp", name="press"), *(dict(kind="clamp", name=f"pull{k}") for k in range(len(forces)))]
+    stages = [
+        dict(kind="clamp", name=name, increments=1) for name in ("press", *(f"pull{k}" for k in range(len(forces))))
+    ]
     scene = _scene(
         sheet,
         context.cache / "meshes",
