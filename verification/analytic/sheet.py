@@ -126,7 +126,7 @@ def _scene(
         zones=[zone],
         deviations=list(deviations),
         measurements=[turned(item, part="sheet", radius=0, lower=-1, upper=1) for item in measurements],
-        stages=[dict(kind="locate"), *(stages or [dict(kind="clamp")]), dict(kind="measure")],
+        stages=[dict(kind="locate"), *(stages or [dict(kind="clamp", increments=1)]), dict(kind="measure")],
     )
 
 
