@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN
 from mic.errors import SceneError
-from mic.process.actions import SUGAR, Close, Hold, Open, Push, Withdraw
+from mic.process.actions import Close, Hold, Open, Push, Withdraw, moves_of, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
@@ -138,14 +138,9 @@ def variants(scene: Scene, path: Path) -> list[Order]:
 
 def _process(scene: Scene):
     """What happens, whatever it is called: what makes two orders one."""
-    before: list = []
     told = []
-    for stage in scene.stages:
-        moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
-        before += moves
-        if stage.path == "one-step":
-            moves = [tuple(action for move in moves for action in move)]
-        told.append([frozenset(move) for move in moves])
+    for stage, moves in moves_of(scene):
+        told.append([frozenset(move) for move in (together(moves) if stage.path == "one-step" else moves)])
     return told, scene.stages[0].settle
 
 
@@ -179,11 +174,8 @@ def _releasing(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 def _reordered(scene: Scene, kind: str, change: Callable[[Groups], Groups]) -> Scene:
     """The scene with the groups of all its stages of a kind changed."""
-    before: list = []
     updates: dict[int, dict] = {}
-    for i, stage in enumerate(scene.stages):
-        moves = list(SUGAR[stage.kind](scene, stage, before))
-        before += moves
+    for i, (stage, moves) in enumerate(moves_of(scene)):
         groups = [names for move in moves if (names := _names(scene, move))]
         if stage.kind == kind and len(groups) + len(groups[0] if groups else ()) > 2:
             path = None if stage.path == "one-step" else stage.path

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Friction"]
+__all__ = ["Friction", "finite"]
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,25 @@ class Friction:
         return len(self.coefficient)
 
 
-def _checked(name, value, contacts):
+def finite(name: str, value) -> np.ndarray:
+    """An argument as an array of finite numbers.
+
+    Raises
+    ------
+    ValueError
+        Naming the argument.
+    """
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be an array of numbers") from None
     if not np.isfinite(array).all():
         raise ValueError(f"{name} contains NaN or infinite entries")
+    return array
+
+
+def _checked(name, value, contacts):
+    array = finite(name, value)
     if array.shape not in ((), (contacts,)):
         one = f"have one entry per contact, ({contacts},)"
         raise ValueError(f"{name} must be a number or {one}; got shape {array.shape}")

@@ -13,6 +13,7 @@ error (:mod:`mic.contact.native.follower`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 
@@ -99,13 +100,8 @@ class Trace:
         )
 
     def __add__(self, other: Trace) -> Trace:
-        """One after the other; shares add up, to be divided by the number of paths."""
+        """One after the other; shares add up, for :meth:`PathSolution.join` to divide by the number of paths."""
         return Trace(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(Trace)})
-
-    def over(self, paths: int) -> Trace:
-        """The trace of so many paths in a row, its shares those of the whole."""
-        values = {field.name: getattr(self, field.name) for field in fields(Trace)}
-        return Trace(**values | {"share": self.share / max(paths, 1)})
 
 
 @dataclass(frozen=True)
@@ -138,6 +134,27 @@ class PathSolution:
     status: np.ndarray
     rung: np.ndarray
 
+    @classmethod
+    def join(cls, pieces: Sequence[PathSolution]) -> PathSolution:
+        """Paths in a row: where the last one ended, and what all of them were.
+
+        A sample has the rung of its last path, unless that was followed and one before had to be rescued.
+        """
+        last = pieces[-1]
+        rung = last.rung.copy()
+        for piece in pieces:
+            rescued = (piece.rung != "followed") & (rung == "followed")
+            rung[rescued] = piece.rung[rescued]
+        trace = reduce(Trace.__add__, (piece.trace for piece in pieces))
+        return replace(
+            last,
+            trace=replace(trace, share=trace.share / len(pieces)),
+            residual=np.max([piece.residual for piece in pieces], axis=0),
+            converged=np.all([piece.converged for piece in pieces], axis=0),
+            iterations=np.sum([piece.iterations for piece in pieces], axis=0),
+            rung=rung,
+        )
+
 
 @dataclass(frozen=True)
 class Leg:
@@ -153,8 +170,9 @@ class Leg:
     anchor : (n, m, 2) array
     slip, length, work, share, error
         As :class:`Trace` has them.
-    counts : (n, 5) int array
-        Steps, factorisations, calls for help, failures, steps cut.
+    steps, factorisations : (n,) int array
+        As :class:`Trace` has them.
+    given_up : (n,) bool array
     """
 
     force: np.ndarray
@@ -165,7 +183,9 @@ class Leg:
     work: np.ndarray
     share: np.ndarray
     error: np.ndarray
-    counts: np.ndarray
+    steps: np.ndarray
+    factorisations: np.ndarray
+    given_up: np.ndarray
 
 
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
@@ -185,7 +205,7 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
             leg = increments(solver, b0, b1, force, anchor, path.count if isinstance(path, Increments) else 1)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
-    return reduce(_joined, legs)
+    return PathSolution.join(legs)
 
 
 def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
@@ -195,15 +215,15 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     plain = isinstance(path, Increments)
     leg = solver.backend.follow(b0, b1, force, anchor, path)
     name = "increments" if plain else "followed"
-    solution = solver.certified(leg.b, leg.force, leg.counts[:, 1], np.full(n, name, dtype=object))
+    solution = solver.certified(leg.b, leg.force, leg.factorisations, np.full(n, name, dtype=object))
     trace = Trace(
         leg.slip,
         leg.length,
         leg.work,
         leg.share,
         np.full(n, np.nan) if plain else leg.error,
-        leg.counts[:, 0].copy(),
-        leg.counts[:, 1].copy(),
+        leg.steps,
+        leg.factorisations,
     )
     found = PathSolution(
         force=leg.force,
@@ -212,11 +232,11 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
         trace=trace,
         residual=solution.residual,
         converged=solution.converged,
-        iterations=leg.counts[:, 1].copy(),
+        iterations=leg.factorisations,
         status=solution.status,
         rung=solution.rung,
     )
-    lost = np.flatnonzero(~solution.converged | (leg.counts[:, 3] > 0))
+    lost = np.flatnonzero(~solution.converged | leg.given_up)
     if not lost.size:
         return found
     count = path.count if isinstance(path, Increments) else RESCUE
@@ -298,16 +318,4 @@ def _without_memory(solver, b, guess) -> PathSolution:
         solution.iterations,
         np.asarray(solution.status),
         np.asarray(solution.rung),
-    )
-
-
-def _joined(a: PathSolution, b: PathSolution) -> PathSolution:
-    """Two paths in a row; the shares of the path are left summed."""
-    return replace(
-        b,
-        trace=a.trace + b.trace,
-        residual=np.maximum(a.residual, b.residual),
-        converged=a.converged & b.converged,
-        iterations=a.iterations + b.iterations,
-        rung=np.where(a.rung == b.rung, b.rung, np.where(a.rung == "followed", b.rung, a.rung)),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, measure, series_compliance
-from mic.contact.friction import Friction
+from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
@@ -246,18 +246,8 @@ def _only(solution: ContactSolution) -> ContactSolution:
     return ContactSolution(**values)
 
 
-def _checked_array(name, value):
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers") from None
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} contains NaN or infinite entries")
-    return array
-
-
 def _checked_compliance(S, dimension):
-    S = _checked_array("S", S)
+    S = finite("S", S)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or len(S) % dimension:
         rows = "m" if dimension == 1 else "3m"
         raise ValueError(f"S must be square with {rows} rows and columns; got shape {S.shape}")
@@ -278,7 +268,7 @@ def _checked_compliance(S, dimension):
 
 
 def _checked_rows(name, value, size):
-    value = _checked_array(name, value)
+    value = finite(name, value)
     if value.ndim not in (1, 2) or value.shape[-1] != size:
         raise ValueError(f"{name} must have shape ({size},) or (n, {size}) to match S; got {value.shape}")
     return value

@@ -7,9 +7,9 @@ full finite-element reference both follow it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -27,6 +27,8 @@ __all__ = [
     "SetDown",
     "Settle",
     "Withdraw",
+    "moves_of",
+    "together",
     "tongs",
 ]
 
@@ -276,6 +278,20 @@ def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def _among(items, allowed, names) -> tuple[int, ...]:
     """Numbers of the items of these names, of those allowed; `mic.scene.stages` has seen that every name exists."""
     return tuple(i for i, item in enumerate(items) if item.name in names and (allowed is None or i in allowed))
+
+
+def moves_of(scene) -> Iterator[tuple[Any, list[Move]]]:
+    """The stages of a scene, and the moves of each as its kind has them."""
+    before: list[Move] = []
+    for stage in scene.stages:
+        moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
+        before += moves
+        yield stage, moves
+
+
+def together(moves: Sequence[Move]) -> list[Move]:
+    """All moves as one."""
+    return [tuple(action for move in moves for action in move)]
 
 
 def _measure(scene, stage, before) -> list[Move]:

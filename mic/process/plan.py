@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mic.process.actions import SUGAR, Close, Fixture, Joints, Move, Read, Row, SetDown, Settle
+from mic.process.actions import Close, Fixture, Joints, Move, Read, Row, SetDown, Settle, moves_of, together
 from mic.process.freedom import check_held
 
 __all__ = ["StagePlan", "Step", "plan_stages"]
@@ -132,15 +132,12 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
         If a step leaves a part free to move (`mic.process.freedom`).
     """
     joints, fixture, plans = Joints(tuple(weld_size)), Fixture(), []
-    before: list[Move] = []
     unsettled = False
     first = all(stage.settle for stage in scene.stages)
-    for stage in scene.stages:
-        moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
-        before += moves
+    for stage, moves in moves_of(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
         if path == "one-step":
-            moves = [tuple(action for move in moves for action in move)]
+            moves = together(moves)
         steps: list[Step] = []
         for move in moves or [()]:
             after = fixture

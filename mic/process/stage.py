@@ -20,7 +20,7 @@ from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.elimination import Response, eliminate
 from mic.contact import ContactSolver
-from mic.contact.path import Followed, Increments, Path, PathSolution, Trace
+from mic.contact.path import Followed, Increments, Path, PathSolution
 from mic.contact.states import classify
 from mic.errors import FreeMotion
 from mic.process.drive import Drive
@@ -243,11 +243,8 @@ class PreparedStage:
         return self._solver(eliminated).follow(way, state.force.reshape(n, -1), state.anchor, self.path)
 
     def _resolution(self, start, end, solutions) -> Resolution:
-        last, n = solutions[-1], len(end.force)
-        trace = Trace.start(n, len(self._contacts))
-        for solution in solutions:
-            trace = trace + solution.trace
-        displacement = last.displacement.reshape(end.force.shape).copy()
+        whole, n = PathSolution.join(solutions), len(end.force)
+        displacement = whole.displacement.reshape(end.force.shape).copy()
         displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
         resolving = next(each for each in reversed(self.steps) if each.step.resolves)
         solver = self._solver(resolving)
@@ -256,12 +253,12 @@ class PreparedStage:
             force=end.force.copy(),
             displacement=displacement,
             state=classify(end.force, solver.bound(end.force[..., 0])),
-            trace=trace.over(len(solutions)),
-            residual=np.max([solution.residual for solution in solutions], axis=0),
-            converged=np.all([solution.converged for solution in solutions], axis=0),
-            iterations=np.sum([solution.iterations for solution in solutions], axis=0),
-            status=last.status,
-            rung=_worst_rung(solutions),
+            trace=whole.trace,
+            residual=whole.residual,
+            converged=whole.converged,
+            iterations=whole.iterations,
+            status=whole.status,
+            rung=whole.rung,
             reaction=np.column_stack([np.zeros((n, 0)), *(end.reaction[row] for row in self.plan.bilateral)]),
         )
 
@@ -271,15 +268,6 @@ class PreparedStage:
         reading = v @ response.T_out.T + p @ response.L_out.T + f @ response.S_out.T
         reaction = v @ response.reaction_T.T + p @ response.reaction_L.T + f @ response.reaction_S.T
         return {kind: reading[:, own] for kind, own in self._output.items()}, reaction
-
-
-def _worst_rung(solutions):
-    """Of each sample, the rung of the last step; one that had to be rescued stays so."""
-    rung = solutions[-1].rung.copy()
-    for solution in solutions:
-        rescued = (solution.rung != "followed") & (rung == "followed")
-        rung[rescued] = solution.rung[rescued]
-    return rung
 
 
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:

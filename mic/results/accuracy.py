@@ -51,10 +51,4 @@ def read_accuracy(folder: Path) -> pd.DataFrame | None:
     FormatError
         If the file is not what :data:`mic.results.schema.ACCURACY` declares.
     """
-    path = Path(folder) / ACCURACY.place
-    if not path.is_file():
-        return None
-    floats = {column.name: column.dtype for column in ACCURACY.columns if column.dtype == "float64"}
-    frame = pd.read_csv(path, dtype=floats)
-    ACCURACY.check(frame, path, "run the scene again into this folder")
-    return frame
+    return ACCURACY.read(Path(folder), "run the scene again into this folder")

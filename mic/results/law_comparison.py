@@ -62,9 +62,4 @@ def read_friction(folder: Path) -> pd.DataFrame | None:
     FormatError
         If the file is not what :data:`mic.results.schema.FRICTION` declares.
     """
-    path = folder / FRICTION.place
-    if not path.is_file():
-        return None
-    table = pd.read_csv(path, float_precision="round_trip")
-    FRICTION.check(table, path, "call `mic report` on the run folder")
-    return table
+    return FRICTION.read(folder, "call `mic report` on the run folder")

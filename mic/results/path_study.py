@@ -20,7 +20,7 @@ from mic.contact.laws import LAWS
 from mic.contact.path import Increments
 from mic.contact.path import Path as ContactPath
 from mic.process.process import Process
-from mic.results.schema import PATH, PATH_ERRORS, SLIPS, Table
+from mic.results.schema import PATH, PATH_ERRORS, SLIPS
 from mic.results.tables import tables
 
 if TYPE_CHECKING:
@@ -216,19 +216,5 @@ def read_path_study(folder: Path) -> PathStudy | None:
         If a file is not what :data:`mic.results.schema.PATH` or :data:`~mic.results.schema.PATH_ERRORS` declares.
     """
 
-    def read(table: Table) -> pd.DataFrame:
-        # A zone may be called NA.
-        frame = pd.read_csv(
-            folder / table.place,
-            float_precision="round_trip",
-            keep_default_na=False,
-            na_values={column.name: [""] for column in table.columns if column.dtype == "float64"},
-            dtype={column.name: str for column in table.columns if column.dtype == "str"},
-        )
-        table.check(frame, folder / table.place, "call `mic report` on the run folder")
-        return frame
-
-    try:
-        return PathStudy(read(PATH), read(PATH_ERRORS))
-    except FileNotFoundError:
-        return None
+    pairs, errors = (table.read(folder, "call `mic report` on the run folder") for table in (PATH, PATH_ERRORS))
+    return None if pairs is None or errors is None else PathStudy(pairs, errors)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import pandas as pd
 from pandas.api import types
@@ -135,6 +136,35 @@ class Table:
             odd = next(name for name, place in zip(found, [*known, None]) if name != place)
             what = "is out of order" if odd in known else "is none of this table's"
             raise FormatError(f"{where}: table {self.name!r}: column {odd!r} {what}; {remedy}")
+
+    def read(self, folder: Path, remedy: str) -> pd.DataFrame | None:
+        """The CSV file that a run folder holds of it; None where there is none.
+
+        Parameters
+        ----------
+        folder : Path
+        remedy : str
+            What to do about a file that is not as declared.
+
+        Raises
+        ------
+        FormatError
+        """
+        path = folder / self.place
+        if not path.is_file():
+            return None
+        floats = [column.name for column in self.columns if column.dtype == "float64"]
+        frame = pd.read_csv(
+            path,
+            float_precision="round_trip",
+            keep_default_na=False,  # a zone may be called NA
+            na_values={name: [""] for name in floats},
+            dtype={column.name: str for column in self.columns if column.dtype == "str"},
+        )
+        whole = [name for name in floats if name in frame and types.is_integer_dtype(frame[name])]
+        frame = frame.astype(dict.fromkeys(whole, "float64"))
+        self.check(frame, path, remedy)
+        return frame
 
     def empty(self) -> pd.DataFrame:
         """A frame of no rows, without the optional columns."""

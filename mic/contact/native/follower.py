@@ -8,7 +8,8 @@ asks, where a contact is closed,
 with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 
 1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start; a
-   slider whose rate would push it back is stuck.  The step ends just behind the first contact that closes on this way.
+   slider whose rate would push it back is stuck.  Contacts that open or break loose on the way change a few rows of
+   that problem, its inverse by rank 3.  The step ends just behind the first contact that closes.
 2. **Solution.**  Backward Euler's method measures slip from where the step began, which drags a slider straight towards
    its end, and a contact that closes from too far back.  Both are mended, to second order, by moving the point from
    which slip is measured, and the same problem as ever is solved:
@@ -46,6 +47,7 @@ from mic.contact.native.kernels import (
     jit,
     newton,
     starting_scale,
+    system,
     times,
 )
 from mic.contact.states import OPEN, SLIP, STICK
@@ -67,7 +69,7 @@ DAMPING = 1e-12
 EVENTS, PASSES = 32, 16
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
-#: Newton's steps before the sweeps are asked, sweeps of the first call for help, and calls before the path is given up.
+#: Newton's steps, sweeps before them and of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
@@ -250,24 +252,10 @@ def _solve_small(M, R):
 @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
 def _inverse(W, A, B, closed):
     """Inverse of ``A_k x_k + B_k (W x)_k`` over the contacts that are closed; zeros if it is singular."""
-    n = 3 * len(closed)
-    J = np.empty((n, n))
-    for a in range(len(closed)):
-        i = 3 * closed[a]
-        for row in range(3):
-            b0, b1, b2 = B[closed[a], row, 0], B[closed[a], row, 1], B[closed[a], row, 2]
-            for b in range(len(closed)):
-                j = 3 * closed[b]
-                for column in range(3):
-                    J[3 * a + row, 3 * b + column] = (
-                        b0 * W[i, j + column] + b1 * W[i + 1, j + column] + b2 * W[i + 2, j + column]
-                    )
-            for column in range(3):
-                J[3 * a + row, 3 * a + column] += A[closed[a], row, column] + DAMPING * B[closed[a], row, column]
     try:
-        return np.ascontiguousarray(np.linalg.inv(J))
+        return np.ascontiguousarray(np.linalg.inv(system(W, A, B, closed, DAMPING)))
     except Exception:
-        return np.zeros((n, n))
+        return np.zeros((3 * len(closed), 3 * len(closed)))
 
 
 @jit(void(MATRIX, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR))
@@ -340,22 +328,21 @@ def _compile(digest):
 
     @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, COUNTS))
     def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, counts):
-        """One problem of the law from the guess (y, w): Newton, else sweeps from `start` and Newton again.
+        """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
 
-        Returns 1 if it is solved.
+        Returns 1 if it is solved; ``w = W y + q`` in any case.
         """
         digest  # noqa: B018  (a variable of the closure, and so part of the cache's key)
         m = len(parameters)
         none = np.empty((0, 0))
-        best = y.copy()
+        best = start.copy()
         slip = np.zeros(m)
         if sweeps > 0:
-            gauss_seidel(W, P, parameters, y, w, slip, 10, 1e-15)
+            gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
             times(W, y, w)
             w += q
         error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, 0, m)
         counts[FACTORISATIONS] += steps
-        best[:] = start
         run = sweeps
         for _ in range(HELP):
             if error <= tol:
@@ -758,8 +745,6 @@ def _compile(digest):
                             sweeps,
                             done,
                         )
-                        times(W, y, w)
-                        w += q
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
                         for k in range(m):
                             w[3 * k + 1] += shift[k, 0]

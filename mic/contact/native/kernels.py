@@ -37,6 +37,7 @@ __all__ = [
     "solve_by_sweeps",
     "solve_frictionless",
     "starting_scale",
+    "system",
     "times",
 ]
 
@@ -280,6 +281,27 @@ def times(W, x, out):
                 out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
 
 
+@jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS, NUMBER))
+def system(W, A, B, own, damping):
+    """Matrix of ``A_k x_k + B_k (W x)_k`` over the contacts ``own``; ``damping`` is added to the diagonal of ``W``."""
+    count = len(own)
+    J = np.empty((3 * count, 3 * count))
+    for a in range(count):
+        k = own[a]
+        i = 3 * k
+        for row in range(3):
+            b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
+            target = J[3 * a + row]
+            for b in range(count):
+                j = 3 * own[b]
+                target[3 * b] = b0 * W[i, j] + b1 * W[i + 1, j] + b2 * W[i + 2, j]
+                target[3 * b + 1] = b0 * W[i, j + 1] + b1 * W[i + 1, j + 1] + b2 * W[i + 2, j + 1]
+                target[3 * b + 2] = b0 * W[i, j + 2] + b1 * W[i + 1, j + 2] + b2 * W[i + 2, j + 2]
+            for column in range(3):
+                target[3 * a + column] += A[k, row, column] + damping * B[k, row, column]
+    return J
+
+
 @jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR, VECTOR))
 def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
@@ -295,23 +317,14 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     count = len(unknown)
     if count == 0:
         return
-    J = np.empty((3 * count, 3 * count))
     r = np.empty(3 * count)
     for a in range(count):
         k = unknown[a]
         i = 3 * k
         for row in range(3):
             b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
-            target = J[3 * a + row]
             r[3 * a + row] = -phi[i + row] - b0 * product[i] - b1 * product[i + 1] - b2 * product[i + 2]
-            for b in range(count):
-                j = 3 * unknown[b]
-                target[3 * b] = b0 * W[i, j] + b1 * W[i + 1, j] + b2 * W[i + 2, j]
-                target[3 * b + 1] = b0 * W[i, j + 1] + b1 * W[i + 1, j + 1] + b2 * W[i + 2, j + 1]
-                target[3 * b + 2] = b0 * W[i, j + 2] + b1 * W[i + 1, j + 2] + b2 * W[i + 2, j + 2]
-            for column in range(3):
-                target[3 * a + column] += A[k, row, column] + damping * B[k, row, column]
-    d = _solve_dense(J, r)
+    d = _solve_dense(system(W, A, B, unknown, damping), r)
     for a in range(count):
         i = 3 * unknown[a]
         x[i], x[i + 1], x[i + 2] = d[3 * a], d[3 * a + 1], d[3 * a + 2]

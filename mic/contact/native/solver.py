@@ -148,7 +148,9 @@ class NativeSolver:
             work=work,
             share=share,
             error=estimate,
-            counts=counts,
+            steps=counts[:, follower.STEPS].copy(),
+            factorisations=counts[:, follower.FACTORISATIONS].copy(),
+            given_up=counts[:, follower.FAILED] > 0,
         )
 
     def infeasible(self, b: np.ndarray) -> bool:
