@@ -28,6 +28,7 @@ from mic.results.outcome import read_outcome
 from mic.runs import sample_into
 from mic.sampling.draw import draw
 from mic.scene import Scene
+from mic.scene.settings import FOLLOWING
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
 from verification.report import number, table_cells
@@ -97,6 +98,9 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
 def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: bool, team: Team, say=print) -> dict:
     """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
 
+    Stages whose path is followed take one increment a step here, in the reduced model and in the full solves: what the
+    path leaves, every run tells of itself, and the full solves would take minutes a sample.
+
     Parameters
     ----------
     scene : mic.scene.schema.Scene
@@ -119,7 +123,7 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     """
     folder = Path(folder)
     tell = say if team.rank == 0 else lambda line: None
-    scene = _with_truth(scene)
+    scene = _on_increments(_with_truth(scene))
     truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
     samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
     start = time.perf_counter()
@@ -179,6 +183,18 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     _write(folder / "report.html", _page(summary, per_sample, table, truth))
     return summary
+
+
+def _on_increments(scene):
+    """The scene with one increment a step where paths are followed."""
+    steps = {"path": "increments", "increments": 1}
+    stages = [
+        stage.model_copy(update=steps)
+        if stage.kind in FOLLOWING and stage.path in (None, "followed") and stage.increments is None
+        else stage
+        for stage in scene.stages
+    ]
+    return scene.model_copy(update={"stages": stages})
 
 
 def _with_truth(scene):
