@@ -56,7 +56,10 @@ __all__ = ["follower"]
 
 # Of a step of the whole path.
 LONGEST = 0.5  # the estimate sees two directions of a slider, not what it does in between
-SHORTEST = 1e-2  # behind a closing, too: contacts that close within it do so together
+SHORTEST = 1e-6
+BEHIND = 0.25
+GROWTH = 4.0
+MOST = 4000
 #: Newton's tolerance within a path; at its end it is the solver's. Looser, statuses flicker and steps are cut in vain.
 INNER = 1e-5
 #: A contact this near its cone (relative) at the start of a step may slide.
@@ -141,6 +144,15 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
             bound = min(grip[k], np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
             back = _lag(length / max(bound, 1e-300)) * length
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
+
+
+@jit(NUMBER(VECTOR, VECTOR))
+def _motion(w, unit):
+    """Root mean square over the contacts of a tangential motion, a length."""
+    total = 0.0
+    for k in range(len(unit)):
+        total += (w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) * unit[k] ** 2
+    return np.sqrt(total / max(len(unit), 1))
 
 
 @jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
@@ -663,7 +675,8 @@ def _compile(digest):
             elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
                 done[FAILED] += 1
                 continue
-            s, h, allowed = 0.0, 1.0 / equal if equal > 0 else LONGEST, -1.0
+            s, h, made = 0.0, 1.0 / equal if equal > 0 else LONGEST, 0.0
+            allowed = -1.0
             while True:
                 for k in range(m):
                     for c in range(2):
@@ -683,7 +696,7 @@ def _compile(digest):
                                 e0[k, 0], e0[k, 1] = y0[3 * k + 1] / grip[k], y0[3 * k + 2] / grip[k]
                             loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
-                        behind = 1.0 if equal > 0 else smallest
+                        behind = 1.0 if equal > 0 else min(0.01, max(smallest, BEHIND * step))
                         apart = np.inf if equal > 0 or allowed < 0.0 else allowed * np.sqrt(m)
                         step = predict(
                             equation,
@@ -706,21 +719,20 @@ def _compile(digest):
                             gone,
                             done,
                         )
-                    if allowed < 0.0:
-                        total = 0.0
-                        for k in range(m):
-                            total += (motion[3 * k + 1] ** 2 + motion[3 * k + 2] ** 2) * unit[k] ** 2
-                        allowed = max(tolerance * np.sqrt(total / max(m, 1)) / step, floor)
+                    allowed = max(tolerance * (made + _motion(motion, unit)), floor)
                     target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     yp[:], wp[:] = y0 + x, w0 + motion
                     if order == 2:
                         _shifts(W, y0, w0, state0, e0, grip, loose, motion, yp, wp, state0, False, shift, touched)
-                    for turn in range(order):
+                    turn, last = 0, step <= 1.0001 * smallest
+                    while True:
                         q[:] = Q0[sample] + target * rate
                         for k in range(m):
                             for c in range(2):
                                 q[3 * k + 1 + c] -= L[sample, 2 * k + c] + shift[k, c]
-                        if turn == 0:
+                        if turn == 2:
+                            y[:] = y0
+                        elif turn == 0:
                             y[:] = yp
                             # Linear rates overrun a slider that turns fast: it starts from its old direction.
                             for k in range(m):
@@ -752,11 +764,25 @@ def _compile(digest):
                         if order == 1:
                             break
                         _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, True, other, late)
-                        error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
-                        if turn == 1 or error <= allowed and equal == 0:
+                        if turn == 2:
+                            error = 0.0
+                            for k in range(m):
+                                error += (other[k, 0] ** 2 + other[k, 1] ** 2) * unit[k] ** 2
+                            error = np.sqrt(error / max(m, 1))
                             break
-                        shift[:] = other
-                        touched[:] = late
+                        error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
+                        if solved == 1 and (error <= allowed and equal == 0 or turn == 1 and equal > 0):
+                            break
+                        if turn == 0 and solved == 1:
+                            turn = 1
+                            shift[:] = other
+                            touched[:] = late
+                        elif last:
+                            turn = 2
+                            shift[:] = 0.0
+                            touched[:] = 0.0
+                        else:
+                            break
                     if solved == 1 and error <= allowed or step <= 1.0001 * smallest:
                         break
                     done[CUT] += 1
@@ -787,7 +813,13 @@ def _compile(digest):
                 estimate[sample] += error
                 done[STEPS] += 1
                 s = target
-                h = min(LONGEST, max(smallest, step * SAFETY * np.sqrt(allowed / max(error, 1e-300))))
+                for c in range(3 * m):
+                    motion[c] = w[c]
+                made += _motion(motion, unit)
+                h = min(LONGEST, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
+                if done[STEPS] > MOST and equal == 0:
+                    done[FAILED] += 1
+                    break
                 if equal > 0:
                     h = smallest
             Q[sample] = q
