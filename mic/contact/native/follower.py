@@ -61,7 +61,7 @@ BEHIND = 0.25
 GROWTH = 4.0
 MOST = 4000
 #: Newton's tolerance within a path; at its end it is the solver's. Looser, statuses flicker and steps are cut in vain.
-INNER = 1e-5
+INNER = 1e-10
 #: A contact this near its cone (relative) at the start of a step may slide.
 NEAR = 1e-7
 #: Shrinking the step aims below the tolerance by this factor, the usual one of step control.
@@ -471,6 +471,9 @@ def _compile(digest):
         w[:] = w0
         x[:] = 0.0
         motion[:] = 0.0
+        for k in range(m):
+            loose[k] = 0.0 if state0[k] == SLIP else 1.0
+            grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
         state, held, found = state0.copy(), np.zeros(m, np.bool_), np.zeros(m, np.int64)
         trial, still = np.empty(3 * m), np.zeros(3 * m)
         new_A, new_B = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
@@ -495,9 +498,6 @@ def _compile(digest):
                 _change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
             if event == 0:
                 state0[:] = state
-                for k in range(m):
-                    loose[k] = 0.0 if state[k] == SLIP else 1.0
-                    grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
             advance, first = step - reached, -1
             closes = False
             for k in range(m):
