@@ -61,7 +61,7 @@ BEHIND = 0.25
 GROWTH = 4.0
 MOST = 4000
 #: Newton's tolerance within a path; at its end it is the solver's. Looser, statuses flicker and steps are cut in vain.
-INNER = 1e-10
+INNER = 1e-9
 #: A contact this near its cone (relative) at the start of a step may slide.
 NEAR = 1e-7
 #: Shrinking the step aims below the tolerance by this factor, the usual one of step control.
@@ -74,6 +74,7 @@ EVENTS, PASSES = 32, 16
 BISECTIONS = 40
 #: Newton's steps, sweeps before them and of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
+FIRST = 1
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
@@ -338,8 +339,8 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
 
-    @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, COUNTS))
-    def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, counts):
+    @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, int64, COUNTS))
+    def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, help, counts):
         """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
 
         Returns 1 if it is solved; ``w = W y + q`` in any case.
@@ -356,7 +357,7 @@ def _compile(digest):
         error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, 0, m)
         counts[FACTORISATIONS] += steps
         run = sweeps
-        for _ in range(HELP):
+        for _ in range(help):
             if error <= tol:
                 return 1
             counts[RESCUES] += 1
@@ -672,7 +673,7 @@ def _compile(digest):
             if order == 1:  # what does not balance is part of the first step
                 for k in range(m):
                     w[3 * k + 1] = w[3 * k + 2] = 0.0
-            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
+            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, HELP, done) == 0:
                 done[FAILED] += 1
                 continue
             s, h, made = 0.0, 1.0 / equal if equal > 0 else LONGEST, 0.0
@@ -755,6 +756,7 @@ def _compile(digest):
                             tol if end or equal > 0 else INNER,
                             starting_scale(q) if end else scale,
                             sweeps,
+                            HELP if last or equal > 0 or order == 1 else FIRST,
                             done,
                         )
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
