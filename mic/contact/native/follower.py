@@ -69,12 +69,13 @@ SAFETY = 0.8
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
 #: Contacts that open or break loose within one prediction before it is cut short, and sliders that do not slide.
-EVENTS, PASSES = 32, 16
+EVENTS, PASSES = 32, 32
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
 #: Newton's steps, sweeps before them and of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
-FIRST = 1
+FIRST = 0
+BARE = 16
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
@@ -350,6 +351,11 @@ def _compile(digest):
         none = np.empty((0, 0))
         best = start.copy()
         slip = np.zeros(m)
+        if BARE > 0:
+            error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, BARE, 0, m)
+            counts[FACTORISATIONS] += steps
+            if error <= tol:
+                return 1
         if sweeps > 0:
             gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
             times(W, y, w)
@@ -477,7 +483,8 @@ def _compile(digest):
             grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
         state, held, found = state0.copy(), np.zeros(m, np.bool_), np.zeros(m, np.int64)
         trial, still = np.empty(3 * m), np.zeros(3 * m)
-        new_A, new_B = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        new_A, new_B, nothing = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((0, 3, 3))
+        A0, B0 = A.copy(), B.copy()
         closed = np.flatnonzero(state != OPEN)
         inverse = _inverse(W, A, B, closed)
         counts[FACTORISATIONS] += 1
@@ -485,18 +492,31 @@ def _compile(digest):
         for event in range(EVENTS):
             for _ in range(PASSES):
                 _rates(W, B, closed, inverse, rate, dy, dw)
-                # Of the sliders that would be pushed back, the one pushed hardest sticks: others may then slide.
+                # On the cone a contact slides forward or its force does not leave the cone, never both: of those that do
+                # neither, the worst changes.
                 hardest, worst = 0.0, -1
                 for a in range(len(closed)):
                     k = closed[a]
-                    pushed = dw[3 * k + 1] * e0[k, 0] + dw[3 * k + 2] * e0[k, 1]
-                    if state[k] == SLIP and pushed > hardest:
-                        hardest, worst = pushed, a
+                    i = 3 * k
+                    if state[k] == SLIP:
+                        wrong = dw[i + 1] * e0[k, 0] + dw[i + 2] * e0[k, 1]
+                    elif held[k]:
+                        wrong = 0.0
+                        for c in range(3):
+                            wrong += (e0[k, 0] * A0[k, 1, c] + e0[k, 1] * A0[k, 2, c]) * dy[i + c]
+                    else:
+                        continue
+                    if wrong > hardest:
+                        hardest, worst = wrong, a
                 if worst < 0:
                     break
-                state[closed[worst]] = STICK
-                held[closed[worst]] = True
-                _change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
+                k = closed[worst]
+                if held[k]:
+                    state[k], held[k] = SLIP, False
+                    _change(W, A, B, closed, inverse, worst, A0[k], B0[k])
+                else:
+                    state[k], held[k] = STICK, True
+                    _change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
             if event == 0:
                 state0[:] = state
             advance, first = step - reached, -1
@@ -532,6 +552,13 @@ def _compile(digest):
             x += advance * dy
             motion += advance * dw
             reached += advance
+            trial[:] = y
+            for k in range(m):
+                trial[3 * k + 1] *= 1.0 + NEAR
+                trial[3 * k + 2] *= 1.0 + NEAR
+            equation(parameters, trial, still, phi, nothing, nothing, found, False)
+            for k in range(m):
+                held[k] = held[k] and found[k] != STICK
             if closes or first < 0 or event == EVENTS - 1:
                 break
             i = 3 * first
@@ -543,9 +570,10 @@ def _compile(digest):
                 state[first], loose[first] = SLIP, reached
                 grip[first] = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
                 e0[first, 0], e0[first, 1] = y[i + 1] / grip[first], y[i + 2] / grip[first]
+                A0[first], B0[first] = new_A[first], new_B[first]
                 for a in range(len(closed)):
                     if closed[a] == first:
-                        _change(W, A, B, closed, inverse, a, new_A[first], new_B[first])
+                        _change(W, A, B, closed, inverse, a, A0[first], B0[first])
                 continue
             opened[first] = reached
             gone[first, 0], gone[first, 1] = motion[i + 1], motion[i + 2]
@@ -738,7 +766,7 @@ def _compile(digest):
                             # Linear rates overrun a slider that turns fast: it starts from its old direction.
                             for k in range(m):
                                 i = 3 * k
-                                if order == 2 and state0[k] == SLIP and y0[i] > 0.0:
+                                if order == 2 and state0[k] == SLIP and y0[i] < -1.0:
                                     grown = max(y[i], 0.0) / y0[i]
                                     y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
                         times(W, y, w)
@@ -756,7 +784,7 @@ def _compile(digest):
                             tol if end or equal > 0 else INNER,
                             starting_scale(q) if end else scale,
                             sweeps,
-                            HELP if last or equal > 0 or order == 1 else FIRST,
+                            HELP if last or equal > 0 or order == 1 or _motion(motion, unit) <= allowed else FIRST,
                             done,
                         )
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
