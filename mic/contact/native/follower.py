@@ -75,7 +75,7 @@ BISECTIONS = 40
 #: Newton's steps, sweeps before them and of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
 FIRST = 0
-BARE = 16
+PIVOTS, OUTER, DEBUG = 100, 10, False
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
@@ -146,6 +146,17 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
             bound = min(grip[k], np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
             back = _lag(length / max(bound, 1e-300)) * length
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
+
+
+@jit(NUMBER(NUMBER, VECTOR, VECTOR, VECTOR))
+def _size(scale, q, y, w):
+    energy = 0.0
+    rounding = 0.0
+    for i in range(len(q)):
+        energy += y[i] * (w[i] - q[i])
+        rounding += y[i] * y[i]
+    energy -= 1e-15 * len(q) * rounding
+    return max(scale, np.sqrt(max(energy, 0.0)))
 
 
 @jit(NUMBER(VECTOR, VECTOR))
@@ -337,8 +348,142 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
     return -1
 
 
+@jit(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, int64, MATRIX, MATRIX, VECTOR, VECTOR))
+def _facet(equation, parameters, y, w, y_new, w_new, k, A, B, r, e):
+    """Contact k slides along the force that it is about to have: its linear equation there, ``A dy + B dw = r``."""
+    i = 3 * k
+    at, still, phi, found = np.empty(3), np.zeros(3), np.zeros(3), np.zeros(1, np.int64)
+    own = parameters[k : k + 1]
+    A1, B1, nothing = np.zeros((1, 3, 3)), np.zeros((1, 3, 3)), np.empty((0, 3, 3))
+    at[:] = y_new[i : i + 3]
+    equation(own, at, still, phi, nothing, nothing, found, False)
+    if found[0] == SLIP:
+        at[1] -= phi[1]
+        at[2] -= phi[2]
+    for c in range(1, 3):
+        still[c] = -NEAR * at[c]
+    at[1] *= 1.0 + 1e-12
+    at[2] *= 1.0 + 1e-12
+    equation(own, at, still, phi, A1, B1, found, True)
+    t = np.sqrt(at[1] ** 2 + at[2] ** 2)
+    e[0], e[1] = at[1] / max(t, 1e-300), at[2] / max(t, 1e-300)
+    for row in range(3):
+        r[row] = -phi[row]
+        for c in range(3):
+            A[row, c], B[row, c] = A1[0, row, c], B1[0, row, c]
+            r[row] -= A1[0, row, c] * (y[i + c] - at[c]) + B1[0, row, c] * (w[i + c] - still[c])
+
+
+@jit(void(MATRIX, BLOCKS, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR))
+def _linear(W, A, B, own, inverse, R, y, q, right, y_new, w_new):
+    for a in range(len(own)):
+        for c in range(3):
+            right[3 * a + c] = R[3 * own[a] + c]
+    x = np.dot(inverse, right)
+    y_new[:] = y
+    for a in range(len(own)):
+        for c in range(3):
+            y_new[3 * own[a] + c] += x[3 * a + c]
+    times(W, y_new, w_new)
+    w_new += q
+
+
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
+
+    @jit(NUMBER(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, COUNTS))
+    def pivot(equation, W, parameters, y, w, q, tol, scale, counts):
+        digest  # noqa: B018
+        m = len(parameters)
+        phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        state, status, found = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
+        e, R = np.zeros((m, 2)), np.zeros(3 * m)
+        y_new, w_new, trial, still = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m)
+        one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
+        new_A, new_B = np.zeros((3, 3)), np.zeros((3, 3))
+        inside = np.zeros(m, np.bool_)
+        error = np.inf
+        for outer in range(OUTER):
+            derivative(equation, parameters, y, w, phi, A, B, state)
+            error = np.sqrt(np.dot(phi, phi))
+            size = _size(scale, q, y, w)
+            if error <= tol * size:
+                return error / size if size > 0.0 else 0.0
+            small = 0.1 * tol * size
+            status[:] = state
+            for k in range(m):
+                i = 3 * k
+                inside[k] = status[k] != OPEN or y[i] != 0.0 or y[i + 1] != 0.0 or y[i + 2] != 0.0
+                if status[k] == SLIP:
+                    v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
+                    t = np.sqrt(v1 * v1 + v2 * v2)
+                    e[k, 0], e[k, 1] = v1 / t, v2 / t
+                for c in range(3):
+                    R[i + c] = -phi[i + c]
+            solved, pivots = False, 0
+            while not solved and pivots < PIVOTS:
+                own = np.flatnonzero(inside)
+                inverse = _inverse(W, A, B, own)
+                counts[FACTORISATIONS] += 1
+                right = np.empty(3 * len(own))
+                place = np.zeros(m, np.int64)
+                for a in range(len(own)):
+                    place[own[a]] = a
+                while True:
+                    _linear(W, A, B, own, inverse, R, y, q, right, y_new, w_new)
+                    trial[:] = y_new
+                    for k in range(m):
+                        if status[k] == SLIP or status[k] == OPEN:
+                            trial[3 * k + 1] = trial[3 * k + 2] = 0.0
+                    equation(parameters, trial, still, phi, nothing, nothing, found, False)
+                    hardest, worst = small, -1
+                    grown = False
+                    for k in range(m):
+                        i = 3 * k
+                        if status[k] == OPEN:
+                            wrong = -w_new[i]
+                            if wrong > small and not inside[k]:
+                                inside[k] = grown = True
+                        elif y_new[i] < 0.0:
+                            wrong = -y_new[i]
+                        elif status[k] == SLIP:
+                            wrong = e[k, 0] * w_new[i + 1] + e[k, 1] * w_new[i + 2]
+                        elif found[k] == SLIP:
+                            wrong = np.sqrt(phi[i + 1] ** 2 + phi[i + 2] ** 2)
+                        else:
+                            continue
+                        if wrong > hardest:
+                            hardest, worst = wrong, k
+                    if worst < 0:
+                        solved = True
+                        break
+                    pivots += 1
+                    if pivots >= PIVOTS:
+                        break
+                    i = 3 * worst
+                    if status[worst] == OPEN or (status[worst] == SLIP and y_new[i] >= 0.0):
+                        status[worst] = STICK
+                        for c in range(3):
+                            R[i + c] = -w[i + c]
+                        new_A[:], new_B[:] = none, one
+                    elif y_new[i] < 0.0:
+                        status[worst] = OPEN
+                        for c in range(3):
+                            R[i + c] = -y[i + c]
+                        new_A[:], new_B[:] = one, none
+                    else:
+                        status[worst] = SLIP
+                        _facet(equation, parameters, y, w, y_new, w_new, worst, new_A, new_B, R[i : i + 3], e[worst])
+                    if grown:
+                        A[worst], B[worst] = new_A, new_B
+                        break
+                    _change(W, A, B, own, inverse, place[worst], new_A, new_B)
+            if DEBUG:
+                print("   P", outer, error / size, pivots, solved, inside.sum())
+            if not solved:
+                break
+            y[:], w[:] = y_new, w_new
+        return error / size if size > 0.0 else 0.0
 
     @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, int64, COUNTS))
     def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, help, counts):
@@ -351,11 +496,8 @@ def _compile(digest):
         none = np.empty((0, 0))
         best = start.copy()
         slip = np.zeros(m)
-        if BARE > 0:
-            error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, BARE, 0, m)
-            counts[FACTORISATIONS] += steps
-            if error <= tol:
-                return 1
+        if pivot(equation, W, parameters, y, w, q, tol, scale, counts) <= tol:
+            return 1
         if sweeps > 0:
             gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
             times(W, y, w)
