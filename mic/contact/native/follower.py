@@ -76,6 +76,7 @@ BISECTIONS = 40
 NEWTON, SWEEPS, HELP = 12, 10, 6
 FIRST = 0
 PIVOTS, OUTER, DEBUG = 100, 10, False
+RHO = 100.0
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
@@ -402,6 +403,7 @@ def _compile(digest):
         one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
         new_A, new_B = np.zeros((3, 3)), np.zeros((3, 3))
         inside = np.zeros(m, np.bool_)
+        stretched = np.empty(3 * m)
         error = np.inf
         for outer in range(OUTER):
             derivative(equation, parameters, y, w, phi, A, B, state)
@@ -410,12 +412,19 @@ def _compile(digest):
             if error <= tol * size:
                 return error / size if size > 0.0 else 0.0
             small = 0.1 * tol * size
+            stretched[:] = RHO * w
+            derivative(equation, parameters, y, stretched, phi, A, B, state)
+            for k in range(m):
+                if state[k] == SLIP:
+                    B[k] *= RHO
+                elif state[k] == STICK:
+                    phi[3 * k : 3 * k + 3] = w[3 * k : 3 * k + 3]
             status[:] = state
             for k in range(m):
                 i = 3 * k
                 inside[k] = status[k] != OPEN or y[i] != 0.0 or y[i + 1] != 0.0 or y[i + 2] != 0.0
                 if status[k] == SLIP:
-                    v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
+                    v1, v2 = y[i + 1] - RHO * w[i + 1], y[i + 2] - RHO * w[i + 2]
                     t = np.sqrt(v1 * v1 + v2 * v2)
                     e[k, 0], e[k, 1] = v1 / t, v2 / t
                 for c in range(3):
