@@ -565,7 +565,7 @@ def _compile(digest):
         rate,
         step,
         behind,
-        apart,
+        allowed,
         state0,
         e0,
         grip,
@@ -697,7 +697,7 @@ def _compile(digest):
                 breaks = _breaking(equation, parameters, trial, still, state, held, phi, found)
                 advance, first, closes = high, breaks, False
             if closes:
-                advance = min(advance + behind, step - reached)
+                advance = min(advance + max(behind, 0.5 * allowed / max(_motion(dw, unit), 1e-300)), step - reached)
             y += advance * dy
             w += advance * dw
             x += advance * dy
@@ -733,7 +733,7 @@ def _compile(digest):
                 y[i + row] = 0.0
             state[first] = OPEN
             # Where it was counts, if it slid so far that the time of its opening does.
-            if unit[first] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > apart:
+            if unit[first] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > allowed * np.sqrt(m):
                 step = min(step, reached + behind)
             for a in range(len(closed)):
                 if closed[a] == first:
@@ -856,7 +856,6 @@ def _compile(digest):
                 done[FAILED] += 1
                 continue
             s, h, made = 0.0, 1.0 / equal if equal > 0 else LONGEST, 0.0
-            allowed = -1.0
             while True:
                 for k in range(m):
                     for c in range(2):
@@ -877,7 +876,7 @@ def _compile(digest):
                             loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
                         behind = 1.0 if equal > 0 else min(0.01, max(smallest, BEHIND * step))
-                        apart = np.inf if equal > 0 or allowed < 0.0 else allowed * np.sqrt(m)
+                        allowed = np.inf if equal > 0 else max(tolerance * made, floor)
                         step = predict(
                             equation,
                             W,
@@ -888,7 +887,7 @@ def _compile(digest):
                             rate,
                             step,
                             behind,
-                            apart,
+                            allowed,
                             state0,
                             e0,
                             grip,
@@ -914,6 +913,9 @@ def _compile(digest):
                             y[:] = y0
                         elif turn == 0:
                             y[:] = yp
+                            for k in range(m):
+                                if order == 2 and opened[k] < 1.0:
+                                    y[3 * k : 3 * k + 3] = 0.0
                             # Linear rates overrun a slider that turns fast: it starts from its old direction.
                             for k in range(m):
                                 i = 3 * k
