@@ -75,8 +75,9 @@ BISECTIONS = 40
 #: Newton's steps, sweeps before them and of the first call for help, and calls before the path is given up.
 NEWTON, SWEEPS, HELP = 12, 10, 6
 FIRST = 0
+SW, OLD = 10, True
 PIVOTS, OUTER, DEBUG = 100, 10, False
-RHO = 100.0
+RHO = 10.0
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
@@ -505,12 +506,12 @@ def _compile(digest):
         none = np.empty((0, 0))
         best = start.copy()
         slip = np.zeros(m)
-        if pivot(equation, W, parameters, y, w, q, tol, scale, counts) <= tol:
-            return 1
-        if sweeps > 0:
-            gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
+        if sweeps > 0 and SW > 0:
+            gauss_seidel(W, P, parameters, y, w, slip, SW, 1e-15)
             times(W, y, w)
             w += q
+        if pivot(equation, W, parameters, y, w, q, tol, scale, counts) <= tol:
+            return 1
         error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, 0, m)
         counts[FACTORISATIONS] += steps
         run = sweeps
@@ -919,7 +920,7 @@ def _compile(digest):
                             # Linear rates overrun a slider that turns fast: it starts from its old direction.
                             for k in range(m):
                                 i = 3 * k
-                                if order == 2 and state0[k] == SLIP and y0[i] < -1.0:
+                                if order == 2 and state0[k] == SLIP and y0[i] > 0.0 and OLD:
                                     grown = max(y[i], 0.0) / y0[i]
                                     y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
                         times(W, y, w)
