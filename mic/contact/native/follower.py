@@ -198,6 +198,8 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
 @jit(
     void(
         VECTOR,
+        VECTOR,
+        VECTOR,
         COUNTS,
         MATRIX,
         VECTOR,
@@ -216,7 +218,9 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
         MATRIX,
     )
 )
-def _record(y0, state0, e0, grip, loose, y, w, state, touched, shift, opened, gone, part, slip, length, work, share):
+def _record(
+    y0, w0, motion, state0, e0, grip, loose, y, w, state, touched, shift, opened, gone, part, slip, length, work, share
+):
     """Add a step to what the contacts went through: slip under load, its length, friction's work, shares of the path.
 
     Forces of a contact that slides grow linearly over the step, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``;
@@ -231,7 +235,11 @@ def _record(y0, state0, e0, grip, loose, y, w, state, touched, shift, opened, go
             if state[k] == OPEN:
                 share[k, 0] += part
                 continue
-            m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
+            if w0[i] + motion[i] < 0.0:  # foreseen, before its own force could take load off the others
+                begin = _crossing(w0[i], w0[i] + motion[i])
+                m1, m2 = m1 - begin * motion[i + 1], m2 - begin * motion[i + 2]
+            else:
+                m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
             end, m1, m2 = opened[k], gone[k, 0], gone[k, 1]
             if end == 1.0:  # the prediction did not see it
@@ -977,6 +985,8 @@ def _compile(digest):
                     break
                 _record(
                     y0,
+                    w0,
+                    motion,
                     state0,
                     e0,
                     grip,
