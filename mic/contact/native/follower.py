@@ -325,6 +325,8 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
 
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
+    # In the closure of `follow` these two would be part of the cache's key, and no two processes write them alike.
+    global solve, predict
 
     @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, COUNTS))
     def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, counts):
@@ -644,6 +646,7 @@ def _compile(digest):
         grip, loose = np.zeros(m), np.ones(m)
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
         phi, nothing = np.empty(size), np.empty((0, 3, 3))
+        digest  # noqa: B018
         smallest = 1.0 / equal if equal > 0 else SHORTEST
         for sample in range(len(Q0)):
             done = counts[sample]
