@@ -98,7 +98,7 @@ def test_unusable_arguments_are_refused(name):
 
 @pytest.mark.fem
 @pytest.mark.parametrize(
-    "resolution, low, high", [("coarse", 3000, 4500), ("medium", 10000, 12500), ("fine", 30000, 40000)]
+    "resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500), ("fine", 29000, 38500)]
 )
 def test_wheelhouse_node_counts(medium, resolution, low, high):
     for part in wheelhouse.PARTS:
