@@ -5,13 +5,13 @@ the triangles around bends the flat beside it. But bends begin along edges, and 
 edge of one smooth piece, L = x_j − x_i, the sheet bends alike towards both ends, L · n_i = −L · n_j: exactly where the
 edge is an arc, to leading order on every quadratic surface. The normals are therefore the least squares
 
-    Σ_edges (L · (n_i + n_j)/|L|)² + p² Σ |n_i − n_i⁰|² → min,
+    Σ_edges (L · (n_i + n_j)/|L|)² + `_PULL`² Σ |n_i − n_i⁰|² → min,
 
 which finds flats, cylinders and balls that meet tangentially along edges, in one row of triangles or many. The first
-sum is blind to normals that tip to and fro from row to row; there the second decides, with p as in `_PULLS`, each time
-from where the last ended. At first n⁰ is the mean of the triangles around by their angles; at borders, where that leans
-inwards, it is what arcs from the points inside lead to. Flats of three rows or more are seen at once, and where they end
-they have their own normal.
+sum is blind to normals that tip to and fro from row to row; there the second decides. `_ROUNDS` times it begins where
+the last round ended. At first n⁰ is the mean of the triangles around by their angles; at borders, where that leans
+inwards, it is what arcs from the points inside lead to. Flats of three rows or more are seen at once, and have one
+normal to their ends.
 
 One normal is sought for the triangles around a point that hang together by edges that are no folds. By d, the dihedral
 angle of an edge, and b, the largest dihedral angle of what the sheet does on its sides, an edge is
@@ -54,7 +54,7 @@ _WIDE = 2.0  # triangles whose heights over their edge differ by more belong to 
 _ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # a border at a smaller angle runs along an edge
 _ON = np.cos(np.radians(25)) * (1 - 1e-6)  # edges at a smaller angle are pieces of one line
 _EQUAL = 1e-6  # ratios that differ by less are equal: rounding decides nothing
-_PULLS = 0.1, 0.05  # with the first alone jittered cylinders stretch, with 0.02 regular bends along an arch tip
+_PULL, _ROUNDS = 0.1, 4  # of one round jittered cylinders keep a stretch; pulled by 0.02, arched bends tip
 _STEPS, _STILL = 8, 1e-7  # of Gauss and Newton at most; radians, a step that ends them
 _ROUGH = 1e-8  # relative error of a step
 
@@ -256,8 +256,8 @@ def _estimate(points, triangles, own, edges):
     edge, end = np.nonzero(~known[ends])
     who = unknown[ends[edge, end]]
     normal = start
-    for pull in _PULLS if len(free) else ():
-        start, held = normal[free], pull * identity(2 * len(free))
+    for _ in range(_ROUNDS if len(free) else 0):
+        start, held = normal[free], _PULL * identity(2 * len(free))
         normal = normal.copy()
         for _ in range(_STEPS):
             n = normal[free]
@@ -267,7 +267,7 @@ def _estimate(points, triangles, own, edges):
             place = np.repeat(edge, 2), (2 * who[:, None] + [0, 1]).ravel()
             bend = csr_matrix((slope.ravel(), place), shape=(len(ends), 2 * len(free)))
             turn = (chord * normal[ends].sum(axis=1)).sum(axis=1)
-            back = pull * np.einsum("qac,qc->qa", axes, start - n).ravel()
+            back = _PULL * np.einsum("qac,qc->qa", axes, start - n).ravel()
             step = lsmr(vstack([bend, held]), np.concatenate([-turn, back]), atol=_ROUGH, btol=_ROUGH)[0]
             normal[free] = _unit(n + np.einsum("qa,qac->qc", step.reshape(-1, 2), axes))
             if np.abs(step).max() < _STILL:
