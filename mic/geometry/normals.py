@@ -54,7 +54,7 @@ _WIDE = 2.0  # triangles whose heights over their edge differ by more belong to 
 _ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # a border at a smaller angle runs along an edge
 _ON = np.cos(np.radians(25)) * (1 - 1e-6)  # edges at a smaller angle are pieces of one line
 _EQUAL = 1e-6  # ratios that differ by less are equal: rounding decides nothing
-_PULL, _ROUNDS = 0.1, 4  # of one round jittered cylinders keep a stretch; pulled by 0.02, arched bends tip
+_PULL, _ROUNDS = 0.1, 8  # after few rounds jittered sheets keep a stretch; pulled by 0.02 at once, arched bends tip
 _STEPS, _STILL = 8, 1e-7  # of Gauss and Newton at most; radians, a step that ends them
 _ROUGH = 1e-8  # relative error of a step
 
