@@ -55,8 +55,8 @@ _ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # a border at a smaller angle runs
 _ON = np.cos(np.radians(25)) * (1 - 1e-6)  # edges at a smaller angle are pieces of one line
 _EQUAL = 1e-6  # ratios that differ by less are equal: rounding decides nothing
 _PULL, _ROUNDS = 0.1, 8  # after few rounds jittered sheets keep a stretch; pulled by 0.02 at once, arched bends tip
-_STEPS, _STILL = 8, 1e-7  # of Gauss and Newton at most; radians, a step that ends them
-_ROUGH = 1e-8  # relative error of a step
+_STEPS, _STILL = 8, 1e-9  # of Gauss and Newton in each round at most; radians, a step that ends it
+_ROUGH = 1e-10  # relative error of a step: rounding is not to show in what follows
 
 
 class Rule(IntEnum):
