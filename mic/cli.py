@@ -17,6 +17,8 @@ from mic.errors import MicError, Stopped
 
 __all__ = ["main"]
 
+AGAIN = 0.01  # s after which a stop that was lost is raised again
+
 
 def main() -> NoReturn:
     """One clear line for what a user can mend, a traceback for what only we can."""
@@ -44,6 +46,7 @@ def main() -> NoReturn:
         words = commands.sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays: {remedy}")
     except Exception:
         status, words = 1, traceback.format_exc()
+    _on_signals(signal.SIG_DFL)  # nothing is left to be kept or said: whoever waits for the others just ends
     leave(world, status, words)
 
 
@@ -58,6 +61,20 @@ def _leave_at_once(number, frame):
 
 
 def _stop(number, frame):
+    """Raise in whatever the program is doing, and again a moment later where what is raised is lost.
+
+    A callback from C (such as a compiler's, which works for seconds) and a destructor print it, with a traceback, and
+    the program goes on.
+    """
+
+    def lost(unraisable):
+        if not isinstance(unraisable.exc_value, Stopped):
+            sys.__unraisablehook__(unraisable)
+            return
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+        signal.setitimer(signal.ITIMER_REAL, AGAIN)
+
+    sys.unraisablehook = lost
     raise Stopped(number)
 
 

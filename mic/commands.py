@@ -365,9 +365,7 @@ def _print_parts(console, assembly):
 
 def _print_normals(console, assembly):
     """What decided the normals of the curved sheets, and where the mesh tells too little."""
-    table = Table(
-        "part", "given by", "given", "fitted", "flatter side", "flat", "refused", title="Normals at triangles' corners"
-    )
+    table = Table("part", "given by", "given", "estimated", "flat", "refused", title="Normals at triangles' corners")
     for part, source in zip(assembly.parts, assembly.scene.parts):
         counts = np.bincount(part.surface.curvature.rule.ravel(), minlength=len(Rule))
         table.add_row(

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -239,6 +240,21 @@ def test_the_page_on_contact_has_every_rung_and_every_law():
 def test_contact_is_imported_without_a_compiler():
     code = "import sys, mic.contact, mic.contact.comparison; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_what_one_process_has_compiled_no_later_one_compiles():
+    code = "from mic.contact import ContactSolver; ContactSolver([[1.0]], 0.0, 'frictionless', dimension=1)\n"
+    code += "from mic.contact.native.follower import follower; follower()"
+    for _ in range(2):
+        told = subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"NUMBA_DEBUG_CACHE": "1"},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+    assert "data loaded from" in told and "data saved to" not in told
 
 
 def test_nobody_else_keeps_a_list_of_laws_or_states():

@@ -98,7 +98,7 @@ def test_an_indefinite_matrix_is_refused():
 
 #: Largest three eigenvalues of H on balanced forces, of the panel below, mm/N.
 COMPLIANCE = {
-    "dkt-opt-curved": (1.006858439010e-05, 3.736340876843e-05, 1.179093714189e-04),
+    "dkt-opt-curved": (1.006243006881e-05, 3.753199330617e-05, 1.191006882667e-04),
     "dkt-opt": (9.191797549896e-06, 3.151605296038e-05, 9.961153120999e-05),
     "p2-cr": (9.484394966696e-06, 3.416564864481e-05, 9.900068880311e-05),
 }
@@ -111,7 +111,7 @@ def test_an_element_gives_the_coefficients_that_caches_hold(element):
     H, G = ShellPart(surface, T, E, NU, element).influence(functionals(surface, PLACES, 6.0))
     balanced = np.linalg.svd(G)[0][:, 6:]
     found = np.linalg.eigvalsh(balanced.T @ H @ balanced)[-3:]
-    assert GENERATION == 4 and found == pytest.approx(COMPLIANCE[element], rel=1e-8)
+    assert GENERATION == 5 and found == pytest.approx(COMPLIANCE[element], rel=1e-8)
 
 
 @pytest.mark.parametrize("element", ELEMENTS)

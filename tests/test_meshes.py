@@ -82,7 +82,7 @@ def test_normals_are_those_of_the_surface_at_the_corners(medium, case):
     assert np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=1e-12)
     estimated = Surface(points, triangles).corner_normals
     angle = np.degrees(np.arccos(np.clip((normals * estimated).sum(axis=2), -1, 1)))
-    assert np.median(angle) < 0.1 and angle.mean() < 1 and angle.max() < 30
+    assert np.median(angle) < 0.2 and angle.mean() < 0.3 and angle.max() < 2
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
@@ -98,7 +98,7 @@ def test_unusable_arguments_are_refused(name):
 
 @pytest.mark.fem
 @pytest.mark.parametrize(
-    "resolution, low, high", [("coarse", 3000, 4500), ("medium", 10000, 12500), ("fine", 30000, 40000)]
+    "resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500), ("fine", 29000, 38500)]
 )
 def test_wheelhouse_node_counts(medium, resolution, low, high):
     for part in wheelhouse.PARTS:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from support import pressings
 from support.panels import grid, panel
 
-from mic.geometry.normals import GUARD, Rule, corner_normals
+from mic.geometry.normals import Rule, corner_normals
 from mic.geometry.repair import repair
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
@@ -77,7 +78,7 @@ def test_a_smooth_sheet_s_normals_are_found_borders_included(shape):
     )
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     found = surface.curvature
-    assert (found.rule == Rule.FITTED).all()
+    assert (found.rule == Rule.ESTIMATED).all()
     error, flat = angles(found.normal, exact[surface.triangles]), angles(own(surface), exact[surface.triangles])
     assert flat.mean() > 1.5 and error.mean() < 0.05 * flat.mean() and error.max() < 0.25 * flat.mean()
 
@@ -91,7 +92,7 @@ def test_a_bend_is_curved_and_the_flats_beside_it_are_not(rows, jitter):
     flats = angles(own(surface), exact).max(axis=1) < 1e-6
     assert error[flats].max() < 1e-6  # the flatter fan has its normals, at the line where the bend begins too
     assert error.max() < 0.25 * 90 / rows and error[~flats].mean() < 0.1 * 90 / rows
-    beside = (found.rule == Rule.FLATTER).any(axis=1)
+    beside = (found.rule == Rule.ESTIMATED).any(axis=1)
     assert beside.any() and not (beside & flats).any()
     assert not len(found.coarse)
 
@@ -125,7 +126,7 @@ def test_a_fold_between_curved_sheets_stays_a_fold_and_both_are_curved():
     upright = np.abs(surface.normals[:, 2]) < 0.5
     assert np.abs(found.normal[on_fold & upright[:, None]][:, 2]).max() < 0.02
     assert found.normal[on_fold & ~upright[:, None]][:, 2].min() > 0.8
-    assert (found.rule[on_fold] == Rule.FITTED).mean() > 0.8
+    assert (found.rule[on_fold] == Rule.ESTIMATED).mean() > 0.8
 
 
 def test_sheets_that_meet_in_a_junction_keep_their_own():
@@ -144,12 +145,35 @@ def test_sheets_that_meet_in_a_junction_keep_their_own():
     assert angles(together.corner_normals[:k], exact).max() < 1.5 < 2.5 < angles(own(curved), exact).max()
 
 
-def test_what_lies_beyond_the_guard_is_refused_and_said():
-    surface, _ = swept(*bend(1, angle=100.0))
+def test_a_single_row_by_100_degrees_is_a_bend_and_said_to_be_coarse():
+    surface, exact = swept(*bend(1, angle=100.0))
     found = surface.curvature
-    assert (found.rule == Rule.GUARDED).any() and len(found.coarse)
-    assert angles(found.normal, own(surface)).max() <= GUARD
-    assert angles(found.normal, own(surface))[found.rule == Rule.GUARDED].max() == 0
+    assert angles(found.normal, exact).max() < 1e-6
+    assert len(found.coarse)
+
+
+TURN = np.radians(35.0)
+PROFILES = {
+    "joggle": [(40.0, 0.0), (8 * TURN, TURN), (8 * TURN, -TURN), (40.0, 0.0)],
+    "flanged shell": [(18.0, 0.0), (6 * TURN, 2 * TURN), (30.0, 0.35), (10 * TURN, -TURN), (30.0, 0.0)],
+}
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.25])
+@pytest.mark.parametrize("radius", [None, 250.0], ids=["straight", "arched"])
+@pytest.mark.parametrize("shape", PROFILES)
+def test_bends_of_two_rows_that_meet_and_that_end_in_curved_sheets_are_known(shape, radius, jitter):
+    surface, exact = pressings.swept(PROFILES[shape], 10.0, 2, radius=radius, jitter=jitter)
+    error, flat = angles(surface.corner_normals, exact), angles(own(surface), exact)
+    assert error.max() < 0.2 * flat.max() and error.mean() < 0.1 * flat.mean()
+
+
+@pytest.mark.parametrize("depth, limit", [(20.0, 1.0), (40.0, 0.5)], ids=["walls of two rows", "walls of four"])
+@pytest.mark.parametrize("rows", [2, 4])
+def test_a_box_with_radii_is_known_in_its_corners_too(rows, depth, limit):
+    surface, exact = pressings.box(10.0, rows, depth=depth)
+    assert angles(own(surface), exact).max() > 10
+    assert angles(surface.corner_normals, exact).max() < limit
 
 
 def test_a_row_that_may_be_flat_is_said():

@@ -44,3 +44,36 @@ def test_a_signal_keeps_what_is_finished_and_the_same_call_completes_it(tmp_path
     assert all(path.stat().st_mtime_ns == written for path, written in done.items())
     assert pd.read_parquet(tmp_path / "run" / "samples")["sample"].tolist() == list(range(400))
     assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name or path.name == LOCK]
+
+
+LOST = """
+import ctypes, os, signal, time
+from mic import cli, commands
+
+def stop():
+    os.kill(os.getpid(), signal.SIGTERM)
+
+class Kept:
+    __del__ = lambda self: stop()
+
+def app():
+    {where}
+    time.sleep(30)
+
+commands.app = app
+cli.main()
+"""
+
+
+@pytest.mark.parametrize("where", ["ctypes.CFUNCTYPE(None)(stop)()", "Kept()"])
+def test_a_stop_that_comes_where_nothing_can_be_raised_is_not_lost(where):
+    program = LOST.format(where=where)
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
+    assert told.returncode == 143 and "interrupted" in told.stderr and "Traceback" not in told.stderr, told.stderr
+
+
+def test_a_process_that_is_stopped_as_it_leaves_says_no_more():
+    program = "import os, signal; from mic import cli, commands; from mic.sampling import ranks\n"
+    program += "commands.app = lambda: None; ranks.leave = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\ncli.main()"
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
+    assert told.returncode == -signal.SIGTERM and not told.stderr, told.stderr

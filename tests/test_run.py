@@ -1,14 +1,12 @@
 """Runs that lose nothing, use nothing of another run, and delete nothing that is not theirs."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from support.processes import on_processes
 
 from mic.compliance.blocks import Blocks
 from mic.errors import RunError
@@ -192,12 +190,8 @@ def test_ranks_share_the_samples(lap_model, tmp_path):
         "folder = Path(sys.argv[1]); model = ReducedModel.load(folder / 'model.npz')\n"
         "sample_into(folder / 'two', model, sys.argv[2:], 120, 4)"
     )
-    subprocess.run(
-        ["mpirun", "-n", "2", "--oversubscribe", sys.executable, "-m", "mpi4py", "-c", script, str(tmp_path), *LAWS],
-        check=True,
-        env=os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"},
-        timeout=120,
-    )
+    done = on_processes(2, "-c", script, tmp_path, *LAWS)
+    assert done.returncode == 0, done.stderr
     for table in ("samples", "measurements"):
         pd.testing.assert_frame_equal(read(tmp_path / "one", table), read(tmp_path / "two", table))
     assert np.isfinite(read(tmp_path / "two", "measurements")["value"]).all()

@@ -164,11 +164,11 @@ def test_report_shows_every_number_offline(tmp_path):
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_ranks(tmp_path):
     found = []
-    for ranks in (1, 2, 4):
+    for ranks in (1, 4):  # two of them do the whole work in the test below
         done = launch(tmp_path, ranks, tmp_path / f"out{ranks}")
         assert done.returncode == 0, done.stderr
         found.append(entries(tmp_path / f"out{ranks}"))
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
 
 
 @pytest.mark.slow

@@ -101,9 +101,11 @@ PRESSINGS = (
 )
 
 # Meshing
-SIZES = {"coarse": 17.5, "medium": 9.5, "fine": 5.0}  # mm
-FLANGE_REFINEMENT = {"inner": 3.0, "outer": 3.4}  # size / size on the flange; they differ so that meshes do not match
+SIZES = {"coarse": 17.5, "medium": 8.0, "fine": 5.0}  # mm
+FLANGE_REFINEMENT = {"inner": 2.4, "outer": 2.7}  # size / size on the flange; they differ so that meshes do not match
 BEND_REFINEMENT = 1.6  # size / size along a bend
+PRESSING_REFINEMENT = 2.0  # size / size on what is pressed into a panel: there the sheet is curved most
+PAD = 4.0  # mm, largest size at a locator: its pad's radius
 GROWTH = 0.3  # mm of size per mm of distance
 
 
@@ -302,15 +304,29 @@ def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             distance = np.maximum(np.maximum(piece.begin - l, l - piece.end), 0)
             target = np.minimum(target, size / BEND_REFINEMENT + GROWTH * distance)
 
+    # (u, v, half axis along u, along v, size there): finer within an ellipse, and around it
+    spots = []
+    for pressing in PRESSINGS:
+        if pressing.part == part:
+            piece = _region(part, pressing.region)
+            at = np.interp(piece.begin + pressing.fraction * (piece.end - piece.begin), l, v)
+            axes = pressing.half_arch, pressing.half_width
+            spots.append((ARCH_RADIUS * np.radians(pressing.angle), at, *axes, size / PRESSING_REFINEMENT))
+    for region, angle, fraction, _ in LOCATORS[part].values():
+        piece = _region(part, region)
+        at = np.interp(piece.begin + fraction * (piece.end - piece.begin), l, v)
+        spots.append((ARCH_RADIUS * np.radians(angle), at, PAD, PAD, PAD))
+
     uv, triangles = _mesh_strips(
-        ARCH_RADIUS * np.radians([ARCH_START, ARCH_END]), np.interp(lines, l, v), v, target / scale
+        ARCH_RADIUS * np.radians([ARCH_START, ARCH_END]), np.interp(lines, l, v), v, target / scale, spots
     )
     points, normals = _mid_surface(part, uv[:, 0] / ARCH_RADIUS, np.clip(np.interp(uv[:, 1], v, l), 0, lines[-1]))
     return points, triangles, normals[triangles]
 
 
-def _mesh_strips(u_range, v_lines, v_samples, sizes):
-    """Triangulate a rectangle cut into strips at ``v_lines``; ``sizes`` are the target sizes at ``v_samples``."""
+def _mesh_strips(u_range, v_lines, v_samples, sizes, spots):
+    """Triangulate a rectangle cut into strips at ``v_lines``; ``sizes`` are the target sizes at ``v_samples``, and each
+    of the ``spots`` (u, v, half axes along u and v, size) is an ellipse that is finer."""
     import gmsh
 
     v_samples, sizes = v_samples.tolist(), sizes.tolist()  # faster than arrays, value by value
@@ -318,7 +334,11 @@ def _mesh_strips(u_range, v_lines, v_samples, sizes):
     def target(dim, tag, u, v, w, lc):
         i = min(max(bisect_right(v_samples, v), 1), len(v_samples) - 1)
         t = min(max((v - v_samples[i - 1]) / (v_samples[i] - v_samples[i - 1]), 0.0), 1.0)
-        return (1 - t) * sizes[i - 1] + t * sizes[i]
+        wanted = (1 - t) * sizes[i - 1] + t * sizes[i]
+        for at_u, at_v, a, b, size in spots:
+            outside = (((u - at_u) / a) ** 2 + ((v - at_v) / b) ** 2) ** 0.5 - 1
+            wanted = min(wanted, size + GROWTH * max(outside, 0.0) * min(a, b))
+        return wanted
 
     ours = not gmsh.isInitialized()
     if ours:

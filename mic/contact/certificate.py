@@ -38,6 +38,7 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
+from mic.product import product
 
 __all__ = ["Certificate", "certify", "contact_stiffness", "series_compliance"]
 
@@ -141,7 +142,7 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
 
     Returns the certificate and the contacts' own displacement (n, d m), without ``series``.
     """
-    displacement = force @ S + b
+    displacement = product(force, S) + b
     n, m = len(b), len(S) // dimension
     f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
     # The coefficients that belong to the force, and those of the zero force.

@@ -20,6 +20,7 @@ from functools import reduce
 import numpy as np
 
 from mic.contact.states import OPEN, SLIP, STICK, classify
+from mic.product import product
 
 __all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace"]
 
@@ -227,7 +228,7 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     )
     found = PathSolution(
         force=leg.force,
-        displacement=leg.force @ solver.S + b1,
+        displacement=product(leg.force, solver.S) + b1,
         anchor=leg.anchor,
         trace=trace,
         residual=solution.residual,
@@ -285,7 +286,7 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         converged &= solution.converged
         residual = np.maximum(residual, solution.residual)
         iterations = iterations + solution.iterations
-    u = (force @ solver.S + b1).reshape(n, -1)
+    u = (product(force, solver.S) + b1).reshape(n, -1)
     steps = np.full(n, count, dtype=np.int64)
     return PathSolution(
         force,

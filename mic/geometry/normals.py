@@ -1,23 +1,34 @@
 """Normals of a curved sheet at the corners of its triangles, estimated where nobody gives them.
 
-A triangle mesh of a sheet with bends says little about its normals: across the line where a bend begins curvature
-jumps, and the mean of the triangles around a point of that line bends the flat beside it. Each edge between two
-triangles is therefore judged by its dihedral angle d and by what the sheet does on either side of it: b, the largest
-dihedral angle of the edges that meet in the opposite corner of the triangle there, and of those of that triangle's
-neighbours that do not go on along the edge; folds are left out. Where the sheet ends in that corner along the edge, by
-a border or a junction of more than two sheets, nobody knows what b would be, and it hinders nothing:
+The mesh of a sheet with bends does not show the line where a bend begins: curvature jumps there, and a mean or a fit of
+the triangles around bends the flat beside it. But bends begin along edges, and across them the normal goes on. Along an
+edge of one smooth piece, L = x_j − x_i, the sheet bends alike towards both ends, L · n_i = −L · n_j: exactly where the
+edge is an arc, to leading order on every quadratic surface. The normals are therefore the least squares
 
-=======  ============================================================================================================
-smooth   d is small, or no more than three times the smaller b: the sheet curves on both sides alike
-jump     d is no more than three times the larger b, if both are known: one side is flatter by far, and a bend begins
-fold     the rest: both sides are flat, or d is beyond any bend; so are edges whose two triangles disagree which side
-         is up, and edges where more than two sheets meet
-=======  ============================================================================================================
+    Σ_edges (L · (n_i + n_j)/|L|)² + `_PULL`² Σ |n_i − n_i⁰|² → min,
 
-The triangles around a point that hang together by smooth edges are a *fan*. A quadratic fitted to the points around
-gives the fan's normal. Fans that meet in a jump have one normal, that of the flattest; those that meet in a fold keep
-their own. Where the outcome lies farther than `GUARD` from the triangle's own normal, the triangle's own is taken: a
-wrong normal does more harm than none.
+which finds flats, cylinders and balls that meet tangentially along edges, in one row of triangles or many. The first
+sum is blind to normals that tip to and fro from row to row; there the second decides. `_ROUNDS` times it begins where
+the last round ended. At first n⁰ is the mean of the triangles around by their angles; at borders, where that leans
+inwards, it is what arcs from the points inside lead to. Flats of three rows or more are seen at once, and have one
+normal to their ends.
+
+One normal is sought for the triangles around a point that hang together by edges that are no folds. By d, the dihedral
+angle of an edge, and b, the largest dihedral angle of what the sheet does on its sides, an edge is
+
+======  =============================================================================================================
+smooth  d is small, or no more than three times b
+fold    the rest: both sides are flat, or d is beyond any bend; so are edges whose two triangles disagree which side
+        is up, and edges where more than two sheets meet
+======  =============================================================================================================
+
+On each side that is the largest dihedral angle of the edges that meet in the opposite corner of the triangle there, and
+of those of that triangle's neighbours that do not go on along the edge; folds are left out. Where the sheet ends in
+that corner along the edge, by a border or a junction of more than two sheets, nobody knows what it would be, and the
+other side alone decides.
+
+Where the outcome lies farther than `GUARD` from the triangle's own normal, the triangle's own is taken: a wrong normal
+does more harm than none.
 """
 
 from __future__ import annotations
@@ -26,13 +37,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix, identity, vstack
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import lsmr
 
 __all__ = ["COARSE", "GUARD", "CornerNormals", "Rule", "corner_normals"]
 
-GUARD = 30.0  # degrees between an estimated normal and the triangle's own: a triangle between two edges of `_FOLD`
-GIVEN_GUARD = 60.0  # degrees; a given normal beyond belongs to another sheet
+GUARD = 60.0  # degrees between a normal and the triangle's own; beyond, it belongs to another sheet
 COARSE = 40.0  # degrees from triangle to triangle beyond which a bend is too coarse to be told from a fold
 
 _SMALL = 2.0  # degrees: any sheet of this dihedral is smooth
@@ -43,19 +54,18 @@ _WIDE = 2.0  # triangles whose heights over their edge differ by more belong to 
 _ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # a border at a smaller angle runs along an edge
 _ON = np.cos(np.radians(25)) * (1 - 1e-6)  # edges at a smaller angle are pieces of one line
 _EQUAL = 1e-6  # ratios that differ by less are equal: rounding decides nothing
-_DETERMINED = (
-    0.01  # least singular value of a quadratic fit, as a share of the largest; the mean of triangles errs far more
-)
+_PULL, _ROUNDS = 0.1, 8  # after few rounds jittered sheets keep a stretch; pulled by 0.02 at once, arched bends tip
+_STEPS, _STILL = 8, 1e-9  # of Gauss and Newton in each round at most; radians, a step that ends it
+_ROUGH = 1e-10  # relative error of a step: rounding is not to show in what follows
 
 
 class Rule(IntEnum):
     """What decided a normal."""
 
     GIVEN = 0  #: the geometry or the deck
-    FITTED = 1  #: a quadratic through the points around
-    FLATTER = 2  #: the flatter sheet beside the line where a bend begins
-    TRIANGLE = 3  #: the triangle's own: the sheet is flat there
-    GUARDED = 4  #: the triangle's own: what was given or estimated lies too far from it
+    ESTIMATED = 1  #: the edges around
+    TRIANGLE = 2  #: the triangle's own: the sheet is flat there
+    GUARDED = 3  #: the triangle's own: what was given or estimated lies too far from it
 
 
 @dataclass(frozen=True)
@@ -102,26 +112,22 @@ def corner_normals(points: np.ndarray, triangles: np.ndarray, given: np.ndarray 
         length = np.linalg.norm(given, axis=2, keepdims=True)
         told = np.divide(given, length, out=np.zeros_like(corners), where=length > 0)
         cosine = (told * own).sum(axis=2)
-        use = np.abs(cosine) > np.cos(np.radians(GIVEN_GUARD))
+        use = np.abs(cosine) > np.cos(np.radians(GUARD))
         normal[use] = (np.sign(cosine)[..., None] * told)[use]
         decided = (length > 0)[..., 0]
         rule[decided] = np.where(use, Rule.GIVEN, Rule.GUARDED)[decided]
         if decided.all():
             return CornerNormals(normal, rule, np.zeros((0, 3)), np.zeros((0, 3)))
     edges = _Edges(points, triangles, own[:, 0])
-    estimate, taken = _estimate(points, triangles, own[:, 0], edges)
+    estimate = _estimate(points, triangles, own[:, 0], edges)
     near = (estimate * own).sum(axis=2) >= np.cos(np.radians(GUARD)) - _EQUAL
     flat = ((estimate - own) ** 2).sum(axis=2) < _EQUAL**2
-    taken = np.where(near, np.where(flat, Rule.TRIANGLE, taken), Rule.GUARDED)
+    taken = np.where(near, np.where(flat, Rule.TRIANGLE, Rule.ESTIMATED), Rule.GUARDED)
     normal[~decided & near], rule[~decided] = estimate[~decided & near], taken[~decided]
     middle = 0.5 * (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]])
-    bent = (edges.smooth | edges.jump) & edges.first
-    return CornerNormals(
-        normal,
-        rule,
-        middle[bent & (edges.dihedral > COARSE)],
-        middle[edges.smooth & edges.first & (edges.dihedral > COARSE / 4) & (edges.widths > _WIDE * (1 + _EQUAL))],
-    )
+    bent = edges.smooth & edges.first
+    wide = edges.alike & (edges.dihedral > COARSE / 4) & (edges.widths > _WIDE * (1 + _EQUAL))
+    return CornerNormals(normal, rule, middle[bent & (edges.dihedral > COARSE)], middle[bent & wide])
 
 
 class _Edges:
@@ -135,8 +141,9 @@ class _Edges:
         Degrees.
     beyond : (k, 3) array
         What the sheet does on the triangle's side of the edge, degrees; infinite where nobody knows.
-    smooth, jump, first : (k, 3) bool array
-        What the edge is; and whether this triangle's entry stands for both.
+    smooth, alike, first : (k, 3) bool array
+        Whether the edge is no fold; whether the sheet bends on either side of it, and within `_ALIKE` of it; and
+        whether this triangle's entry stands for both.
     widths : (k, 3) array
         Ratio of the two triangles' heights over the edge, at least 1.
     """
@@ -194,45 +201,83 @@ class _Edges:
         rich = np.bincount(np.concatenate([start[inside], end[inside]]), minlength=len(points)) > 2
         rich = rich[triangles].ravel()
         beyond[has & ~rich & rich[across]] = np.inf
-        self.beyond = beyond.reshape(k, 3)
         here, there = beyond, np.where(has, beyond[across], 0.0)
         low, high = np.minimum(here, there), np.maximum(here, there)
-        alike = dihedral * (1 - _EQUAL) <= _ALIKE * np.stack([low, high])
+        told = np.where(np.isinf(high), low, high)
         small = dihedral < _SMALL * (1 + _EQUAL)
         able = dihedral < np.where(np.isinf(low), _UNTOLD, _FOLD) * (1 - _EQUAL)
-        smooth = has & (small | (able & alike[0]))
+        smooth = has & (small | (able & (dihedral * (1 - _EQUAL) <= _ALIKE * told)))
         self.smooth = smooth.reshape(k, 3)
-        self.jump = (has & ~smooth & able & alike[1] & np.isfinite(high)).reshape(k, 3)
+        self.alike = (smooth & (dihedral * (1 - _EQUAL) <= _ALIKE * low)).reshape(k, 3)
 
 
 def _estimate(points, triangles, own, edges):
-    """(k, 3, 3) estimated normals, and the (k, 3) rule of each."""
+    """(k, 3, 3) estimated normals."""
     k = len(triangles)
-    smooth = _pairs(triangles, edges, edges.smooth)
-    joined = np.concatenate([smooth, _pairs(triangles, edges, edges.jump)])
-    (n_fans, fan), (n_unions, union) = (_components(pairs, 3 * k) for pairs in (smooth, joined))
-    normal = _fitted(points, triangles, own, fan, n_fans)
+    same = _pairs(triangles, edges)
+    graph = coo_matrix((np.ones(len(same)), (same[:, 0], same[:, 1])), shape=(3 * k, 3 * k))
+    count, joined = connected_components(graph, directed=False)
+    fan = joined.reshape(k, 3)
 
-    # How bent a fan is: what the sheet does on its side of the jumps that end in its point, in the mean.
-    f, c = np.nonzero(edges.jump)
-    at = np.concatenate([fan[3 * f + (c + 1) % 3], fan[3 * f + (c + 2) % 3]])
-    jumps = np.bincount(at, minlength=n_fans)
-    bent = np.bincount(at, np.tile(edges.beyond[f, c], 2), n_fans) / np.maximum(jumps, 1)
-    of_fan = np.empty(n_fans, dtype=np.int64)
-    of_fan[fan] = union
-    order = np.lexsort((bent, of_fan))
-    first = order[np.r_[True, of_fan[order][1:] != of_fan[order][:-1]]]  # the flattest of each union
-    fans = np.bincount(of_fan, minlength=n_unions)
-    equal = np.bincount(of_fan, bent <= (1 + _EQUAL) * bent[first][of_fan], n_unions)
-    decided = (fans > 1) & (equal == 1)  # of several that are equally flat none has a say over the others
-    leader = np.where(decided[of_fan], first[of_fan], np.arange(n_fans))
-    rule = np.where(leader == np.arange(n_fans), Rule.FITTED, Rule.FLATTER)
-    return normal[leader[fan]].reshape(k, 3, 3), rule[fan].reshape(k, 3)
+    # both ends of each edge, once for the triangles on either side of a smooth edge, by the fans there
+    ends = np.concatenate([fan[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    chord = np.concatenate([points[triangles[:, b]] - points[triangles[:, a]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    ends, first = np.unique(np.sort(ends, axis=1), axis=0, return_index=True)
+    chord = _unit(chord[first])
+
+    corner = np.repeat(np.arange(k), 3)
+    sides = points[triangles]
+    a, b = (_unit(np.roll(sides, -step, axis=1) - sides) for step in (1, 2))
+    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=2), (a * b).sum(axis=2)).ravel()
+    start = _mean(joined, angle[:, None] * own[corner], count)
+    whole = np.bincount(joined[same[:, 0]], minlength=count) == np.bincount(joined, minlength=count)
+    # A flat is seen where three points of a triangle have all their triangles in one plane; two rows in one plane may
+    # be the inflection between two bends. Its normal goes on to all corners in it, unless two flats end in one point.
+    plane = whole & ~_differ(joined, own[corner], start)
+    known = np.zeros(count, dtype=bool)
+    known[fan[plane[fan].all(axis=1)]] = True
+    while True:
+        lies = known[fan] & (np.abs(start[fan] - own[:, None]).max(axis=2) < _EQUAL)
+        rim = np.flatnonzero(lies.any(axis=1)[corner] & ~known[joined])
+        led = _mean(joined[rim], own[corner[rim]], count)
+        new = np.setdiff1d(joined[rim], np.flatnonzero(_differ(joined[rim], own[corner[rim]], led)))
+        if not len(new):
+            break
+        known[new], start[new] = True, led[new]
+    # All around a point the mean of triangles is a good start. At borders it is not; arcs lead there from inside.
+    at, to = (np.concatenate([ends[:, i], ends[:, 1 - i]]) for i in (0, 1))
+    arc = np.flatnonzero((whole | known)[at] & ~(whole | known)[to])
+    along = np.concatenate([chord, chord])[arc]
+    led = _mean(to[arc], start[at[arc]] - 2 * (start[at[arc]] * along).sum(axis=1, keepdims=True) * along, count)
+    start[to[arc]] = led[to[arc]]
+
+    free = np.flatnonzero(~known)
+    unknown = np.cumsum(~known) - 1
+    edge, end = np.nonzero(~known[ends])
+    who = unknown[ends[edge, end]]
+    normal = start
+    for _ in range(_ROUNDS if len(free) else 0):
+        start, held = normal[free], _PULL * identity(2 * len(free))
+        normal = normal.copy()
+        for _ in range(_STEPS):
+            n = normal[free]
+            e = _unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)]))
+            axes = np.stack([e, np.cross(n, e)], axis=1)
+            slope = np.einsum("qac,qc->qa", axes[who], chord[edge])
+            place = np.repeat(edge, 2), (2 * who[:, None] + [0, 1]).ravel()
+            bend = csr_matrix((slope.ravel(), place), shape=(len(ends), 2 * len(free)))
+            turn = (chord * normal[ends].sum(axis=1)).sum(axis=1)
+            back = _PULL * np.einsum("qac,qc->qa", axes, start - n).ravel()
+            step = lsmr(vstack([bend, held]), np.concatenate([-turn, back]), atol=_ROUGH, btol=_ROUGH)[0]
+            normal[free] = _unit(n + np.einsum("qa,qac->qc", step.reshape(-1, 2), axes))
+            if np.abs(step).max() < _STILL:
+                break
+    return normal[fan]
 
 
-def _pairs(triangles, edges, mask):
-    """(p, 2) corners, 3 f + c, that are the same point on either side of the edges."""
-    f, c = np.nonzero(mask & edges.first)
+def _pairs(triangles, edges):
+    """(p, 2) corners, 3 f + c, that are the same point on either side of smooth edges."""
+    f, c = np.nonzero(edges.smooth & edges.first)
     g, e = np.divmod(edges.across[3 * f + c], 3)
     # the neighbour runs along the edge the other way
     one = np.column_stack([3 * f + (c + 1) % 3, 3 * g + (e + 2) % 3])
@@ -240,44 +285,17 @@ def _pairs(triangles, edges, mask):
     return np.concatenate([one, other])
 
 
-def _components(pairs, count):
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)
+def _mean(group, vector, count):
+    """(count, 3) unit vectors along the sums of those (q, 3) that belong to each group; NaN where none does."""
+    total = np.column_stack([np.bincount(group, vector[:, c], count) for c in range(3)])
+    with np.errstate(invalid="ignore"):
+        return _unit(total)
 
 
-def _fitted(points, triangles, own, fan, n_fans):
-    """(n_fans, 3) normals: of the quadratic that fits the points around, in one ring where that determines it, else in
-    two, else the mean of the triangles by their angles."""
-    k, corners = len(triangles), points[triangles]
-    vertex = np.empty(n_fans, dtype=np.int64)
-    vertex[fan] = triangles.ravel()
-    a, b = (_unit(np.roll(corners, -step, axis=1) - corners) for step in (1, 2))
-    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=2), (a * b).sum(axis=2))
-    mean = _unit(csr_matrix((angle.ravel(), (fan, np.repeat(np.arange(k), 3))), shape=(n_fans, k)) @ own)
-    touch = csr_matrix((np.ones(3 * k), (fan, np.repeat(np.arange(k), 3))), shape=(n_fans, k))
-    ring = touch @ touch.T
-    fitted = mean.copy()
-    for near, least in ((ring @ ring, 5), (ring, 6)):  # the smaller ring overrides
-        near = near.tocoo()
-        i, q = near.row.astype(np.int64), vertex[near.col]
-        i, q = np.divmod(np.unique((i * len(points) + q)[q != vertex[i]]), len(points))
-        e = _unit(np.cross(mean, np.eye(3)[np.argmin(np.abs(mean), axis=1)]))
-        f, offset = np.cross(mean, e), points[q] - points[vertex[i]]
-        count = np.bincount(i, minlength=n_fans)
-        scale = np.sqrt(np.bincount(i, (offset**2).sum(axis=1), n_fans) / np.maximum(count, 1))
-        scale[count == 0] = 1.0
-        u, v, w = ((offset * axis[i]).sum(axis=1) / scale[i] for axis in (e, f, mean))
-        # The factors of the three quadratic terms make the columns turn with e and f, so that the choice of e is free.
-        A = np.column_stack([u, v, u * u / 2, u * v / np.sqrt(2), v * v / 2])
-        weight = 1 / (u * u + v * v + 1e-6) ** 2
-        gather = csr_matrix((np.ones(len(i)), (i, np.arange(len(i)))), shape=(n_fans, len(i)))
-        M = (gather @ (A[:, :, None] * (A * weight[:, None])[:, None]).reshape(-1, 25)).reshape(-1, 5, 5)
-        B = gather @ (A * (w * weight)[:, None])
-        spectrum = np.linalg.eigvalsh(M)
-        sound = (spectrum[:, 0] > _DETERMINED**2 * spectrum[:, -1]) & (count >= least)
-        slope = np.linalg.solve(M[sound], B[sound][..., None])[..., 0]
-        fitted[sound] = _unit(mean[sound] - slope[:, :1] * e[sound] - slope[:, 1:2] * f[sound])
-    return fitted
+def _differ(group, vector, mean):
+    """(count,) bool: whether the vectors (q, 3) of a group differ from their mean."""
+    far = np.abs(vector - mean[group]).max(axis=1) > _EQUAL
+    return np.bincount(group, far, len(mean)) > 0
 
 
 def _unit(vector):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from mic.contact import ContactSolver, laws
 from mic.contact.path import Trace
@@ -14,6 +13,7 @@ from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import plan_stages
 from mic.process.stage import OUTPUTS, PreparedStage, path_of
 from mic.process.state import ProcessState
+from mic.product import product
 
 __all__ = ["TOLERANCE", "Process"]
 
@@ -119,7 +119,9 @@ class Process:
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
         model = self.model
-        asked = drive(model, deviations, {kind: deviations @ unit.T for kind, unit in self._unit_shapes.items()})
+        asked = drive(
+            model, deviations, {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
+        )
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS}
         state = ProcessState.start(len(deviations), len(model.contacts), model.contacts.dimension, rows)
         resolutions, read = {}, np.zeros((len(deviations), 0))
@@ -188,11 +190,12 @@ class Process:
         return model.compliance.fit(model.shape.T - model.compliance.displace(model.shape_forces.T))
 
     @cached_property
-    def _last_rows(self) -> tuple[np.ndarray, csr_matrix, np.ndarray]:
-        """Numbers of the last stage's bilateral rows that are not redundant, the rows A, and ``A G``."""
-        last = self.stages[-1]
+    def _last_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers of the last stage's bilateral rows A that are not redundant, ``A H``, and the inverse of ``A G``."""
+        last, compliance = self.stages[-1], self.model.compliance
         own = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
-        return own, last.bilateral[own], self.model.compliance.rigid(last.bilateral[own])
+        A = last.bilateral[own]
+        return own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
 
     def _equilibrium(self, state: ProcessState, deviations):
         """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end, the shape deviation included.
@@ -208,7 +211,9 @@ class Process:
             push[:, i] = force
         force = reaction @ last.bilateral + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
-        own, A, AG = self._last_rows
-        misfit = value[:, own] - model.compliance.displace(force) @ A.T
-        motion = np.linalg.lstsq(AG, misfit.T, rcond=None)[0].T
-        return force + deviations @ model.shape_forces.T, motion + deviations @ self._unit_motions
+        own, AH, inverse = self._last_rows
+        motion = product(value[:, own] - product(force, AH.T), inverse.T)
+        return (
+            force + product(deviations, model.shape_forces.T),
+            motion + product(deviations, self._unit_motions),
+        )

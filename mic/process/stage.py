@@ -29,6 +29,7 @@ from mic.process.freedom import free
 from mic.process.path import Ramp
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.state import ProcessState
+from mic.product import product
 
 __all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
@@ -186,7 +187,7 @@ class PreparedStage:
             left[:, :, 0] -= drive.gap
             anchor = solution.anchor
         elif step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
-            left = (v @ response.T.T + p @ response.L.T).reshape(left.shape)
+            left = (product(v, response.T.T) + product(p, response.L.T)).reshape(left.shape)
             anchor = left[:, :, 1:]
         reading, reaction = self._outcome(response, v, p, force)
         after = ProcessState(
@@ -232,7 +233,7 @@ class PreparedStage:
 
         def unloaded(s):
             v, p = ramp.at(s)
-            b = (v @ response.T.T + p @ response.L.T).reshape(state.left.shape)
+            b = (product(v, response.T.T) + product(p, response.L.T)).reshape(state.left.shape)
             b[:, :, 0] += drive.gap
             return b
 
@@ -265,8 +266,9 @@ class PreparedStage:
     def _outcome(self, response, v, p, force):
         """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows."""
         f = force.reshape(len(force), -1)
-        reading = v @ response.T_out.T + p @ response.L_out.T + f @ response.S_out.T
-        reaction = v @ response.reaction_T.T + p @ response.reaction_L.T + f @ response.reaction_S.T
+        reading = product(v, response.T_out.T) + product(p, response.L_out.T) + product(f, response.S_out.T)
+        reaction = product(v, response.reaction_T.T) + product(p, response.reaction_L.T)
+        reaction += product(f, response.reaction_S.T)
         return {kind: reading[:, own] for kind, own in self._output.items()}, reaction
 
 

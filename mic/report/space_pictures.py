@@ -159,7 +159,7 @@ def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
         )
         if any(map(len, places))
     ]
-    fig.legend(handles=handles, loc="outside lower center", ncols=3)
+    fig.legend(handles=handles, loc="outside lower center", ncols=min(2 * len(surfaces), 4))
     text = f"What decided the normals at {counts.sum()} corners of triangles."
     return png(fig, "Normals of the sheets", text, 110)
 

@@ -27,8 +27,8 @@ __all__ = [
 STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
 STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
 MARK_COLOURS = {"locator": "#1b1f24", "clamp": "#c1121f", "weld": "#f4d35e", "measurement": "#ffffff"}
-RULE_COLOURS = dict(zip(Rule, ("#6a8fb5", "#8fbf9a", "#e0b050", "#dfe4ea", "#c8553d")))
-RULE_WORDS = dict(zip(Rule, ("given", "fitted to the points", "of the flatter side", "flat", "refused: too far off")))
+RULE_COLOURS = dict(zip(Rule, ("#6a8fb5", "#8fbf9a", "#dfe4ea", "#c8553d")))
+RULE_WORDS = dict(zip(Rule, ("given", "estimated from the edges", "flat", "refused: too far off")))
 PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
 ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3", "#8a2be2", "#6f7f00")
 

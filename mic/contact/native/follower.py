@@ -400,6 +400,8 @@ def _linear(W, A, B, own, inverse, R, y, q, right, y_new, w_new):
 
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
+    # In the closure of `follow` these two would be part of the cache's key, and no two processes write them alike.
+    global solve, predict
 
     @jit(NUMBER(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, COUNTS))
     def pivot(equation, W, parameters, y, w, q, tol, scale, counts):
@@ -845,6 +847,7 @@ def _compile(digest):
         grip, loose = np.zeros(m), np.ones(m)
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
         phi, nothing = np.empty(size), np.empty((0, 3, 3))
+        digest  # noqa: B018
         smallest = 1.0 / equal if equal > 0 else SHORTEST
         for sample in range(len(Q0)):
             done = counts[sample]
