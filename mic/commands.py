@@ -28,6 +28,7 @@ from mic.errors import RunError, Stopped
 from mic.geometry.normals import COARSE, Rule
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.model.overlap import frozen_gaps
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
 from mic.orders import variants as read_variants
 from mic.process.model import ReducedModel
@@ -285,6 +286,13 @@ def check(
             show_default=False,
         ),
     ] = None,
+    overlap: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw into this file, NAME.png, where the surfaces of the contact zones are drawn into each other.",
+            show_default=False,
+        ),
+    ] = None,
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
 
@@ -312,13 +320,21 @@ def check(
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
-    if normals is not None:
-        from mic.report.space_pictures import draw_normals  # drawing libraries are slow to import
+    surfaces = {part.name: part.surface for part in assembly.parts}
+    if normals is not None or overlap is not None:
+        from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
-        with replacing(normals) as temporary:
-            temporary.write_bytes(draw_normals({part.name: part.surface for part in assembly.parts}).data)
-        console.print(f"normals: [bold]{plain(normals)}[/]", soft_wrap=True)
+        if normals is not None:
+            _keep_picture(console, "normals", draw_normals(surfaces), normals)
+        if overlap is not None:
+            _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
     console.print("[green]The scene is valid.[/]")
+
+
+def _keep_picture(console, what, picture, file):
+    with replacing(file) as temporary:
+        temporary.write_bytes(picture.data)
+    console.print(f"{what}: [bold]{plain(file)}[/]", soft_wrap=True)
 
 
 def _print_process(console, assembly, plans):
@@ -413,12 +429,22 @@ def _friction_words(zone) -> str:
     return words
 
 
+def _overlap_words(zone, depth, area) -> str:
+    """How far the surfaces of a zone's pairs are drawn into each other, over which area, and what is done about it."""
+    if not depth.any():
+        return "none"
+    done = "kept" if zone.nominal_overlap == "keep" else "closed"
+    return f"{depth.max():.3f} mm deep, over {area.sum():.0f} mm²: {done}"
+
+
 def _print_contacts(console, assembly):
     scene, contacts = assembly.scene, assembly.contacts
     if not len(contacts):
         console.print("No contact zones: nothing to resolve.")
         return
-    table = Table("zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", title="Contact zones")
+    table = Table(
+        "zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", "drawn overlap", title="Contact zones"
+    )
     for i, zone in enumerate(scene.zones):
         own = contacts.zone == i
         table.add_row(
@@ -428,8 +454,11 @@ def _print_contacts(console, assembly):
             _friction_words(zone),
             f"{contacts.area[own].sum():.0f}",
             " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max())),
+            _overlap_words(zone, contacts.overlap[own], contacts.overlapping[own]),
         )
     console.print(table)
+    for sentence in frozen_gaps(assembly):
+        console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
     if contacts.dimension == 1:
         console.print(
             f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "

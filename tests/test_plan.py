@@ -279,6 +279,8 @@ def one_pair(friction, gap):
         pressure=np.zeros((1, 0, 5)),
         compliance=np.zeros(1),
         gap=np.array([gap]),
+        overlap=np.zeros(1),
+        overlapping=np.zeros(1),
         area=np.ones(1),
         bearing=np.ones(1),
         point=np.zeros((1, 3)),

@@ -62,6 +62,10 @@ class ContactPair:
         Columns ``n, t1, t2``; n points from the first body to the second.
     gap : float
         Nominal gap between the facing surfaces, positive when apart, mm.
+    overlap : float
+        Deepest overlap of the facing surfaces within the patch, as they are drawn, mm.
+    overlapping : float
+        Share of the patch in which they overlap.
     area : float
         Area that the pair stands for, mm².
     patches : tuple of two Patch
@@ -73,6 +77,8 @@ class ContactPair:
     point: np.ndarray
     frame: np.ndarray
     gap: float
+    overlap: float
+    overlapping: float
     area: float
     patches: tuple[Patch, Patch]
     sides: tuple[int, int]
@@ -379,7 +385,8 @@ def _pair(cloud, area, sampled, other, swap):
     weight = cloud.area / cloud.area.sum()
     n = weight @ cloud.normal
     n /= np.linalg.norm(n)
-    gap = weight @ cloud.distance - sampled.half_thickness - other.half_thickness
+    apart = cloud.distance - sampled.half_thickness - other.half_thickness
+    overlaps = apart < -max(sampled.surface.tie, other.surface.tie)
     sides = [
         int(np.sign(weight @ np.einsum("ij,j->i", body.surface.normals[triangle], n) * sign))
         for body, triangle, sign in ((sampled, cloud.triangle, 1), (other, cloud.other_triangle, -1))
@@ -393,7 +400,9 @@ def _pair(cloud, area, sampled, other, swap):
     return ContactPair(
         weight @ cloud.point,
         np.column_stack([n, np.zeros((3, 2))]),
-        float(gap),
+        float(weight @ apart),
+        float((-apart[overlaps]).max(initial=0.0)),
+        float(weight[overlaps].sum()),
         float(area),
         tuple(patches),
         tuple(sides),

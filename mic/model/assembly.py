@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
 from mic.model.meshing import chosen_sizes
+from mic.model.overlap import closed, joined_by
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.scene import Scene
@@ -43,7 +44,10 @@ class Contacts:
     compliance : (m,) array
         ``1/(k_t A)``, mm/N: how far the contact yields before it slips; 0 where not at all.
     gap : (m,) array
-        Nominal gap between the facing surfaces, mm, positive when apart.
+        Nominal gap between the facing surfaces, mm, positive when apart; overlap that is closed
+        (:mod:`mic.model.overlap`) is 0.
+    overlap, overlapping : (m,) array
+        Deepest overlap within the pair as the surfaces are drawn, mm, and the area in which they overlap, mm².
     area : (m,) array
         Share of the zone, mm².
     bearing : (m,) array
@@ -62,6 +66,8 @@ class Contacts:
     pressure: np.ndarray
     compliance: np.ndarray
     gap: np.ndarray
+    overlap: np.ndarray
+    overlapping: np.ndarray
     area: np.ndarray
     bearing: np.ndarray
     point: np.ndarray
@@ -104,7 +110,7 @@ class Assembly:
     weld_size : tuple of int
         Rows of each weld (six, or three without moment); the first is normal to the sheets, towards the second part.
     weld_gap : (w,) array
-        Nominal gap at each weld, mm.
+        Nominal gap at each weld, mm; overlap that is closed is 0.
     inputs : dict of str to str
         Hashes of the files that the meshes of parts and fixtures were made from.
     sizes : dict of str to float
@@ -174,10 +180,11 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         rows.point("locator", f"locators[{i}]", locator)
     for i, clamp in enumerate(scene.clamps):
         rows.point("clamp", f"clamps[{i}]", clamp)
-    weld_gap = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
+    drawn = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
     landmarks = np.array([locator.point for locator in scene.locators])
     find = node_pairs if every_node else partial(find_pairs, landmarks=landmarks)
     contacts = _contact_rows(scene, bodies, rows, find, every_node)
+    weld_gap = _weld_gaps(scene, contacts, drawn)
     for source in sources(scene):
         source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
@@ -195,14 +202,14 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         for part in scene.parts
     )
     weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
-    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap), inputs, sizes)
+    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, weld_gap, inputs, sizes)
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> float:
     """Rows of one weld: n, t1, t2 translations at the middle of the gap, and the rotations where it carries moment.
 
     Both parts are read at the same material-free point, half of any nominal gap off their facing surfaces: otherwise
-    turning the welded assembly as a whole would strain the weld. Returns the nominal gap, mm.
+    turning the welded assembly as a whole would strain the weld. Returns the nominal gap as drawn, mm.
     """
     for name in weld.parts:
         rows.on_part(key, weld.point, name)
@@ -260,6 +267,12 @@ def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
             zones.append(i)
     zone_of = np.array(zones, dtype=np.int64)
     area = np.array([pair.area for pair in pairs])
+    gap = np.array([pair.gap for pair in pairs])
+    point = np.array([pair.point for pair in pairs]).reshape(-1, 3)
+    for i, zone in enumerate(scene.zones):
+        own = zone_of == i
+        key = f"zones[{i}] ({zone.name}): nominal_overlap"
+        gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
     by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
     stages = sorted({stage for one in by_stage for stage in one} - {"default"})
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
@@ -271,13 +284,30 @@ def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
         np.array([[scene.zones[i].coefficient(stage) for i in zone_of] for stage in [*stages, "default"]]),
         _pressure_pieces(scene, zone_of, bearing),
         np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
-        np.array([p.gap for p in pairs]),
+        gap,
+        np.array([p.overlap for p in pairs]),
+        np.array([p.overlapping for p in pairs]) * area,
         area,
         bearing,
-        np.array([p.point for p in pairs]).reshape(-1, 3),
+        point,
         np.array([p.frame for p in pairs]).reshape(-1, 3, 3),
         dimension,
     )
+
+
+def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float]) -> np.ndarray:
+    """(w,) gaps of the welds, overlap closed as at the pairs about them."""
+    gaps = np.array(drawn)
+    for i, weld in enumerate(scene.welds):
+        rule = joined_by(scene.zones, contacts.zone, contacts.point, weld)
+        at = np.array([weld.point])
+        gaps[[i]] = closed(f"welds[{i}] ({weld.name})", rule, gaps[[i]], _thinner(scene, weld), at)
+    return gaps
+
+
+def _thinner(scene, joint) -> float:
+    """Thickness of the thinner of the sheets that a zone or a weld joins, mm."""
+    return min(part.thickness for part in scene.parts if part.name in joint.parts)
 
 
 def _pressure_pieces(scene, zone_of, bearing) -> np.ndarray:

@@ -23,7 +23,7 @@ from mic.scene import Scene
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 4, "build the model again")
+FORMAT = store.Format("reduced model", 5, "build the model again")
 
 
 @dataclass(frozen=True)

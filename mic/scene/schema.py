@@ -244,6 +244,12 @@ class Zone(_Table):
     max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
         30.0, description="largest angle between the two surfaces"
     )
+    nominal_overlap: Literal["close", "keep"] | Positive = Field(
+        "close",
+        description="what is done where the surfaces are drawn into each other: `close` counts them as touching, at "
+        "pairs and welds, up to a quarter of the thinner sheet; a number is another limit, mm; beyond it the scene is "
+        "refused; `keep` leaves the overlap, where it is meant",
+    )
     patch: Literal["tributary"] | NonNegative = Field(
         "tributary", description="area that a pair averages over: its tributary area, or a disc of this radius, mm"
     )
