@@ -248,6 +248,17 @@ def _print_zones(console, outcome):
             f"rescued by plain increments {law['rescued']}{_hanging(law)}",
             soft_wrap=True,
         )
+        if law["unseen_penetration"]:
+            console.print(_unseen_words(law["unseen_penetration"]), highlight=False, soft_wrap=True)
+
+
+def _unseen_words(unseen) -> str:
+    """How deep sheets pass through each other between the contact pairs, and where."""
+    where = ", ".join(f"{x:.1f}" for x in unseen["point"])
+    return (
+        f"  deepest penetration between the contact pairs: {unseen['depth']:.2g} mm, zone {plain(unseen['zone'])}, at "
+        f"({where}), stage {plain(unseen['stage'])}, sample {unseen['sample']}"
+    )
 
 
 def _hanging(law):

@@ -94,7 +94,7 @@ BROKEN = {
         ["zones", "'lap'", "more than once"],
     ),
     "limits swapped": (r"lower = -1\b", "lower = 2", ["measurements[0]", "lower must be smaller"]),
-    "no pairs": (r"pairs = 24", "", ["zones[0]", "exactly one of pairs"]),
+    "two kinds of pairs": (r"pairs = 24", "pairs = 24\nspacing = 4", ["zones[0]", "one of pairs"]),
     "not TOML": (r"\[\[parts\]\]", "[[parts]", ["not valid TOML"]),
     "syntax of a name": (r'name = "F1"', 'name = "F 1"', ["deviations[0].name"]),
     "poisson": (r"poisson = 0.3", "poisson = 0.5", ["parts[0].poisson", "less than 0.5"]),

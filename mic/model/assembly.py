@@ -16,14 +16,14 @@ from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
-from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
+from mic.geometry.pairing import ContactPair, Pressed, Side, find_between, find_pairs, node_pairs, pair_at
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.scene import Scene
 
-__all__ = ["Assembly", "Contacts", "assemble"]
+__all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,12 @@ class Contacts:
         Deepest overlap within the pair as the surfaces are drawn, mm, and the area in which they overlap, mm².
     area : (m,) array
         Share of the zone, mm².
+    watched : (m,) bool array
+        Whether the pair is a candidate: it carries force where it would penetrate, and takes no part elsewhere.
+    layer : (m,) array
+        ``(t_a + t_b)/2 / (E A)`` of a candidate, mm/N: how far the sheets yield through their thickness.
+    nugget : (m,) int array
+        The weld within whose nugget a candidate's centre lies, -1 for none: once made, it is all that joins there.
     bearing : (m,) array
         A: what pressure and stiffness per area refer to, mm²: the share of the zone, or the disc that ``patch`` gives.
     point : (m, 3) array
@@ -69,6 +75,9 @@ class Contacts:
     overlap: np.ndarray
     overlapping: np.ndarray
     area: np.ndarray
+    watched: np.ndarray
+    layer: np.ndarray
+    nugget: np.ndarray
     bearing: np.ndarray
     point: np.ndarray
     frame: np.ndarray
@@ -82,6 +91,10 @@ class Contacts:
         """Whether anything gives any pair friction."""
         return bool(self.friction.any() or self.pressure.shape[1])
 
+    def out(self, welds: Sequence[int]) -> np.ndarray:
+        """(m,) candidates that take no part once these welds are made."""
+        return np.isin(self.nugget, welds)
+
     def friction_in(self, stage: str) -> Friction:
         """What the laws know of the pairs' friction in a stage."""
         named, pressure = [*self.stages, stage], None
@@ -92,6 +105,31 @@ class Contacts:
             pressure[none, 1:, 0] = np.inf
             pressure[none, 0, 1] = coefficient[none]
         return Friction(coefficient, pressure, self.compliance)
+
+
+@dataclass(frozen=True)
+class Between:
+    """Points between the contact pairs, which carry no force: how far the sheets pass through each other unseen.
+
+    Attributes
+    ----------
+    zone : (q,) int array
+        Index of each point's zone in ``scene.zones``.
+    gap : (q,) array
+        Nominal gap, mm, as `Contacts` has it.
+    nugget : (q,) int array
+        The weld within whose nugget the point lies, -1 for none.
+    point : (q, 3) array
+        mm.
+    """
+
+    zone: np.ndarray
+    gap: np.ndarray
+    nugget: np.ndarray
+    point: np.ndarray
+
+    def __len__(self):
+        return len(self.zone)
 
 
 @dataclass(frozen=True)
@@ -107,6 +145,7 @@ class Assembly:
     labels : dict of str to list of str
         One name per row.
     contacts : Contacts
+    between : Between
     weld_size : tuple of int
         Rows of each weld (six, or three without moment); the first is normal to the sheets, towards the second part.
     weld_gap : (w,) array
@@ -122,6 +161,7 @@ class Assembly:
     rows: dict[str, csr_matrix]
     labels: dict[str, list[str]]
     contacts: Contacts
+    between: Between
     weld_size: tuple[int, ...]
     weld_gap: np.ndarray
     inputs: dict[str, str | None]
@@ -181,9 +221,9 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for i, clamp in enumerate(scene.clamps):
         rows.point("clamp", f"clamps[{i}]", clamp)
     drawn = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
-    landmarks = np.array([locator.point for locator in scene.locators])
-    find = node_pairs if every_node else partial(find_pairs, landmarks=landmarks)
-    contacts = _contact_rows(scene, bodies, rows, find, every_node)
+    pairs = _zone_pairs(scene, bodies, every_node)
+    contacts = _contact_rows(scene, bodies, rows, pairs, every_node)
+    between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
     weld_gap = _weld_gaps(scene, contacts, drawn)
     for source in sources(scene):
         source.retain(rows)
@@ -202,7 +242,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         for part in scene.parts
     )
     weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
-    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, weld_gap, inputs, sizes)
+    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, between, weld_size, weld_gap, inputs, sizes)
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> float:
@@ -236,33 +276,89 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> float:
     return pair.gap
 
 
-def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
+def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
+    """The pairs of each zone; none where no stage resolves contact."""
+    resolved = any(stage.kind != "locate" for stage in scene.stages)
+    landmarks = np.array([locator.point for locator in scene.locators])
+    found = []
+    for i, zone in enumerate(scene.zones if resolved else ()):
+        a, b = (bodies[name] for name in zone.parts)
+        try:
+            if every_node:
+                found.append(node_pairs(zone, a, b))
+            else:
+                found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
+        except ValueError as error:
+            raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
+    return found
+
+
+def _pressed(scene, zone) -> list[Pressed]:
+    """Where something presses the bodies of a zone together: clamps, welds and locators."""
+    places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
+    places += [Pressed(np.array(item.point)) for item in scene.welds if set(item.parts) == set(zone.parts)]
+    return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
+
+
+def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
+    """Rows of the points between the pairs: their normal reading alone."""
+    landmarks = np.array([locator.point for locator in scene.locators])
+    points: list[ContactPair] = []
+    zones: list[int] = []
+    for i, (zone, own) in enumerate(zip(scene.zones, pairs)):
+        a, b = (bodies[name] for name in zone.parts)
+        found = find_between(zone, a, b, own, landmarks)
+        for one in found:
+            _joint_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, one, 1)
+            points.append(one)
+        zones += [i] * len(found)
+    at = np.array([one.point for one in points]).reshape(-1, 3)
+    normal = np.array([one.frame[:, 0] for one in points]).reshape(-1, 3)
+    zone_of, gap = np.array(zones, dtype=np.int64), np.array([one.gap for one in points])
+    for i, zone in enumerate(scene.zones):
+        if zone.nominal_overlap != "keep":
+            gap[zone_of == i] = np.maximum(gap[zone_of == i], 0.0)
+    return Between(zone_of, gap, _nuggets(scene, zone_of, at, normal), at)
+
+
+def _nuggets(scene, zone_of, point, normal) -> np.ndarray:
+    """(m,) the weld within whose nugget, seen along the normal, each point lies; -1 for none."""
+    found = np.full(len(zone_of), -1)
+    for i, weld in enumerate(scene.welds):
+        alike = [z for z, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
+        step = point - np.array(weld.point)
+        along = np.einsum("ij,ij->i", step, normal)
+        sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
+        reach = max(part.thickness for part in scene.parts if part.name in weld.parts) + weld.radius
+        found[np.isin(zone_of, alike) & (sideways <= weld.radius) & (np.abs(along) <= reach)] = i
+    return found
+
+
+def _joint_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimension) -> None:
+    """The rows of a pair, n, t1, t2: what its second body moves less its first."""
+    terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
+    for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
+        if bodies[name].rigid:
+            continue  # a rigid fixture does not move
+        index = rows.patch(name, patch)
+        for j in range(dimension):
+            reading = rows.functional(
+                name, index, pair.frame[:, j], f"{label} {AXES[j]}", side=0 if zone.mid_surface else side
+            )
+            terms[j].append((name, reading, sign))
+    for j in range(dimension):
+        rows.add(kind, f"{label} {AXES[j]}", *terms[j])
+
+
+def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
     friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
-    resolved = any(stage.kind != "locate" for stage in scene.stages)
     pairs: list[ContactPair] = []
     zones: list[int] = []
-    for i, zone in enumerate(scene.zones if resolved else ()):
-        try:
-            found = find(zone, *(bodies[name] for name in zone.parts))
-        except ValueError as error:
-            raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
-        for pair in found:
-            number = len(pairs)
-            terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
-            for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
-                if bodies[name].rigid:
-                    continue  # a rigid fixture does not move
-                index = rows.patch(name, patch)
-                for j in range(dimension):
-                    label = f"contact {number} {AXES[j]}"
-                    reading = rows.functional(
-                        name, index, pair.frame[:, j], label, side=0 if zone.mid_surface else side
-                    )
-                    terms[j].append((name, reading, sign))
-            for j in range(dimension):
-                rows.add("contact", f"{zone.name} {number} {AXES[j]}", *terms[j])
+    for i, (zone, own) in enumerate(zip(scene.zones, found)):
+        for pair in own:
+            _joint_rows(rows, "contact", f"{zone.name} {len(pairs)}", zone, bodies, pair, dimension)
             pairs.append(pair)
             zones.append(i)
     zone_of = np.array(zones, dtype=np.int64)
@@ -278,6 +374,12 @@ def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
     bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
     stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
+    watched = np.array([scene.zones[i].candidates for i in zone_of], dtype=bool)
+    normal = np.array([pair.frame[:, 0] for pair in pairs]).reshape(-1, 3)
+    through = [
+        sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
+        for zone in scene.zones
+    ]
     return Contacts(
         zone_of,
         np.array(stages, dtype=str),
@@ -288,6 +390,9 @@ def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
         np.array([p.overlap for p in pairs]),
         np.array([p.overlapping for p in pairs]) * area,
         area,
+        watched,
+        np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
+        np.where(watched, _nuggets(scene, zone_of, point, normal), -1),
         bearing,
         point,
         np.array([p.frame for p in pairs]).reshape(-1, 3, 3),

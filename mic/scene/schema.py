@@ -201,7 +201,7 @@ def _number_or_table(value: Any) -> str:
 
 
 class Zone(_Table):
-    """A contact zone: candidate contact pairs between two parts, or between a part and a rigid fixture.
+    """A contact zone: contact pairs between two parts, or between a part and a rigid fixture.
 
     The zone is where the two surfaces face each other within `max_gap` and `max_angle_deg`, inside the region: a box,
     or a tube of radius `within` about the polyline `path`; without either, everywhere.
@@ -235,10 +235,16 @@ class Zone(_Table):
     box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
     path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
     within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
-    pairs: Annotated[int, Field(gt=0)] | None = Field(None, description="number of contact pairs; or")
-    spacing: Positive | None = Field(None, description="distance between contact pairs, mm; or")
+    spacing: Positive | None = Field(
+        None,
+        description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
+        "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii",
+    )
+    pairs: Annotated[int, Field(gt=0)] | None = Field(
+        None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
+    )
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
-        None, description="the contact points themselves, mm"
+        None, description="or the contact points themselves, mm, and no others"
     )
     max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
     max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
@@ -264,8 +270,8 @@ class Zone(_Table):
             raise ValueError("give box or path, not both")
         if (self.path is None) != (self.within is None):
             raise ValueError("path and within (mm) belong together")
-        if sum(value is not None for value in (self.pairs, self.spacing, self.points)) != 1:
-            raise ValueError("give exactly one of pairs (how many), spacing (mm) or points (coordinates)")
+        if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
+            raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
             raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
         return self
@@ -297,6 +303,11 @@ class Zone(_Table):
         if self.friction_power is not None:
             return pressure_dependent.power(**self.friction_power.model_dump())
         return None
+
+    @property
+    def candidates(self) -> bool:
+        """Whether its pairs are candidates, watched: those carry force that would penetrate."""
+        return self.pairs is None and self.points is None
 
     @property
     def frictional(self) -> bool:
