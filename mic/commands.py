@@ -20,7 +20,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mic import cache_folder, examples
+from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
@@ -290,6 +290,14 @@ def check(
             "at half its size.",
         ),
     ] = False,
+    converge: Annotated[
+        bool,
+        typer.Option(
+            "--converge",
+            help=f"Repeat the nominal assembly and {density.SAMPLES} samples with pairs at {density.DENSER} of their "
+            "distance, and tell how the key characteristics move.",
+        ),
+    ] = False,
     normals: Annotated[
         Path | None,
         typer.Option(
@@ -307,9 +315,9 @@ def check(
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
 
-    Nothing is factorised but where --accuracy, or a part's own, asks for it. Where the influence coefficients are at
-    hand, a few samples show whether friction matters in each stage, and whether the outcome hangs on how the parts are
-    set down.
+    Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
+    coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
+    on how the parts are set down.
     """
     console = Console()
     asked = _requested(load_scene(scene), law)
@@ -331,6 +339,8 @@ def check(
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
+    if converge:
+        _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
     surfaces = {part.name: part.surface for part in assembly.parts}
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
@@ -528,6 +538,24 @@ def _print_accuracy(console, assembly, say):
                     soft_wrap=True,
                 )
     console.print("Time and memory as measured here, at the functionals that were compared, and as they grew.")
+
+
+def _print_convergence(console, assembly, found):
+    """Key characteristics with denser pairs beside those with the pairs as they are."""
+    table = Table(
+        "mm", "nominal", "denser", "mean", "denser", "6σ", "denser", "of 6σ", title="Key characteristics and the pairs"
+    )
+    for k, item in enumerate(assembly.scene.measurements):
+        cells = [f"{value:.4f}" for one in (found.nominal, found.mean, found.six_sigma) for value in one[:, k]]
+        before, after = found.six_sigma[:, k]
+        table.add_row(item.name, *cells, f"{100 * (after / before - 1):+.1f} %" if before > 0 else "")
+    console.print(table)
+    console.print(
+        f"{found.pairs[0]} and {found.pairs[1]} pairs; between them sheets pass through each other by up to "
+        f"{found.unseen[0]:.2g} and {found.unseen[1]:.2g} mm; {found.failed} of {density.SAMPLES} samples failed",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 @app.command()

@@ -14,6 +14,7 @@ from mic.model.assembly import assemble
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.sampling.draw import draw
+from verification.scenes import few
 
 pytestmark = pytest.mark.fem
 
@@ -46,7 +47,9 @@ def lap_model(scene, cache):
 
 @pytest.fixture(scope="module")
 def hat(cache):
-    return assemble(going(sized(mic.load_scene(ROOT / "meshes" / "hat_on_plate"), "coarse"), "increments", 1), cache)
+    return assemble(
+        going(sized(few(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), "coarse"), "increments", 1), cache
+    )
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +182,7 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
+from verification.scenes import few
 
 scene = mic.load_scene(sys.argv[1])
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
@@ -331,6 +335,7 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
+from verification.scenes import few
 
 scene = mic.load_scene(sys.argv[1])
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})

@@ -18,7 +18,7 @@ def lap(thickness, **zone):
     """The lap joint, its sheets so thick (they are drawn 1 mm apart), a zone's keys changed."""
     scene = mic.load_scene(MESHES / "lap_joint")
     parts = [part.model_copy(update={"thickness": thickness, "size": "coarse"}) for part in scene.parts]
-    zones = [one.model_copy(update=zone) for one in scene.zones]
+    zones = [one.model_copy(update={"pairs": 24} | zone) for one in scene.zones]
     return scene.model_copy(update={"parts": parts, "zones": zones})
 
 

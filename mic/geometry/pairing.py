@@ -35,7 +35,7 @@ __all__ = ["ContactPair", "Pressed", "Side", "find_between", "find_pairs", "node
 
 ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
 UNDER = 1.5  # radii of a clamp between two candidates
-RESOLVED = 0.6  # of an element: nearer to each other, neighbouring cells read the same few freedoms
+RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
 SIDEWAYS = 0.05  # of the thinner sheet: how far beside the normal a closest point may lie where surfaces touch
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -147,7 +147,7 @@ class Assembly:
     contacts : Contacts
     between : Between
     weld_size : tuple of int
-        Rows of each weld (six, or three without moment); the first is normal to the sheets, towards the second part.
+        Rows of each weld; the first is its mean normal to the sheets, towards the second part.
     weld_gap : (w,) array
         Nominal gap at each weld, mm; overlap that is closed is 0.
     inputs : dict of str to str
@@ -224,7 +224,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     pairs = _zone_pairs(scene, bodies, every_node)
     contacts = _contact_rows(scene, bodies, rows, pairs, every_node)
     between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
-    weld_gap = _weld_gaps(scene, contacts, drawn)
+    weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn])
     for source in sources(scene):
         source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
@@ -241,15 +241,21 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         )
         for part in scene.parts
     )
-    weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
+    weld_size = tuple(size for _, size in drawn)
     return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, between, weld_size, weld_gap, inputs, sizes)
 
 
-def _weld_rows(key, weld, bodies, rows: Rows) -> float:
-    """Rows of one weld: n, t1, t2 translations at the middle of the gap, and the rotations where it carries moment.
+def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
+    """Rows of one weld at the middle of the gap: its mean displacement along n, t1, t2, and what else it ties.
+
+    A fused nugget is one piece: what it ties are all displacements over the disc up to the linear ones,
+
+        ∫ φ (u_b − u_a) dA / A,        φ = 1, x, y,
+
+    x and y from the middle, in radii. An averaged one ties the means of displacements and rotations.
 
     Both parts are read at the same material-free point, half of any nominal gap off their facing surfaces: otherwise
-    turning the welded assembly as a whole would strain the weld. Returns the nominal gap as drawn, mm.
+    turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
     """
     for name in weld.parts:
         rows.on_part(key, weld.point, name)
@@ -257,23 +263,35 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> float:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
         raise SceneError(f"{key}.point: {error}; correct the coordinates") from None
-    functional = []
+    moments = _moments(pair, bodies[weld.parts[0]].surface, weld.radius) if weld.fused and weld.moment else {}
+    functional: list[list[int]] = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
-        number = rows.patch(name, patch)
         middle = side * (1 + pair.gap / bodies[name].thickness)
+        mean = rows.patch(name, patch)
+        asked = [("", mean, False)]
+        asked += [(label, rows.patch(name, replace(patch, weight=w)), False) for label, w in moments.items()]
+        asked += [("r", mean, True)] * (weld.moment and not moments)
         functional.append(
             [
                 rows.functional(
-                    name, number, pair.frame[:, j], f"weld {weld.name} {axis}", rotation, 0.0 if rotation else middle
+                    name, at, pair.frame[:, j], f"weld {weld.name} {label}{axis}", rotates, 0.0 if rotates else middle
                 )
-                for rotation in ((False, True) if weld.moment else (False,))
+                for label, at, rotates in asked
                 for j, axis in enumerate(AXES)
             ]
         )
     first, second = weld.parts
-    for j, (a, b) in enumerate(zip(*functional)):
-        rows.add("weld", f"{weld.name} {('', 'r')[j // 3]}{AXES[j % 3]}", (first, a, -1.0), (second, b, 1.0))
-    return pair.gap
+    labels = [f"{weld.name} {label}{axis}" for label, _, _ in asked for axis in AXES]
+    for label, a, b in zip(labels, *functional):
+        rows.add("weld", label, (first, a, -1.0), (second, b, 1.0))
+    return pair.gap, len(labels)
+
+
+def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
+    """Weights (q,) of a nugget's points that read its first moments, along t1 and t2."""
+    patch = pair.patches[0]
+    step = surface.at(patch.triangle, patch.barycentric) - pair.point
+    return {f"{axis}-moment ": patch.weight * (step @ pair.frame[:, j]) / radius for j, axis in ((1, "t1"), (2, "t2"))}
 
 
 def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:

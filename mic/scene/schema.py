@@ -182,7 +182,12 @@ class Weld(_Table):
     point: Vector = Field(description="mm")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
     close: bool = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
-    moment: bool = Field(True, description="whether the nugget also ties the rotations")
+    moment: bool = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
+    fused: bool = Field(
+        True,
+        description="whether all of the nugget is one piece; `false` ties its mean displacement and rotation, which is "
+        "softer",
+    )
     stage: Name = Field("weld", description="the weld stage that makes it")
 
 
