@@ -200,3 +200,70 @@ def test_denser_pairs_stand_at_a_share_of_the_distance(scene, cache):
     assert denser(few).zones[0].pairs == 49
     many = assemble(scene, cache)
     assert denser(many).zones[0].spacing == pytest.approx(DENSER * np.sqrt(1000 / len(many.contacts)), rel=0.02)
+
+
+# -------------------------------------------------------------------------------------------- known answers
+
+LENGTH, WIDTH, THICKNESS, YOUNG = 200.0, 20.0, 2.0, 210e3  # mm, MPa
+INERTIA = WIDTH * THICKNESS**3 / 12
+
+
+def strip_scene(folder, clamps, fixture, zone, size=5.0):
+    """A strip along x without lateral contraction, its ends on locators, above a rigid fixture."""
+    (folder / "geometry.py").write_text(
+        "from mic.geometry.structured import extrude\n"
+        f"def build(part, size):\n    return extrude([(0, 0), ({WIDTH}, 0)], 0.0, {LENGTH}, size)\n"
+    )
+    at = [("z", x, y) for x, y in ((0, 2), (0, WIDTH - 2), (LENGTH, WIDTH / 2))]
+    at += [("y", 0, 2), ("y", LENGTH, 2), ("x", 0, 2)]
+    axes = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+    return mic.Scene(
+        name="strip",
+        folder=folder,
+        parts=[dict(name="strip", geometry="geometry.py", size=size, thickness=THICKNESS, young=YOUNG, poisson=0.0)],
+        fixtures=[dict(name="stop", **fixture)],
+        locators=[
+            dict(name=f"A{i}", part="strip", point=(x, y, 0), direction=axes[axis], radius=0)
+            for i, (axis, x, y) in enumerate(at)
+        ],
+        clamps=[dict(name=f"C{i}", part="strip", direction=(0, 0, -1), **one) for i, one in enumerate(clamps)],
+        zones=[dict(name="stop", parts=("stop", "strip"), **zone)],
+        stages=[dict(kind="locate"), dict(kind="clamp")],
+        report=dict(laws=["frictionless"]),
+    )
+
+
+@pytest.mark.fem
+def test_a_strip_pressed_onto_a_stop(tmp_path, cache):
+    """The stop takes what the strip does not: R = P − 48 E I g/L³."""
+    gap, force = 0.5, 20.0
+    middle = (LENGTH / 2, WIDTH / 2)
+    stop = dict(point=(*middle, -THICKNESS / 2 - gap), normal=(0, 0, 1), radius=4.0)
+    scene = strip_scene(tmp_path, [dict(point=(*middle, 0), force=force, radius=4.0)], stop, {})
+    found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
+    wanted = force - 48 * YOUNG * INERTIA * gap / LENGTH**3
+    assert found.force[0, :, 0].sum() == pytest.approx(wanted, rel=5e-3)
+
+
+@pytest.mark.fem
+def test_a_strip_under_a_uniform_load_lifts_off_a_table_at_its_ends(tmp_path, cache):
+    """Held at the height g over a table at its ends and pressed down by q, it lies flat but for the ends' a,
+
+    a⁴ = 24 E I g/q,        R/(q L) = 1 − a/L        with both ends: each takes q a/2.
+    """
+    gap, load = 0.02, 0.05  # mm, N/mm
+    table = tmp_path / "table.stl"
+    corners = [(-5, -5), (LENGTH + 5, -5), (LENGTH + 5, WIDTH + 5), (-5, WIDTH + 5)]
+    a, b, c, d = (f"vertex {x} {y} {-THICKNESS / 2 - gap}\n" for x, y in corners)
+    facets = "".join(f"facet normal 0 0 1\nouter loop\n{one}endloop\nendfacet\n" for one in (a + b + c, a + c + d))
+    table.write_text(f"solid table\n{facets}endsolid table\n")
+    places = np.arange(2.5, LENGTH, 5.0)
+    clamps = [
+        dict(point=(x, y, 0), force=load * 5.0 / 2, radius=3.0) for x in places for y in (WIDTH / 4, 3 * WIDTH / 4)
+    ]
+    scene = strip_scene(tmp_path, clamps, dict(mesh="table.stl"), {})
+    found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
+    free = (24 * YOUNG * INERTIA * gap / load) ** 0.25
+    assert free < LENGTH / 2
+    total = found.force[0, :, 0].sum()
+    assert total / (load * LENGTH) == pytest.approx(1 - free / LENGTH, rel=5e-3)

@@ -184,7 +184,7 @@ from mic.model.assembly import assemble
 from mic.sampling.draw import draw
 from verification.scenes import few
 
-scene = mic.load_scene(sys.argv[1])
+scene = few(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 if sys.argv[4] == "increments":
     steps = {"path": "increments", "increments": 2}
@@ -337,7 +337,7 @@ from mic.model.assembly import assemble
 from mic.sampling.draw import draw
 from verification.scenes import few
 
-scene = mic.load_scene(sys.argv[1])
+scene = few(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 stages = [stage.model_copy(update={"path": "increments", "increments": 1}) for stage in scene.stages]
 assembly = assemble(scene.model_copy(update={"stages": stages}), Path(sys.argv[2]))
