@@ -10,9 +10,7 @@ __all__ = ["motion_size", "statically_determinate"]
 
 EQUAL = 1e-7  # rows that read as much to within this share read alike
 
-SILENT = (
-    1e-9  # of the largest reading: a row that reads less of all rigid motions reads rounding, as one of strain does
-)
+SILENT = 1e-9  # of the largest reading: what reads less of all motions, as strain does, reads rounding
 
 
 def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
