@@ -20,7 +20,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mic import cache_folder, examples
+from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
@@ -28,6 +28,7 @@ from mic.errors import RunError, Stopped
 from mic.geometry.normals import COARSE, Rule
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.model.overlap import frozen_gaps
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
 from mic.orders import variants as read_variants
 from mic.process.model import ReducedModel
@@ -247,6 +248,17 @@ def _print_zones(console, outcome):
             f"rescued by plain increments {law['rescued']}{_hanging(law)}",
             soft_wrap=True,
         )
+        if law["unseen_penetration"]:
+            console.print(_unseen_words(law["unseen_penetration"]), highlight=False, soft_wrap=True)
+
+
+def _unseen_words(unseen) -> str:
+    """How deep sheets pass through each other between the contact pairs, and where."""
+    where = ", ".join(f"{x:.1f}" for x in unseen["point"])
+    return (
+        f"  deepest penetration between the contact pairs: {unseen['depth']:.2g} mm, zone {plain(unseen['zone'])}, at "
+        f"({where}), stage {plain(unseen['stage'])}, sample {unseen['sample']}"
+    )
 
 
 def _hanging(law):
@@ -278,6 +290,14 @@ def check(
             "at half its size.",
         ),
     ] = False,
+    converge: Annotated[
+        bool,
+        typer.Option(
+            "--converge",
+            help=f"Repeat the nominal assembly and {density.SAMPLES} samples with pairs at {density.DENSER} of their "
+            "distance, and tell how the key characteristics move.",
+        ),
+    ] = False,
     normals: Annotated[
         Path | None,
         typer.Option(
@@ -285,12 +305,19 @@ def check(
             show_default=False,
         ),
     ] = None,
+    overlap: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw into this file, NAME.png, where the surfaces of the contact zones are drawn into each other.",
+            show_default=False,
+        ),
+    ] = None,
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
 
-    Nothing is factorised but where --accuracy, or a part's own, asks for it. Where the influence coefficients are at
-    hand, a few samples show whether friction matters in each stage, and whether the outcome hangs on how the parts are
-    set down.
+    Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
+    coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
+    on how the parts are set down.
     """
     console = Console()
     asked = _requested(load_scene(scene), law)
@@ -312,13 +339,23 @@ def check(
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
-    if normals is not None:
-        from mic.report.space_pictures import draw_normals  # drawing libraries are slow to import
+    if converge:
+        _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
+    surfaces = {part.name: part.surface for part in assembly.parts}
+    if normals is not None or overlap is not None:
+        from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
-        with replacing(normals) as temporary:
-            temporary.write_bytes(draw_normals({part.name: part.surface for part in assembly.parts}).data)
-        console.print(f"normals: [bold]{plain(normals)}[/]", soft_wrap=True)
+        if normals is not None:
+            _keep_picture(console, "normals", draw_normals(surfaces), normals)
+        if overlap is not None:
+            _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
     console.print("[green]The scene is valid.[/]")
+
+
+def _keep_picture(console, what, picture, file):
+    with replacing(file) as temporary:
+        temporary.write_bytes(picture.data)
+    console.print(f"{what}: [bold]{plain(file)}[/]", soft_wrap=True)
 
 
 def _print_process(console, assembly, plans):
@@ -411,12 +448,22 @@ def _friction_words(zone) -> str:
     return words
 
 
+def _overlap_words(zone, depth, area) -> str:
+    """How far the surfaces of a zone's pairs are drawn into each other, over which area, and what is done about it."""
+    if not depth.any():
+        return "none"
+    done = "kept" if zone.nominal_overlap == "keep" else "closed"
+    return f"{depth.max():.3f} mm deep, over {area.sum():.0f} mm²: {done}"
+
+
 def _print_contacts(console, assembly):
     scene, contacts = assembly.scene, assembly.contacts
     if not len(contacts):
         console.print("No contact zones: nothing to resolve.")
         return
-    table = Table("zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", title="Contact zones")
+    table = Table(
+        "zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", "drawn overlap", title="Contact zones"
+    )
     for i, zone in enumerate(scene.zones):
         own = contacts.zone == i
         table.add_row(
@@ -426,8 +473,11 @@ def _print_contacts(console, assembly):
             _friction_words(zone),
             f"{contacts.area[own].sum():.0f}",
             " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max())),
+            _overlap_words(zone, contacts.overlap[own], contacts.overlapping[own]),
         )
     console.print(table)
+    for sentence in frozen_gaps(assembly):
+        console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
     if contacts.dimension == 1:
         console.print(
             f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "
@@ -486,6 +536,24 @@ def _print_accuracy(console, assembly, say):
                     soft_wrap=True,
                 )
     console.print("Time and memory as measured here, at the functionals that were compared, and as they grew.")
+
+
+def _print_convergence(console, assembly, found):
+    """Key characteristics with denser pairs beside those with the pairs as they are."""
+    table = Table(
+        "mm", "nominal", "denser", "mean", "denser", "6σ", "denser", "of 6σ", title="Key characteristics and the pairs"
+    )
+    for k, item in enumerate(assembly.scene.measurements):
+        cells = [f"{value:.4f}" for one in (found.nominal, found.mean, found.six_sigma) for value in one[:, k]]
+        before, after = found.six_sigma[:, k]
+        table.add_row(item.name, *cells, f"{100 * (after / before - 1):+.1f} %" if before > 0 else "")
+    console.print(table)
+    console.print(
+        f"{found.pairs[0]} and {found.pairs[1]} pairs; between them sheets pass through each other by up to "
+        f"{found.unseen[0]:.2g} and {found.unseen[1]:.2g} mm; {found.failed} of {density.SAMPLES} samples failed",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 @app.command()

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from mic.compliance.cache import influence_coefficients
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import Assembly, assemble
+from mic.model.overlap import frozen_gaps
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.accuracy import write_accuracy
@@ -107,7 +108,7 @@ def run(
         with clock("reduced model"):
             with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
                 model = ReducedModel.build(assembly, influence)
-            for sentence in model.process().redundant:
+            for sentence in model.process().redundant + frozen_gaps(model):
                 listener.say(f"note: {sentence}")
         with clock("Monte Carlo"):
             found = _sample(folder, model, laws, samples, seed, listener)

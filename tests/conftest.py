@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import mic
+from verification.scenes import few
 
 ROOT = Path(__file__).resolve().parents[1]
 FINITE_ELEMENTS = importlib.util.find_spec("dolfinx") is not None
@@ -40,7 +41,7 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def lap_scene():
-    return mic.load_scene(ROOT / "meshes" / "lap_joint")
+    return few(mic.load_scene(ROOT / "meshes" / "lap_joint"))
 
 
 # Where no finite elements are installed, the compliance that tests/support/shipped.py provides takes their place.
@@ -53,4 +54,4 @@ def lap_model(lap_scene, cache):
 
 @pytest.fixture(scope="session")
 def hat_model(cache):
-    return mic.reduce(mic.load_scene(ROOT / "meshes" / "hat_on_plate"), cache)
+    return mic.reduce(few(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), cache)

@@ -40,7 +40,7 @@ def command(cache, tmp_path):
 def test_run_check_report(command, tmp_path):
     checked = command("check", LAP).stdout
     assert (
-        "24" in checked
+        "63" in checked
         and "6000" not in checked
         and "200 samples × 3 laws" in checked
         and "The scene is valid" in checked
@@ -76,8 +76,8 @@ def test_check_shows_what_is_not_modelled(cache, tmp_path):
     (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     lean = CliRunner().invoke(app, ["check", str(tmp_path), "--law", "frictionless"], env=environment).output
-    assert "only normals are modelled, 24 rows instead of 72" in lean
-    assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 24 unknowns" in lean
+    assert "only normals are modelled, 63 rows instead of 189" in lean
+    assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 63 unknowns" in lean
     assert "no field solves" in lean
 
 

@@ -38,7 +38,13 @@ def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
     out = examples.copy("lap_joint", tmp_path / "deep" / "mine")
     assert {path.name for path in out.iterdir()} == {"scene.toml", "geometry.py"}
     wheelhouse = examples.copy("wheelhouse", tmp_path / "wheelhouse")
-    assert {path.name for path in wheelhouse.iterdir()} == {"scene.toml", "geometry.py", "README.md", "paper.toml"}
+    assert {path.name for path in wheelhouse.iterdir()} == {
+        "scene.toml",
+        "watched.toml",
+        "geometry.py",
+        "README.md",
+        "paper.toml",
+    }
     copied, shipped = (assemble(mic.load_scene(path), cache) for path in (out, examples.folder("lap_joint")))
     for one, other in zip(copied.parts, shipped.parts):
         assert (one.surface.points == other.surface.points).all()

@@ -14,6 +14,7 @@ from mic.model.assembly import assemble
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.sampling.draw import draw
+from verification.scenes import few
 
 pytestmark = pytest.mark.fem
 
@@ -46,7 +47,9 @@ def lap_model(scene, cache):
 
 @pytest.fixture(scope="module")
 def hat(cache):
-    return assemble(going(sized(mic.load_scene(ROOT / "meshes" / "hat_on_plate"), "coarse"), "increments", 1), cache)
+    return assemble(
+        going(sized(few(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), "coarse"), "increments", 1), cache
+    )
 
 
 @pytest.fixture(scope="module")
@@ -179,8 +182,9 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
+from verification.scenes import few
 
-scene = mic.load_scene(sys.argv[1])
+scene = few(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 scene = scene.model_copy(update={"zones": [zone.model_copy(update={"pairs": 4}) for zone in scene.zones]})
 if sys.argv[4] == "increments":
@@ -332,8 +336,9 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
+from verification.scenes import few
 
-scene = mic.load_scene(sys.argv[1])
+scene = few(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 stages = [stage.model_copy(update={"path": "increments", "increments": 1}) for stage in scene.stages]
 assembly = assemble(scene.model_copy(update={"stages": stages}), Path(sys.argv[2]))

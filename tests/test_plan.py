@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 import mic
 from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
-from mic.model.assembly import Contacts
+from mic.model.assembly import Between, Contacts
 from mic.model.rows import KINDS
 from mic.process.actions import tongs
 from mic.process.drive import drive
@@ -279,7 +279,12 @@ def one_pair(friction, gap):
         pressure=np.zeros((1, 0, 5)),
         compliance=np.zeros(1),
         gap=np.array([gap]),
+        overlap=np.zeros(1),
+        overlapping=np.zeros(1),
         area=np.ones(1),
+        watched=np.zeros(1, bool),
+        layer=np.zeros(1),
+        nugget=np.full(1, -1),
         bearing=np.ones(1),
         point=np.zeros((1, 3)),
         frame=np.eye(3)[None],
@@ -294,12 +299,14 @@ class Meaning:
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
     contacts = one_pair(0.3, 0.05)
     weld_size, weld_gap = WELD_SIZE, np.array([0.1, 0.2])
+    between = Between(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
 
 
 def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
     shape = {"locator": np.zeros((1, 13)), "clamp": np.zeros((1, 3)), "measurement": np.array([[0.7]])}
     shape["contact"] = np.array([[-0.02, 5.0, 5.0]])  # the tangential deviation must not enter
     shape["weld"] = np.zeros((1, 9))
+    shape["between"] = np.array([[0.01]])
     shape["weld"][0, 6] = 0.03  # the first row of the second weld
     shape["locator"][0, 8] = 0.4  # the part stands 0.4 mm too high at b2 ...
     asked = drive(Meaning, np.array([[0.1, -0.05, 2.0]]), shape)
@@ -308,6 +315,7 @@ def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
     np.testing.assert_allclose(asked.push[0, 1:], [42.0, 7.0])
     np.testing.assert_allclose(asked.gap, [[0.03]])
     np.testing.assert_allclose(asked.weld_gap, [[0.1, 0.23]])
+    np.testing.assert_allclose(asked.between, [[0.03]])
     np.testing.assert_allclose(asked.measured, [[0.7]])
 
 
@@ -361,7 +369,8 @@ def springs(drag=0.0, gap=GAP, settle=True, **close):
     labels = {kind: [f"{kind}{i}" for i in range(rows[kind].shape[0])] for kind in KINDS}
     contacts = one_pair(0.2, gap)
     none = np.zeros((width, 0))
-    return ReducedModel(scene, compliance, rows, labels, contacts, (), np.zeros(0), none, none, {})
+    nowhere = Between(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
+    return ReducedModel(scene, compliance, rows, labels, contacts, nowhere, (), np.zeros(0), none, none, {})
 
 
 def test_a_clamp_closes_a_gap_against_two_springs_and_release_opens_it():

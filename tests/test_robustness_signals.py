@@ -23,7 +23,9 @@ def test_a_signal_keeps_what_is_finished_and_the_same_call_completes_it(tmp_path
     scene = tmp_path / "scene"
     shutil.copytree(ROOT / "meshes" / "lap_joint", scene)
     text = (scene / "scene.toml").read_text()
-    (scene / "scene.toml").write_text(text.replace("fields = true", "").replace("pairs = 24", "pairs = 6"))
+    (scene / "scene.toml").write_text(
+        text.replace("fields = true", "").replace("friction = 0.27", "friction = 0.27\npairs = 6")
+    )
     command = [sys.executable, "-m", "mic.cli", "run", str(scene), "--law", "coulomb", "--out", "run", "--samples"]
     options = {"cwd": tmp_path, "text": True, "env": os.environ | {"MIC_CACHE": str(cache)}}
     run = subprocess.Popen([*command, "400"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)

@@ -94,7 +94,7 @@ BROKEN = {
         ["zones", "'lap'", "more than once"],
     ),
     "limits swapped": (r"lower = -1\b", "lower = 2", ["measurements[0]", "lower must be smaller"]),
-    "no pairs": (r"pairs = 24", "", ["zones[0]", "exactly one of pairs"]),
+    "two kinds of pairs": (r"friction = 0.27", "pairs = 24\nspacing = 4", ["zones[0]", "one of pairs"]),
     "not TOML": (r"\[\[parts\]\]", "[[parts]", ["not valid TOML"]),
     "syntax of a name": (r'name = "F1"', 'name = "F 1"', ["deviations[0].name"]),
     "poisson": (r"poisson = 0.3", "poisson = 0.5", ["parts[0].poisson", "less than 0.5"]),
@@ -218,13 +218,13 @@ BROKEN_ON_MESH = {
         ["clamps[0].point", "39 mm off part 'upper'"],
     ),
     "empty zone": (
-        r"pairs = 24",
-        "pairs = 24\nbox = [[0, 0, -1], [20, 25, 2]]",
+        r"friction = 0.27",
+        "friction = 0.27\nbox = [[0, 0, -1], [20, 25, 2]]",
         ["zones[0] (lap)", "no contact pair", "max_gap"],
     ),
     "too small a gap": (
-        r"thickness = 1\b((?:.|\n)*?)pairs = 24",  # 0.25 mm between a sheet half as thick and its neighbour
-        r"thickness = 0.5\1pairs = 24\nmax_gap = 0.2",
+        r"thickness = 1\b((?:.|\n)*?)friction = 0.27",  # 0.25 mm between a sheet half as thick and its neighbour
+        r"thickness = 0.5\1friction = 0.27\nmax_gap = 0.2",
         ["zones[0] (lap)", "no contact pair", "max_gap = 0.2"],
     ),
 }
@@ -269,9 +269,7 @@ def test_all_problems_are_listed_at_once(tmp_path):
 
 
 def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
-    text = 'setting = "draft"\n' + re.sub(r"pairs = 24\n", "", (LAP / "scene.toml").read_text()).replace(
-        'size = "medium"\n', "", 1
-    )
+    text = 'setting = "draft"\n' + (LAP / "scene.toml").read_text().replace('size = "medium"\n', "", 1)
     (tmp_path / "scene.toml").write_text(text)
     scene = mic.load_scene(tmp_path)
     draft = SETTINGS["draft"]

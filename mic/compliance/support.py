@@ -10,6 +10,8 @@ __all__ = ["motion_size", "statically_determinate"]
 
 EQUAL = 1e-7  # rows that read as much to within this share read alike
 
+SILENT = 1e-9  # of the largest reading: what reads less of all motions, as strain does, reads rounding
+
 
 def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Choose as many rows as there are rigid motions, so that they hold them best.
@@ -37,7 +39,8 @@ def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     b, r = reading.shape
     reading = reading / np.where(size > 0, size, 1)
     length = np.linalg.norm(reading, axis=1)
-    reading = reading / np.where(length > 0, length, 1)[:, None]
+    heard = length > SILENT * length.max(initial=0.0)
+    reading = reading / np.where(heard, length, 1)[:, None]
     rank = np.linalg.matrix_rank(reading, tol=1e-6) if b else 0
     if rank < r:
         raise FreeMotion(np.linalg.svd(reading, full_matrices=True)[2][rank:].T if b else np.eye(r))
@@ -55,7 +58,8 @@ def motion_size(G: tuple[np.ndarray, ...]) -> np.ndarray:
     :func:`statically_determinate`: one number for its translations, one for its rotations."""
     sizes = []
     for block in G:
-        displacement = block[block[:, :3].any(axis=1)]  # a functional of rotations reads no translation
+        # A functional of rotations, or of a nugget's first moments, reads no translation.
+        displacement = block[np.linalg.norm(block[:, :3], axis=1) > 0.5]
         motions = displacement.reshape(-1, 2, 3)
         sizes.append(np.repeat(np.sqrt((motions**2).sum(axis=(0, 2)) / max(1, motions[:, 0].size)), 3))
     return np.concatenate(sizes)

@@ -51,6 +51,14 @@ class Friction:
     def __len__(self):
         return len(self.coefficient)
 
+    def take(self, own: np.ndarray) -> Friction:
+        """Of some of the contacts, a mask or their numbers."""
+        return Friction(
+            self.coefficient[own],
+            None if self.pressure is None else self.pressure[own],
+            None if self.compliance is None else self.compliance[own],
+        )
+
 
 def finite(name: str, value) -> np.ndarray:
     """An argument as an array of finite numbers.

@@ -68,7 +68,7 @@ class ContactSolver:
     def __init__(
         self,
         S: np.ndarray,
-        mu: float | np.ndarray,
+        mu: float | np.ndarray | Friction,
         law: str | Law = "coulomb",
         backend: str = "native",
         tol: float = 1e-10,

@@ -1,10 +1,17 @@
 """Contact pairs: where two nominal surfaces face each other, and over which patches.
 
-The candidate points are a fine sampling of the first surface. A candidate belongs to the zone when it lies in the
-zone's region and its closest point on the other surface faces it: normals within an angle, the joining line along the
-normal, the gap between the *facing* surfaces (both half-thicknesses taken off) within a limit. The candidates are then
-gathered into cells of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the
-projections on the other, so that a pair's two forces act on one line and leave no couple behind.
+A fine sampling of the first surface is taken. A sampling point belongs to the zone when it lies in the zone's region
+and its closest point on the other surface faces it: normals within an angle, the joining line along the normal, the gap
+between the *facing* surfaces (both half-thicknesses taken off) within a limit. The points are then gathered into cells
+of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the projections on the
+other, so that a pair's two forces act on one line and leave no couple behind.
+
+A zone that states neither how many pairs nor which gets *candidates*: a cell about every place where something presses
+the sheets together, and the others so far apart as an element allows and what bends between two pairs demands,
+
+    max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius.
+
+Points *between* the pairs, as far from them as there are, tell how far the sheets pass through each other unseen.
 
 Which sampling points belong to a zone, and to which pair, must not hang on rounding: a point on the border of a region
 is inside, and where cells could start or end at several places alike, the distances from the scene's locators decide.
@@ -16,6 +23,7 @@ point on the other, as node-to-surface contact does.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +31,11 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import EQUAL, Patch, Surface
 
-__all__ = ["ContactPair", "Side", "find_pairs", "node_pairs", "pair_at"]
+__all__ = ["ContactPair", "Pressed", "Side", "find_between", "find_pairs", "node_pairs", "pair_at"]
 
+ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
+UNDER = 1.5  # radii of a clamp between two candidates
+RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
 SIDEWAYS = 0.05  # of the thinner sheet: how far beside the normal a closest point may lie where surfaces touch
 
 
@@ -62,6 +73,10 @@ class ContactPair:
         Columns ``n, t1, t2``; n points from the first body to the second.
     gap : float
         Nominal gap between the facing surfaces, positive when apart, mm.
+    overlap : float
+        Deepest overlap of the facing surfaces within the patch, as they are drawn, mm.
+    overlapping : float
+        Share of the patch in which they overlap.
     area : float
         Area that the pair stands for, mm².
     patches : tuple of two Patch
@@ -73,13 +88,31 @@ class ContactPair:
     point: np.ndarray
     frame: np.ndarray
     gap: float
+    overlap: float
+    overlapping: float
     area: float
     patches: tuple[Patch, Patch]
     sides: tuple[int, int]
 
 
-def find_pairs(zone, first: Side, second: Side, landmarks=()) -> list[ContactPair]:
-    """Find the contact pairs of a zone.
+@dataclass(frozen=True)
+class Pressed:
+    """Where something presses two sheets together: a clamp, a weld, a locator.
+
+    Attributes
+    ----------
+    point : (3,) array
+        mm.
+    radius : float or None
+        Of a clamp, mm: candidates are so near to each other that a few lie under it.
+    """
+
+    point: np.ndarray
+    radius: float | None = None
+
+
+def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[Pressed] = ()) -> list[ContactPair]:
+    """Find the contact pairs of a zone: those that it states, or candidates.
 
     Parameters
     ----------
@@ -89,18 +122,25 @@ def find_pairs(zone, first: Side, second: Side, landmarks=()) -> list[ContactPai
     landmarks : (l, 3) array, optional
         Points of the scene, mm: what the shapes leave open, their distances decide, the first's first. Three that do
         not stand in line suffice.
+    pressed : sequence of Pressed
+        Of candidates, one stands at each of these places that lies in the zone.
 
     Raises
     ------
     ValueError
-        If the zone is empty, has fewer candidates than pairs, or a given point faces nothing.
+        If the zone is empty or has no room for its pairs, a given point faces nothing, or candidates are asked for that
+        are finer than the elements.
     """
     swap = first.rigid  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
     sampled, other = (second, first) if swap else (first, second)
     tie = max(first.surface.tie, second.surface.tie)
     cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
     area = cloud.area.sum()
-    count = len(zone.points) if zone.points else zone.pairs or max(1, int(area / zone.spacing**2 + 0.5 + EQUAL))
+    if zone.candidates:
+        spacing = _candidate_spacing(zone, sampled, other, cloud, pressed)
+        count = max(1, int(area / spacing**2 + 0.5 + EQUAL))
+    else:
+        count = len(zone.points or ()) or zone.pairs
     cloud = _facing(zone, sampled, other, np.sqrt(area / count) / 6)
     anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))  # from here on, the first of equals is chosen
@@ -116,7 +156,9 @@ def find_pairs(zone, first: Side, second: Side, landmarks=()) -> list[ContactPai
                 f"points[{lost[0]}] lies where the parts face nothing; move it, or widen max_gap or the region"
             )
     else:
-        centres = _centres(cloud.point, cloud.area, count, tie)
+        fixed = _under(pressed, cloud, np.sqrt(area / count), tie) if zone.candidates else np.zeros((0, 3))
+        count = max(count, len(fixed))
+        centres = _centres(cloud.point, cloud.area, count, tie, fixed)
     cell = _nearest(centres, cloud.point, tie)
     pairs = []
     for k, centre in enumerate(centres):
@@ -144,6 +186,33 @@ def find_pairs(zone, first: Side, second: Side, landmarks=()) -> list[ContactPai
         pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
     _set_tangents(pairs)
     return pairs
+
+
+def find_between(zone, first: Side, second: Side, pairs: Sequence[ContactPair], landmarks=()) -> list[ContactPair]:
+    """As many points of the zone as it has pairs, as far from these and from each other as possible.
+
+    They are pairs whose patches are points, and none of them carries force: they tell what the pairs miss.
+    """
+    swap = first.rigid
+    sampled, other = (second, first) if swap else (first, second)
+    tie = max(first.surface.tie, second.surface.tie)
+    area = sum(pair.area for pair in pairs)
+    cloud = _facing(zone, sampled, other, np.sqrt(area / len(pairs)) / 6)
+    anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
+    cloud = cloud.take(_ranking(cloud.point, anchors, tie))
+    side = 1 if swap else 0
+    centres = [
+        patch.weight @ sampled.surface.at(patch.triangle, patch.barycentric)
+        for patch in (pair.patches[side] for pair in pairs)
+    ]
+    nearest = cKDTree(np.array(centres)).query(cloud.point)[0]
+    chosen = []
+    for _ in range(min(len(pairs), len(cloud.area))):
+        chosen.append(_first(nearest, tie))
+        nearest = np.minimum(nearest, np.linalg.norm(cloud.point - cloud.point[chosen[-1]], axis=1))
+    between = [_pair(cloud.take([i]), cloud.area[i], sampled, other, swap) for i in chosen]
+    _set_tangents(between)
+    return between
 
 
 def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
@@ -264,6 +333,38 @@ def _facing(zone, sampled, other, spacing):
     return cloud
 
 
+def _candidate_spacing(zone, sampled, other, cloud, pressed) -> float:
+    """Distance between candidates, mm."""
+    surfaces = [(sampled, cloud.triangle)] + [(other, cloud.other_triangle)] * (not other.rigid)
+    element = max(float(np.median(body.surface.edge_lengths[np.unique(own)])) for body, own in surfaces)
+    if zone.spacing is not None:
+        if zone.spacing < RESOLVED * element:
+            raise ValueError(
+                f"spacing = {zone.spacing:g} mm between candidates is finer than the elements there "
+                f"({element:.2g} mm), which tell such neighbours not apart: refine the mesh, or ask for "
+                f"{RESOLVED * element:.2g} mm or more"
+            )
+        return zone.spacing
+    thinner = min(body.thickness for body in (sampled, other) if not body.rigid)
+    radii = [place.radius for place in pressed if place.radius]
+    return max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+
+
+def _under(pressed, cloud, spacing, tie) -> np.ndarray:
+    """(k, 3) places of the zone where something presses the sheets together, half a spacing or more apart."""
+    places: list[np.ndarray] = []
+    for one in pressed:
+        step = cloud.point - one.point
+        sideways = np.linalg.norm(step - np.einsum("ij,ij->i", step, cloud.normal)[:, None] * cloud.normal, axis=1)
+        sideways[np.linalg.norm(step, axis=1) > 2 * cloud.distance + spacing] = np.inf
+        at = _first(-sideways, tie)
+        if sideways[at] > spacing / 4:
+            continue
+        if all(np.linalg.norm(cloud.point[at] - place) > spacing / 2 for place in places):
+            places.append(cloud.point[at])
+    return np.array(places).reshape(-1, 3)
+
+
 def _in_region(zone, x, margin):
     """Whether points lie in the zone's region, widened by `margin`, one number or one a point."""
     if zone.box is not None:
@@ -344,19 +445,24 @@ def _nearest(centres, point, tie):
     return np.where(distance <= distance[:, :1] + tie, index, len(centres)).min(1)
 
 
-def _centres(point, weight, count, tie):
-    """Centres of `count` cells of about equal size: farthest-point start, then Lloyd's iteration."""
-    middle = np.average(point, axis=0, weights=weight)
-    chosen = [_first(np.linalg.norm(point - middle, axis=1), tie)]
-    nearest = np.linalg.norm(point - point[chosen[0]], axis=1)
-    while len(chosen) < count:
-        chosen.append(_first(nearest, tie))
-        nearest = np.minimum(nearest, np.linalg.norm(point - point[chosen[-1]], axis=1))
-    centres = point[chosen]
+def _centres(point, weight, count, tie, fixed):
+    """Centres of `count` cells of about equal size, the `fixed` (k, 3) among them: farthest-point start, then Lloyd's
+    iteration."""
+    if len(fixed):
+        centres = [*fixed]
+    else:
+        middle = np.average(point, axis=0, weights=weight)
+        centres = [point[_first(np.linalg.norm(point - middle, axis=1), tie)]]
+    nearest = cKDTree(np.array(centres)).query(point)[0]
+    while len(centres) < count:
+        centres.append(point[_first(nearest, tie)])
+        nearest = np.minimum(nearest, np.linalg.norm(point - centres[-1], axis=1))
+    centres = np.array(centres)
     for _ in range(50):
         cell = _nearest(centres, point, tie)
         total = np.bincount(cell, weight, count)
         moved = np.column_stack([np.bincount(cell, weight * point[:, i], count) for i in range(3)]) / total[:, None]
+        moved[: len(fixed)] = fixed
         if np.linalg.norm(moved - centres, axis=1).max() < tie:
             break
         centres = moved
@@ -379,7 +485,8 @@ def _pair(cloud, area, sampled, other, swap):
     weight = cloud.area / cloud.area.sum()
     n = weight @ cloud.normal
     n /= np.linalg.norm(n)
-    gap = weight @ cloud.distance - sampled.half_thickness - other.half_thickness
+    apart = cloud.distance - sampled.half_thickness - other.half_thickness
+    overlaps = apart < -max(sampled.surface.tie, other.surface.tie)
     sides = [
         int(np.sign(weight @ np.einsum("ij,j->i", body.surface.normals[triangle], n) * sign))
         for body, triangle, sign in ((sampled, cloud.triangle, 1), (other, cloud.other_triangle, -1))
@@ -393,7 +500,9 @@ def _pair(cloud, area, sampled, other, swap):
     return ContactPair(
         weight @ cloud.point,
         np.column_stack([n, np.zeros((3, 2))]),
-        float(gap),
+        float(weight @ apart),
+        float((-apart[overlaps]).max(initial=0.0)),
+        float(weight[overlaps].sum()),
         float(area),
         tuple(patches),
         tuple(sides),

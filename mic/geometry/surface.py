@@ -37,7 +37,7 @@ class Patch:
     barycentric : (q, 3) array
         Barycentric coordinates of each point in its triangle.
     weight : (q,) array
-        Share of each point in the average; sums to one.
+        Share of each point in the average; sums to one. First moments of a nugget are no averages: these sum to zero.
     """
 
     triangle: np.ndarray

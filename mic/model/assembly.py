@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -16,13 +16,14 @@ from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
-from mic.geometry.pairing import ContactPair, Side, find_pairs, node_pairs, pair_at
+from mic.geometry.pairing import ContactPair, Pressed, Side, find_between, find_pairs, node_pairs, pair_at
 from mic.model.meshing import chosen_sizes
+from mic.model.overlap import closed, joined_by
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.scene import Scene
 
-__all__ = ["Assembly", "Contacts", "assemble"]
+__all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,18 @@ class Contacts:
     compliance : (m,) array
         ``1/(k_t A)``, mm/N: how far the contact yields before it slips; 0 where not at all.
     gap : (m,) array
-        Nominal gap between the facing surfaces, mm, positive when apart.
+        Nominal gap between the facing surfaces, mm, positive when apart; overlap that is closed
+        (:mod:`mic.model.overlap`) is 0.
+    overlap, overlapping : (m,) array
+        Deepest overlap within the pair as the surfaces are drawn, mm, and the area in which they overlap, mm².
     area : (m,) array
         Share of the zone, mm².
+    watched : (m,) bool array
+        Whether the pair is a candidate: it carries force where it would penetrate, and takes no part elsewhere.
+    layer : (m,) array
+        ``(t_a + t_b)/2 / (E A)`` of a candidate, mm/N: how far the sheets yield through their thickness.
+    nugget : (m,) int array
+        The weld within whose nugget a candidate's centre lies, -1 for none: once made, it is all that joins there.
     bearing : (m,) array
         A: what pressure and stiffness per area refer to, mm²: the share of the zone, or the disc that ``patch`` gives.
     point : (m, 3) array
@@ -62,7 +72,12 @@ class Contacts:
     pressure: np.ndarray
     compliance: np.ndarray
     gap: np.ndarray
+    overlap: np.ndarray
+    overlapping: np.ndarray
     area: np.ndarray
+    watched: np.ndarray
+    layer: np.ndarray
+    nugget: np.ndarray
     bearing: np.ndarray
     point: np.ndarray
     frame: np.ndarray
@@ -76,6 +91,10 @@ class Contacts:
         """Whether anything gives any pair friction."""
         return bool(self.friction.any() or self.pressure.shape[1])
 
+    def out(self, welds: Sequence[int]) -> np.ndarray:
+        """(m,) candidates that take no part once these welds are made."""
+        return np.isin(self.nugget, welds)
+
     def friction_in(self, stage: str) -> Friction:
         """What the laws know of the pairs' friction in a stage."""
         named, pressure = [*self.stages, stage], None
@@ -86,6 +105,31 @@ class Contacts:
             pressure[none, 1:, 0] = np.inf
             pressure[none, 0, 1] = coefficient[none]
         return Friction(coefficient, pressure, self.compliance)
+
+
+@dataclass(frozen=True)
+class Between:
+    """Points between the contact pairs, which carry no force: how far the sheets pass through each other unseen.
+
+    Attributes
+    ----------
+    zone : (q,) int array
+        Index of each point's zone in ``scene.zones``.
+    gap : (q,) array
+        Nominal gap, mm, as `Contacts` has it.
+    nugget : (q,) int array
+        The weld within whose nugget the point lies, -1 for none.
+    point : (q, 3) array
+        mm.
+    """
+
+    zone: np.ndarray
+    gap: np.ndarray
+    nugget: np.ndarray
+    point: np.ndarray
+
+    def __len__(self):
+        return len(self.zone)
 
 
 @dataclass(frozen=True)
@@ -101,10 +145,11 @@ class Assembly:
     labels : dict of str to list of str
         One name per row.
     contacts : Contacts
+    between : Between
     weld_size : tuple of int
-        Rows of each weld (six, or three without moment); the first is normal to the sheets, towards the second part.
+        Rows of each weld; the first is its mean normal to the sheets, towards the second part.
     weld_gap : (w,) array
-        Nominal gap at each weld, mm.
+        Nominal gap at each weld, mm; overlap that is closed is 0.
     inputs : dict of str to str
         Hashes of the files that the meshes of parts and fixtures were made from.
     sizes : dict of str to float
@@ -116,6 +161,7 @@ class Assembly:
     rows: dict[str, csr_matrix]
     labels: dict[str, list[str]]
     contacts: Contacts
+    between: Between
     weld_size: tuple[int, ...]
     weld_gap: np.ndarray
     inputs: dict[str, str | None]
@@ -174,10 +220,11 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         rows.point("locator", f"locators[{i}]", locator)
     for i, clamp in enumerate(scene.clamps):
         rows.point("clamp", f"clamps[{i}]", clamp)
-    weld_gap = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
-    landmarks = np.array([locator.point for locator in scene.locators])
-    find = node_pairs if every_node else partial(find_pairs, landmarks=landmarks)
-    contacts = _contact_rows(scene, bodies, rows, find, every_node)
+    drawn = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
+    pairs = _zone_pairs(scene, bodies, every_node)
+    contacts = _contact_rows(scene, bodies, rows, pairs, every_node)
+    between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
+    weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn])
     for source in sources(scene):
         source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
@@ -194,15 +241,21 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         )
         for part in scene.parts
     )
-    weld_size = tuple(6 if weld.moment else 3 for weld in scene.welds)
-    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, weld_size, np.array(weld_gap), inputs, sizes)
+    weld_size = tuple(size for _, size in drawn)
+    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, between, weld_size, weld_gap, inputs, sizes)
 
 
-def _weld_rows(key, weld, bodies, rows: Rows) -> float:
-    """Rows of one weld: n, t1, t2 translations at the middle of the gap, and the rotations where it carries moment.
+def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
+    """Rows of one weld at the middle of the gap: its mean displacement along n, t1, t2, and what else it ties.
+
+    A fused nugget is one piece: what it ties are all displacements over the disc up to the linear ones,
+
+        ∫ φ (u_b − u_a) dA / A,        φ = 1, x, y,
+
+    x and y from the middle, in radii. An averaged one ties the means of displacements and rotations.
 
     Both parts are read at the same material-free point, half of any nominal gap off their facing surfaces: otherwise
-    turning the welded assembly as a whole would strain the weld. Returns the nominal gap, mm.
+    turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
     """
     for name in weld.parts:
         rows.on_part(key, weld.point, name)
@@ -210,74 +263,174 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> float:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
         raise SceneError(f"{key}.point: {error}; correct the coordinates") from None
-    functional = []
+    moments = _moments(pair, bodies[weld.parts[0]].surface, weld.radius) if weld.fused and weld.moment else {}
+    functional: list[list[int]] = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
-        number = rows.patch(name, patch)
         middle = side * (1 + pair.gap / bodies[name].thickness)
+        mean = rows.patch(name, patch)
+        asked = [("", mean, False)]
+        asked += [(label, rows.patch(name, replace(patch, weight=w)), False) for label, w in moments.items()]
+        asked += [("r", mean, True)] * (weld.moment and not moments)
         functional.append(
             [
                 rows.functional(
-                    name, number, pair.frame[:, j], f"weld {weld.name} {axis}", rotation, 0.0 if rotation else middle
+                    name, at, pair.frame[:, j], f"weld {weld.name} {label}{axis}", rotates, 0.0 if rotates else middle
                 )
-                for rotation in ((False, True) if weld.moment else (False,))
+                for label, at, rotates in asked
                 for j, axis in enumerate(AXES)
             ]
         )
     first, second = weld.parts
-    for j, (a, b) in enumerate(zip(*functional)):
-        rows.add("weld", f"{weld.name} {('', 'r')[j // 3]}{AXES[j % 3]}", (first, a, -1.0), (second, b, 1.0))
-    return pair.gap
+    labels = [f"{weld.name} {label}{axis}" for label, _, _ in asked for axis in AXES]
+    for label, a, b in zip(labels, *functional):
+        rows.add("weld", label, (first, a, -1.0), (second, b, 1.0))
+    return pair.gap, len(labels)
 
 
-def _contact_rows(scene, bodies, rows: Rows, find, every_node) -> Contacts:
+def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
+    """Weights (q,) of a nugget's points that read its first moments, along t1 and t2."""
+    patch = pair.patches[0]
+    step = surface.at(patch.triangle, patch.barycentric) - pair.point
+    return {f"{axis}-moment ": patch.weight * (step @ pair.frame[:, j]) / radius for j, axis in ((1, "t1"), (2, "t2"))}
+
+
+def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
+    """The pairs of each zone; none where no stage resolves contact."""
+    resolved = any(stage.kind != "locate" for stage in scene.stages)
+    landmarks = np.array([locator.point for locator in scene.locators])
+    found = []
+    for i, zone in enumerate(scene.zones if resolved else ()):
+        a, b = (bodies[name] for name in zone.parts)
+        try:
+            if every_node:
+                found.append(node_pairs(zone, a, b))
+            else:
+                found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
+        except ValueError as error:
+            raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
+    return found
+
+
+def _pressed(scene, zone) -> list[Pressed]:
+    """Where something presses the bodies of a zone together: clamps, welds and locators."""
+    places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
+    places += [Pressed(np.array(item.point)) for item in scene.welds if set(item.parts) == set(zone.parts)]
+    return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
+
+
+def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
+    """Rows of the points between the pairs: their normal reading alone."""
+    landmarks = np.array([locator.point for locator in scene.locators])
+    points: list[ContactPair] = []
+    zones: list[int] = []
+    for i, (zone, own) in enumerate(zip(scene.zones, pairs)):
+        a, b = (bodies[name] for name in zone.parts)
+        found = find_between(zone, a, b, own, landmarks)
+        for one in found:
+            _joint_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, one, 1)
+            points.append(one)
+        zones += [i] * len(found)
+    at = np.array([one.point for one in points]).reshape(-1, 3)
+    normal = np.array([one.frame[:, 0] for one in points]).reshape(-1, 3)
+    zone_of, gap = np.array(zones, dtype=np.int64), np.array([one.gap for one in points])
+    for i, zone in enumerate(scene.zones):
+        if zone.nominal_overlap != "keep":
+            gap[zone_of == i] = np.maximum(gap[zone_of == i], 0.0)
+    return Between(zone_of, gap, _nuggets(scene, zone_of, at, normal), at)
+
+
+def _nuggets(scene, zone_of, point, normal) -> np.ndarray:
+    """(m,) the weld within whose nugget, seen along the normal, each point lies; -1 for none."""
+    found = np.full(len(zone_of), -1)
+    for i, weld in enumerate(scene.welds):
+        alike = [z for z, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
+        step = point - np.array(weld.point)
+        along = np.einsum("ij,ij->i", step, normal)
+        sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
+        reach = max(part.thickness for part in scene.parts if part.name in weld.parts) + weld.radius
+        found[np.isin(zone_of, alike) & (sideways <= weld.radius) & (np.abs(along) <= reach)] = i
+    return found
+
+
+def _joint_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimension) -> None:
+    """The rows of a pair, n, t1, t2: what its second body moves less its first."""
+    terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
+    for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
+        if bodies[name].rigid:
+            continue  # a rigid fixture does not move
+        index = rows.patch(name, patch)
+        for j in range(dimension):
+            reading = rows.functional(
+                name, index, pair.frame[:, j], f"{label} {AXES[j]}", side=0 if zone.mid_surface else side
+            )
+            terms[j].append((name, reading, sign))
+    for j in range(dimension):
+        rows.add(kind, f"{label} {AXES[j]}", *terms[j])
+
+
+def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
     friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
-    resolved = any(stage.kind != "locate" for stage in scene.stages)
     pairs: list[ContactPair] = []
     zones: list[int] = []
-    for i, zone in enumerate(scene.zones if resolved else ()):
-        try:
-            found = find(zone, *(bodies[name] for name in zone.parts))
-        except ValueError as error:
-            raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
-        for pair in found:
-            number = len(pairs)
-            terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
-            for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
-                if bodies[name].rigid:
-                    continue  # a rigid fixture does not move
-                index = rows.patch(name, patch)
-                for j in range(dimension):
-                    label = f"contact {number} {AXES[j]}"
-                    reading = rows.functional(
-                        name, index, pair.frame[:, j], label, side=0 if zone.mid_surface else side
-                    )
-                    terms[j].append((name, reading, sign))
-            for j in range(dimension):
-                rows.add("contact", f"{zone.name} {number} {AXES[j]}", *terms[j])
+    for i, (zone, own) in enumerate(zip(scene.zones, found)):
+        for pair in own:
+            _joint_rows(rows, "contact", f"{zone.name} {len(pairs)}", zone, bodies, pair, dimension)
             pairs.append(pair)
             zones.append(i)
     zone_of = np.array(zones, dtype=np.int64)
     area = np.array([pair.area for pair in pairs])
+    gap = np.array([pair.gap for pair in pairs])
+    point = np.array([pair.point for pair in pairs]).reshape(-1, 3)
+    for i, zone in enumerate(scene.zones):
+        own = zone_of == i
+        key = f"zones[{i}] ({zone.name}): nominal_overlap"
+        gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
     by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
     stages = sorted({stage for one in by_stage for stage in one} - {"default"})
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
     bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
     stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
+    watched = np.array([scene.zones[i].candidates for i in zone_of], dtype=bool)
+    normal = np.array([pair.frame[:, 0] for pair in pairs]).reshape(-1, 3)
+    through = [
+        sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
+        for zone in scene.zones
+    ]
     return Contacts(
         zone_of,
         np.array(stages, dtype=str),
         np.array([[scene.zones[i].coefficient(stage) for i in zone_of] for stage in [*stages, "default"]]),
         _pressure_pieces(scene, zone_of, bearing),
         np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
-        np.array([p.gap for p in pairs]),
+        gap,
+        np.array([p.overlap for p in pairs]),
+        np.array([p.overlapping for p in pairs]) * area,
         area,
+        watched,
+        np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
+        np.where(watched, _nuggets(scene, zone_of, point, normal), -1),
         bearing,
-        np.array([p.point for p in pairs]).reshape(-1, 3),
+        point,
         np.array([p.frame for p in pairs]).reshape(-1, 3, 3),
         dimension,
     )
+
+
+def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float]) -> np.ndarray:
+    """(w,) gaps of the welds, overlap closed as at the pairs about them."""
+    gaps = np.array(drawn)
+    for i, weld in enumerate(scene.welds):
+        rule = joined_by(scene.zones, contacts.zone, contacts.point, weld)
+        at = np.array([weld.point])
+        gaps[[i]] = closed(f"welds[{i}] ({weld.name})", rule, gaps[[i]], _thinner(scene, weld), at)
+    return gaps
+
+
+def _thinner(scene, joint) -> float:
+    """Thickness of the thinner of the sheets that a zone or a weld joins, mm."""
+    return min(part.thickness for part in scene.parts if part.name in joint.parts)
 
 
 def _pressure_pieces(scene, zone_of, bearing) -> np.ndarray:

@@ -17,13 +17,13 @@ from scipy.sparse import csr_matrix
 from mic import store
 from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
-from mic.model.assembly import Assembly, Contacts
+from mic.model.assembly import Assembly, Between, Contacts
 from mic.model.shape import shape_readings
 from mic.scene import Scene
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 4, "build the model again")
+FORMAT = store.Format("reduced model", 5, "build the model again")
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Reduction:
     scene : Scene
     compliance : Blocks
         H and G of the free parts at their retained functionals (equation (2)), F in all.
-    rows, labels, contacts, weld_size, weld_gap
+    rows, labels, contacts, between, weld_size, weld_gap
         As in :class:`mic.model.assembly.Assembly`.
     shape : (F, p) array
         Readings of the deviation of the parts' shapes per unit of each of the scene's p deviations (zero columns for
@@ -51,6 +51,7 @@ class Reduction:
     rows: dict[str, csr_matrix]
     labels: dict[str, list[str]]
     contacts: Contacts
+    between: Between
     weld_size: tuple[int, ...]
     weld_gap: np.ndarray
     shape: np.ndarray
@@ -87,6 +88,7 @@ class Reduction:
             assembly.rows,
             assembly.labels,
             assembly.contacts,
+            assembly.between,
             assembly.weld_size,
             assembly.weld_gap,
             shape,
@@ -143,6 +145,7 @@ class Reduction:
             for name in ("data", "indices", "indptr")
         }
         arrays |= {f"contacts_{name}": getattr(self.contacts, name) for name in Contacts.__dataclass_fields__}
+        arrays |= {f"between_{name}": getattr(self.between, name) for name in Between.__dataclass_fields__}
         header = {
             "scene": json.loads(self.scene.model_dump_json()),
             "labels": self.labels,
@@ -178,6 +181,7 @@ class Reduction:
             rows,
             header["labels"],
             Contacts(**own | {"dimension": int(own["dimension"])}),
+            Between(**{name: data[f"between_{name}"] for name in Between.__dataclass_fields__}),
             tuple(header["weld_size"]),
             data["weld_gap"],
             data["shape"],

@@ -19,7 +19,7 @@ from mic.geometry.surface import Patch, Surface
 
 __all__ = ["AXES", "KINDS", "REACH", "Rows"]
 
-KINDS = ("locator", "clamp", "weld", "contact", "force", "measurement")  #: what rows stand for
+KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement")  #: what rows stand for
 AXES = ("n", "t1", "t2")  #: of a joint's frame
 REACH = 5.0  # mm: farther than this from its part, a point of the scene is refused rather than projected
 

@@ -36,6 +36,8 @@ class Drive:
         Of the contacts before anything moves, mm, positive when open.
     weld_gap : (n, w) array
         Likewise, of the welds.
+    between : (n, q) array
+        Likewise, of the points between the contacts.
     measured : (n, k) array
         What the measurements read of the parts' shapes, mm.
     """
@@ -44,6 +46,7 @@ class Drive:
     push: np.ndarray
     gap: np.ndarray
     weld_gap: np.ndarray
+    between: np.ndarray
     measured: np.ndarray
 
     def __len__(self):
@@ -75,5 +78,6 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray]) -> 
         push,
         contacts.gap + shape["contact"][:, :: contacts.dimension],
         assembly.weld_gap + shape["weld"][:, joints.first],
+        assembly.between.gap + shape["between"],
         shape["measurement"],
     )

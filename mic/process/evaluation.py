@@ -39,6 +39,10 @@ class Resolution:
         ``"followed"``, or which rung of the ladder found the last force, see :class:`mic.contact.ContactSolution`.
     reaction : (n, b) array
         Forces of the bilateral rows on the parts, N or N mm.
+    unseen : (n,) array
+        Deepest penetration at the end at points between the pairs, where no pair sees it, mm; 0 where there is none.
+    unseen_at : (n,) int array
+        Which of the model's points between the pairs; -1 where there is none.
     """
 
     stage: str
@@ -52,6 +56,8 @@ class Resolution:
     status: np.ndarray
     rung: np.ndarray
     reaction: np.ndarray
+    unseen: np.ndarray
+    unseen_at: np.ndarray
 
     @classmethod
     def join(cls, pieces: Sequence[Resolution]) -> Resolution:

@@ -33,6 +33,8 @@ class Step:
         Weld rows that freeze here what they find.
     closing : tuple of int
         Welds that close their gap here.
+    welds : tuple of int
+        Welds that hold, those made here among them.
     sets_down : bool
         Whether the parts are set down one by one, touching nothing yet.
     settles : bool
@@ -48,6 +50,7 @@ class Step:
     dropped_loads: tuple[int, ...] = ()
     made: tuple[int, ...] = ()
     closing: tuple[int, ...] = ()
+    welds: tuple[int, ...] = ()
     sets_down: bool = False
     settles: bool = False
     resolves: bool = False
@@ -148,7 +151,9 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
                 unsettled = False
                 if first and path != "one-step":
                     held = _bilateral(fixture, joints)
-                    steps.append(Step((Settle(),), held, fixture.forces, settles=True, resolves=True))
+                    steps.append(
+                        Step((Settle(),), held, fixture.forces, welds=fixture.welds, settles=True, resolves=True)
+                    )
                 else:
                     step = replace(step, move=(Settle(), *move), settles=True)
             unsettled |= step.sets_down
@@ -175,6 +180,7 @@ def _step(move, joints: Joints, before: Fixture, after: Fixture) -> Step:
         dropped_loads=tuple(i for i in before.forces if i not in after.forces),
         made=tuple(row for kind, row in now if kind == "weld" and ("weld", row) not in held),
         closing=closing,
+        welds=after.welds,
         sets_down=sets_down,
         resolves=changed and not sets_down,
     )

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import numpy as np
 
 from mic.contact import ContactSolver, laws
-from mic.contact.path import Trace
+from mic.contact.path import Increments, Path, Trace
+from mic.contact.watched import WatchedSolver
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
-from mic.process.plan import plan_stages
-from mic.process.stage import OUTPUTS, PreparedStage, path_of
+from mic.process.plan import Step, plan_stages
+from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, path_of
 from mic.process.state import ProcessState
 from mic.product import product
 
@@ -21,6 +23,10 @@ __all__ = ["TOLERANCE", "Process"]
 PAPER_TOLERANCE = 1e-5
 #: What the contact certificate of a run reaches, unless another is asked for.
 TOLERANCE = 1e-10
+#: Samples by which the candidates are guessed that carry force.
+AHEAD = 8
+#: Spacings between two candidates that join a working set together.
+APART = 2.0
 
 
 class Process:
@@ -66,35 +72,62 @@ class Process:
         smooth = contacts.dimension == 1 and not contacts.frictional
         obeyed = laws.FRICTIONLESS if smooth else laws.find(law)
         solver_name = laws.find(law).paper_backend if backend == "paper" else "native"
-        solvers: dict[tuple, ContactSolver] = {}
-
-        def solver(stage, eliminated):
-            """Steps that hold the same rows under the same friction share it."""
-            friction = contacts.friction_in(stage)
-            key = eliminated.step.bilateral, friction.coefficient.tobytes()
-            if key not in solvers:
-                solvers[key] = ContactSolver(
-                    eliminated.response.S,
-                    friction,
-                    law=obeyed,
-                    backend=solver_name,
-                    tol=tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
-                    threads=threads,
-                    dimension=contacts.dimension,
-                )
-            return solvers[key]
-
+        self._settings = {
+            "law": obeyed,
+            "backend": solver_name,
+            "tol": tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
+            "threads": threads,
+            "dimension": contacts.dimension,
+        }
+        self._plans = plan_stages(model.scene, model.weld_size)
+        self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
+        self._starts: dict[tuple[str, Step], np.ndarray] = {}
+        if contacts.watched.any():
+            self._look_ahead()
         path_tolerance = path_tolerance or model.scene.path.tolerance
-        self.stages = [
-            PreparedStage(
-                plan,
-                model.eliminations[plan.name],
-                model,
-                partial(solver, plan.name),
-                path_of(plan, obeyed, path_tolerance),
-            )
-            for plan in plan_stages(model.scene, model.weld_size)
+        self.stages = self._prepared([path_of(plan, obeyed, path_tolerance) for plan in self._plans])
+
+    def _prepared(self, paths: Sequence[Path]) -> list[PreparedStage]:
+        model = self.model
+        return [
+            PreparedStage(plan, model.eliminations[plan.name], model, partial(self._solver, plan.name), path)
+            for plan, path in zip(self._plans, paths)
         ]
+
+    def _solver(self, stage: str, eliminated: EliminatedStep) -> ContactSolver | WatchedSolver:
+        """Of a step; those that hold the same rows under the same friction share it, where nothing is watched."""
+        contacts, step = self.model.contacts, eliminated.step
+        friction = contacts.friction_in(stage)
+        key = step.bilateral, friction.coefficient.tobytes(), (stage, step) if contacts.watched.any() else None
+        if key not in self._solvers:
+            S, settings = eliminated.response.S, self._settings
+            if contacts.watched.any():
+                self._solvers[key] = WatchedSolver(
+                    S,
+                    friction,
+                    contacts.point,
+                    APART * np.sqrt(contacts.area),
+                    ~contacts.watched | self._starts.get((stage, step), False),
+                    ~contacts.out(step.welds),
+                    **settings,
+                )
+            else:
+                self._solvers[key] = ContactSolver(S, friction, **settings)
+        return self._solvers[key]
+
+    def _look_ahead(self) -> None:
+        """Which candidates are likely to carry force in each step: those that do in a few samples, always the same.
+
+        A sample starts from them, whatever samples it is evaluated with.
+        """
+        scene = self.model.scene
+        mean, sigma = np.array([[one.mean, one.sigma] for one in scene.deviations]).reshape(-1, 2).T
+        ahead = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
+        ahead[0] = 0.0
+        self.stages = self._prepared([Increments(1)] * len(self._plans))
+        self.attempt(mean + sigma * ahead)
+        self._starts = {key[-1]: one.carried for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
+        self._solvers = {}
 
     @property
     def redundant(self) -> list[str]:
@@ -164,6 +197,8 @@ class Process:
                 status=np.full(n, reason, dtype=object),
                 rung=np.full(n, "none", dtype=object),
                 reaction=nan(stage.bilateral.shape[0]),
+                unseen=nan(),
+                unseen_at=np.full(n, -1),
             )
             for stage in self.stages
             if stage.resolves

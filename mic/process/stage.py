@@ -5,8 +5,9 @@ loads p,
 
     δ = S f + T v + L p,        b_n = g + (T v + L p)_n,        b_t = (T v + L p)_t,
 
-and the contact law ties f to ``u = S f + b``, its slip measured from the contacts' anchors (`mic.contact.path`). With v
-and p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
+S with what candidates yield through the sheets' thickness (`mic.model.assembly.Contacts.layer`) on its diagonal, and
+the contact law ties f to ``u = S f + b``, its slip measured from the contacts' anchors (`mic.contact.path`). With v and
+p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
 touching: ``b_n(s) = b_n + (1 − s) max(0, −b_n)``.
 """
 
@@ -22,6 +23,7 @@ from mic.compliance.elimination import Response, eliminate
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments, Path, PathSolution
 from mic.contact.states import classify
+from mic.contact.watched import WatchedSolver
 from mic.errors import FreeMotion
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
@@ -34,7 +36,7 @@ from mic.product import product
 __all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
 FLOOR = 2e-4  # mm: no gauge reads a step's error below it
-OUTPUTS = ("locator", "clamp", "weld", "measurement")  #: kinds of rows that are read at the end of a stage
+OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
 
     output = vstack([model.rows[kind] for kind in OUTPUTS], format="csr")
     plans = plan_stages(model.scene, model.weld_size)
+    yielding = np.zeros(model.rows["contact"].shape[0])
+    yielding[:: model.contacts.dimension] = model.contacts.layer
     loads: dict[tuple, dict] = {}  # by the rows held, all load rows that any step has with them
     for plan in plans:
         for step in plan.steps:
@@ -98,6 +102,7 @@ def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
+                response.S[np.diag_indices(len(response.S))] += yielding
                 shared[held] = bilateral, response
             bilateral, response = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
@@ -121,7 +126,8 @@ class PreparedStage:
         One for each step of the plan.
     model : mic.model.reduction.Reduction
     solver : function of a step
-        Gives the :class:`mic.contact.ContactSolver` of an :class:`EliminatedStep` that resolves contact.
+        Gives the :class:`mic.contact.ContactSolver`, or :class:`mic.contact.watched.WatchedSolver`, of an
+        :class:`EliminatedStep` that resolves contact.
     path : mic.contact.path.Path
         How its steps are followed.
     """
@@ -131,11 +137,11 @@ class PreparedStage:
         plan: StagePlan,
         steps: list[EliminatedStep],
         model,
-        solver: Callable[[EliminatedStep], ContactSolver],
+        solver: Callable[[EliminatedStep], ContactSolver | WatchedSolver],
         path: Path,
     ):
         self.plan, self.steps, self.path, self._solver = plan, steps, path, solver
-        self._contacts, self._weld_first = model.contacts, model.joints.first
+        self._contacts, self._between, self._weld_first = model.contacts, model.between, model.joints.first
         edges = np.concatenate([[0], np.cumsum([model.rows[kind].shape[0] for kind in OUTPUTS])])
         self._output = {kind: slice(a, b) for kind, a, b in zip(OUTPUTS, edges, edges[1:])}
         self.resolves = plan.resolves and len(model.contacts) > 0
@@ -164,7 +170,7 @@ class PreparedStage:
         for eliminated in self._needed():
             state, solution = self._step(eliminated, state, drive)
             solutions += [] if solution is None else [solution]
-        return state, self._resolution(start, state, solutions) if self.resolves else None
+        return state, self._resolution(start, state, solutions, drive) if self.resolves else None
 
     def _needed(self) -> list[EliminatedStep]:
         """Without friction nothing remembers the way: of the steps, only those count that leave a weld behind."""
@@ -243,12 +249,13 @@ class PreparedStage:
         way = np.stack([start.reshape(n, -1), end.reshape(n, -1)], axis=1)
         return self._solver(eliminated).follow(way, state.force.reshape(n, -1), state.anchor, self.path)
 
-    def _resolution(self, start, end, solutions) -> Resolution:
+    def _resolution(self, start, end, solutions, drive) -> Resolution:
         whole, n = PathSolution.join(solutions), len(end.force)
         displacement = whole.displacement.reshape(end.force.shape).copy()
         displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
         resolving = next(each for each in reversed(self.steps) if each.step.resolves)
         solver = self._solver(resolving)
+        unseen, at = self._unseen(end, drive)
         return Resolution(
             stage=self.plan.name,
             force=end.force.copy(),
@@ -261,7 +268,17 @@ class PreparedStage:
             status=whole.status,
             rung=whole.rung,
             reaction=np.column_stack([np.zeros((n, 0)), *(end.reaction[row] for row in self.plan.bilateral)]),
+            unseen=unseen,
+            unseen_at=at,
         )
+
+    def _unseen(self, end, drive) -> tuple[np.ndarray, np.ndarray]:
+        """Deepest penetration (n,) between the pairs, and at which point (n,); what welds have fused does not count."""
+        fused = np.isin(self._between.nugget, self.steps[-1].step.welds)
+        depth = np.where(fused, 0.0, -(drive.between + end.reading["between"]))
+        depth = np.column_stack([np.zeros(len(depth)), depth])
+        at = depth.argmax(axis=1)
+        return depth[np.arange(len(depth)), at], at - 1
 
     def _outcome(self, response, v, p, force):
         """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows."""

@@ -17,12 +17,21 @@ from matplotlib.tri import Triangulation
 
 from mic.geometry.normals import Rule
 from mic.geometry.surface import Surface
+from mic.model.assembly import Contacts
 from mic.report.context import Context
 from mic.report.picture import MOST_PANELS, Picture, png
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
 from mic.results.outcome import Outcome
 
-__all__ = ["ARROW", "assembly_picture", "draw_normals", "field_picture", "overview_picture", "viewpoint"]
+__all__ = [
+    "ARROW",
+    "assembly_picture",
+    "draw_normals",
+    "draw_overlap",
+    "field_picture",
+    "overview_picture",
+    "viewpoint",
+]
 
 ARROW = 0.07  # length of the arrow of a locator or clamp, as a share of the largest part
 INK = "#1b1f24"
@@ -162,6 +171,26 @@ def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
     fig.legend(handles=handles, loc="outside lower center", ncols=min(2 * len(surfaces), 4))
     text = f"What decided the normals at {counts.sum()} corners of triangles."
     return png(fig, "Normals of the sheets", text, 110)
+
+
+def draw_overlap(surfaces: Mapping[str, Surface], contacts: Contacts) -> Picture:
+    """How deep the facing surfaces are drawn into each other, pair by pair."""
+    fig = Figure(figsize=(9.5, 6.0), layout="constrained")
+    ax = fig.subplots()
+    view = _View(surfaces.values())
+    view.draw(ax, [np.array(to_rgb("#dfe3e8"))] * len(surfaces), 0.35)
+    deep, clear = contacts.overlap > 0, contacts.overlap == 0
+    ax.plot(*view.flat(contacts.point[clear]).T, ".", ms=3, color=INK, label=f"{clear.sum()} pairs without overlap")
+    if deep.any():
+        order = np.flatnonzero(deep)[np.argsort(contacts.overlap[deep])]
+        scale = Normalize(0.0, contacts.overlap.max())
+        x, y = view.flat(contacts.point[order]).T
+        label = f"{deep.sum()} pairs with overlap"
+        ax.scatter(x, y, s=30, c=contacts.overlap[order], norm=scale, cmap="plasma_r", ec=INK, lw=0.4, label=label)
+        fig.colorbar(ScalarMappable(scale, "plasma_r"), ax=ax, label="deepest nominal overlap (mm)", shrink=0.7)
+    fig.legend(loc="outside lower center", ncols=2)
+    text = f"Nominal overlap: at most {number(contacts.overlap.max(initial=0.0))} mm."
+    return png(fig, "Nominal overlap", text, 110)
 
 
 def overview_picture(outcome: Outcome, context: Context) -> Picture | None:

@@ -110,6 +110,9 @@ class Digest:
         Stages that resolve contact.
     rescued : list of int
         Numbers of the valid samples that plain increments had to rescue, since their path could not be followed.
+    unseen : tuple of (float, str, int, int)
+        Deepest penetration between the pairs, mm, the stage at whose end, the sample, and the model's point between the
+        pairs; of the first where several are as deep, point −1 where there is none.
     moments : dict of tuple to Moments
         Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("slips", stage, column)``, one
         per zone with the columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage, column)``, (m,) with the
@@ -122,6 +125,7 @@ class Digest:
     found: int = 0
     stages: set[str] = field(default_factory=set)
     rescued: list[int] = field(default_factory=list)
+    unseen: tuple[float, str, int, int] = (0.0, "", -1, -1)
     moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
     counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
     _numbers: list[np.ndarray] = field(default_factory=list)
@@ -168,6 +172,11 @@ class Digest:
         rescued = np.zeros(len(block.numbers), dtype=bool)
         for stage in block.stages:
             rescued |= block.column("resolutions", "rescued", stage=stage)
+            depth = block.column("resolutions", "unseen", stage=stage)
+            if depth.max(initial=0.0) > self.unseen[0]:
+                i = int(depth.argmax())
+                at = int(block.column("resolutions", "unseen_at", stage=stage)[i])
+                self.unseen = float(depth[i]), stage, int(block.numbers[i]), at
             for column in ("residual", "path_error", "steps", "factorisations"):
                 self._join(("resolutions", stage, column), block.column("resolutions", column, stage=stage))
             for column in SLIPS.names[3:] if tangential else ():

@@ -234,9 +234,11 @@ RESOLUTIONS = _dataset(
         ),
         Column("steps", "int64", "", "steps along the path"),
         Column("factorisations", "int64", "", "factorisations of the active contacts; 0 where nothing counts them"),
+        Column("unseen", "float64", "mm", "deepest penetration between the pairs at the stage's end, which none sees"),
+        Column("unseen_at", "int32", "", "at which of the model's points between the pairs; −1 where there is none"),
     ),
     "How contact was resolved, and what the way there left.",
-    version=3,
+    version=4,
 )
 SLIPS = _dataset(
     "slips",

@@ -173,6 +173,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "worst_residual": outcome.worst_residual(law),
             "failed": len(outcome.failed[law]),
             "rescued": len(outcome.rescued[law]),
+            "unseen_penetration": _unseen(outcome, law),
             "path": _path(outcome, law) | {"repeated": study.repeated(law) if study else 0},
             "zones": zones,
             "measurements": {
@@ -195,6 +196,21 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "wall_time": outcome.record.get("wall_time", {}),
         }
     )
+
+
+def _unseen(outcome: Outcome, law: str) -> dict[str, Any] | None:
+    """The deepest penetration between the contact pairs, mm, with its place; None where there is none."""
+    depth, stage, sample, at = outcome.digests[law].unseen
+    if at < 0:
+        return None
+    between, zones = outcome.model.between, outcome.model.scene.zones
+    return {
+        "depth": depth,
+        "stage": stage,
+        "sample": sample,
+        "zone": zones[between.zone[at]].name,
+        "point": between.point[at].tolist(),
+    }
 
 
 def _path(outcome: Outcome, law: str) -> dict[str, Any]:

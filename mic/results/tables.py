@@ -61,6 +61,8 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "path_error": _joined([r.trace.error for r in resolutions], float),
             "steps": _joined([r.trace.steps for r in resolutions], np.int64),
             "factorisations": _joined([r.trace.factorisations for r in resolutions], np.int64),
+            "unseen": _joined([r.unseen for r in resolutions], float),
+            "unseen_at": _joined([r.unseen_at for r in resolutions], np.int32),
         },
         SLIPS: {
             "sample": np.tile(number, len(motions)),

@@ -182,7 +182,12 @@ class Weld(_Table):
     point: Vector = Field(description="mm")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
     close: bool = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
-    moment: bool = Field(True, description="whether the nugget also ties the rotations")
+    moment: bool = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
+    fused: bool = Field(
+        True,
+        description="whether all of the nugget is one piece; `false` ties its mean displacement and rotation, which is "
+        "softer",
+    )
     stage: Name = Field("weld", description="the weld stage that makes it")
 
 
@@ -201,7 +206,7 @@ def _number_or_table(value: Any) -> str:
 
 
 class Zone(_Table):
-    """A contact zone: candidate contact pairs between two parts, or between a part and a rigid fixture.
+    """A contact zone: contact pairs between two parts, or between a part and a rigid fixture.
 
     The zone is where the two surfaces face each other within `max_gap` and `max_angle_deg`, inside the region: a box,
     or a tube of radius `within` about the polyline `path`; without either, everywhere.
@@ -235,14 +240,26 @@ class Zone(_Table):
     box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
     path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
     within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
-    pairs: Annotated[int, Field(gt=0)] | None = Field(None, description="number of contact pairs; or")
-    spacing: Positive | None = Field(None, description="distance between contact pairs, mm; or")
+    spacing: Positive | None = Field(
+        None,
+        description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
+        "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii",
+    )
+    pairs: Annotated[int, Field(gt=0)] | None = Field(
+        None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
+    )
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
-        None, description="the contact points themselves, mm"
+        None, description="or the contact points themselves, mm, and no others"
     )
     max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
     max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
         30.0, description="largest angle between the two surfaces"
+    )
+    nominal_overlap: Literal["close", "keep"] | Positive = Field(
+        "close",
+        description="what is done where the surfaces are drawn into each other: `close` counts them as touching, at "
+        "pairs and welds, up to a quarter of the thinner sheet; a number is another limit, mm; beyond it the scene is "
+        "refused; `keep` leaves the overlap, where it is meant",
     )
     patch: Literal["tributary"] | NonNegative = Field(
         "tributary", description="area that a pair averages over: its tributary area, or a disc of this radius, mm"
@@ -258,8 +275,8 @@ class Zone(_Table):
             raise ValueError("give box or path, not both")
         if (self.path is None) != (self.within is None):
             raise ValueError("path and within (mm) belong together")
-        if sum(value is not None for value in (self.pairs, self.spacing, self.points)) != 1:
-            raise ValueError("give exactly one of pairs (how many), spacing (mm) or points (coordinates)")
+        if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
+            raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
             raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
         return self
@@ -291,6 +308,11 @@ class Zone(_Table):
         if self.friction_power is not None:
             return pressure_dependent.power(**self.friction_power.model_dump())
         return None
+
+    @property
+    def candidates(self) -> bool:
+        """Whether its pairs are candidates, watched: those carry force that would penetrate."""
+        return self.pairs is None and self.points is None
 
     @property
     def frictional(self) -> bool:

@@ -1,0 +1,200 @@
+"""Candidates for contact: of many places where two bodies could touch, only those that would penetrate take part.
+
+All candidates share one compliance, ``u = S f + b``. Each sample has a working set W of its own: it is solved, or its
+path followed, with the contacts of W alone, f = 0 elsewhere; then the gap at *all* candidates is computed, one product.
+Where candidates outside of W penetrate by more than `PENETRATION`, the deepest of each neighbourhood joins W, and the
+sample goes from the start of its path again. Sets only grow, so that this ends; then every contact outside of W obeys
+the law with f = 0, and the solution is that of all candidates at once, to `PENETRATION`, at the cost of those that
+touch.
+
+What penetrates on the way and no longer at the end of a path is not seen.
+
+A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples:
+the outcome of a sample does not depend on what it is solved together with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mic.contact.friction import Friction
+from mic.contact.laws import Law
+from mic.contact.path import Increments, Path, PathSolution, Trace
+from mic.contact.solution import Status
+from mic.contact.solver import ContactSolver
+from mic.contact.states import LOADED, OPEN
+
+__all__ = ["PENETRATION", "WatchedSolver"]
+
+PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
+ROUNDS = 40  # in which a working set may grow
+
+
+class WatchedSolver:
+    """Stands in for a :class:`mic.contact.ContactSolver` over all candidates; follows paths, and nothing else.
+
+    Parameters
+    ----------
+    S : (d m, d m) array
+        Compliance over all candidates.
+    friction : Friction
+    point : (m, 3) array
+        Where they stand, mm.
+    reach : (m,) array
+        Of the candidates within this distance of one that joins, none joins in the same round, mm.
+    start : (m,) bool array
+        What every working set begins with.
+    allowed : (m,) bool array
+        Candidates that may ever carry force.
+    law : Law
+    **settings
+        Of :class:`mic.contact.ContactSolver`.
+
+    Attributes
+    ----------
+    carried : (m,) bool array
+        Candidates that have carried force at the end of any path so far.
+    """
+
+    def __init__(
+        self,
+        S: np.ndarray,
+        friction: Friction,
+        point: np.ndarray,
+        reach: np.ndarray,
+        start: np.ndarray,
+        allowed: np.ndarray,
+        law: Law,
+        **settings,
+    ):
+        self.law, self._S, self._settings = law, S, settings
+        self._d = settings.get("dimension", 3)
+        self._friction = friction if law.frictional else Friction.of(0.0, len(start))
+        self._parameters = law.parameters(self._friction)
+        self._start, self._allowed = start & allowed, allowed
+        self.carried = np.zeros(len(start), dtype=bool)
+        self._neighbours = cKDTree(point).query_ball_point(point, reach)
+        self._solvers: dict[bytes, ContactSolver] = {}
+
+    def bound(self, normal: np.ndarray) -> np.ndarray:
+        """As :meth:`mic.contact.ContactSolver.bound`, over all candidates."""
+        return self.law.bound(normal, self._parameters)
+
+    def follow(self, b: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> PathSolution:
+        """As :meth:`mic.contact.ContactSolver.follow`; a candidate that is not allowed loses its force at the start.
+
+        Returns
+        -------
+        PathSolution
+            Over all candidates; what took no part was open all the way.
+        """
+        n, m, d = len(b), len(self._start), self._d
+        force = np.where(np.repeat(self._allowed, d), force, 0.0)
+        normal = force.reshape(n, m, d)[:, :, 0]
+        working = self._start | self._allowed & (normal > LOADED * normal.max(axis=1, keepdims=True, initial=0.0))
+        found = self._open(n, m)
+        todo, iterations = np.arange(n), np.zeros(n, dtype=np.int64)
+        for _ in range(ROUNDS):
+            for samples, own in _alike(working, todo):
+                solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
+                self._put(found, samples, own, solution, b[samples])
+                iterations[samples] += solution.iterations
+            unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
+            grows = (unseen > PENETRATION).any(axis=1) & found.converged[todo]
+            todo, unseen = todo[grows], unseen[grows]
+            if not len(todo):
+                break
+            for sample, depth in zip(todo, unseen):
+                working[sample, self._deepest(depth)] = True
+        found.converged[todo] = False
+        found.status[todo] = Status.NOT_CONVERGED
+        self.carried |= (found.force[found.converged].reshape(-1, m, d)[:, :, 0] > 0).any(axis=0)
+        return replace(found, iterations=iterations)
+
+    def _solved(self, own, b, force, anchor, path) -> PathSolution:
+        """Paths of samples that share a working set (m,)."""
+        if not own.any():
+            return self._open(len(b), 0)
+        rows = np.repeat(own, self._d)
+        key = own.tobytes()
+        solver = self._solvers.get(key)
+        if solver is None:
+            index = np.flatnonzero(rows)
+            solver = ContactSolver(
+                self._S[np.ix_(index, index)], self._friction.take(own), law=self.law, **self._settings
+            )
+            if (own == self._start).all():  # the one that most samples need, and need again
+                self._solvers[key] = solver
+        return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
+
+    def _open(self, n: int, m: int) -> PathSolution:
+        """No forces, m contacts open all the way."""
+        d = self._d
+        trace = Trace.start(n, m)
+        trace.share[:, :, OPEN] = 1.0
+        return PathSolution(
+            force=np.zeros((n, d * m)),
+            displacement=np.zeros((n, d * m)),
+            anchor=np.zeros((n, m, d - 1)),
+            trace=trace,
+            residual=np.zeros(n),
+            converged=np.ones(n, dtype=bool),
+            iterations=np.zeros(n, dtype=np.int64),
+            status=np.full(n, Status.CONVERGED, dtype=object),
+            rung=np.full(n, "followed", dtype=object),
+        )
+
+    def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
+        """The solution of some samples over their working set (m,), in its place among all candidates."""
+        m, d = len(own), self._d
+        rows = np.repeat(own, d)
+        force = np.zeros((len(samples), d * m))
+        force[:, rows] = solution.force
+        found.force[samples] = force
+        u = force[:, rows] @ self._S[rows] + b[:, -1]
+        found.displacement[samples] = u
+        anchor = u.reshape(-1, m, d)[:, :, 1:].copy()
+        anchor[:, own] = solution.anchor
+        found.anchor[samples] = anchor
+        for name in ("residual", "converged", "status", "rung"):
+            getattr(found, name)[samples] = getattr(solution, name)
+        for one in fields(Trace):
+            here, there = getattr(solution.trace, one.name), getattr(found.trace, one.name)
+            if here.ndim == 1:
+                # An error is that of the contacts' positions, root mean square: here over all of them.
+                there[samples] = here * np.sqrt(own.mean()) if one.name == "error" else here
+            else:
+                there[np.ix_(samples, own)] = here
+
+    def _unseen(self, displacement, anchor, path, working) -> np.ndarray:
+        """(n, m) how far candidates miss their law that may take part and do not, mm: how far they penetrate.
+
+        Without force a contact obeys a law of shift s where ``u_n ≥ (1 − s) μ ‖u_t − a‖``, a where the increment began.
+        """
+        u = displacement.reshape(len(displacement), -1, self._d)
+        depth = -u[:, :, 0]
+        if self.law.frictional and self.law.shift < 1:
+            count = path.count if isinstance(path, Increments) else 1
+            moved = np.linalg.norm(u[:, :, 1:] - anchor, axis=2) / count
+            depth = depth + (1 - self.law.shift) * self._friction.coefficient * moved
+        return np.where(working | ~self._allowed, 0.0, depth)
+
+    def _deepest(self, depth) -> list[int]:
+        """The deepest candidate of each neighbourhood."""
+        chosen, free = [], depth > PENETRATION
+        for k in np.argsort(-depth, kind="stable")[: int(free.sum())]:
+            if free[k]:
+                chosen.append(int(k))
+                free[self._neighbours[k]] = False
+        return chosen
+
+
+def _alike(working: np.ndarray, todo: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Samples of `todo` that share a working set, and the set (m,)."""
+    sets, which = np.unique(working[todo], axis=0, return_inverse=True)
+    for i, own in enumerate(sets):
+        yield todo[which.ravel() == i], own

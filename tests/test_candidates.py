@@ -1,0 +1,276 @@
+"""Candidates: where they stand, what they leave unseen, and that nominal assemblies do not move."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mic
+from mic.commands import app
+from mic.compliance.support import statically_determinate
+from mic.density import DENSER, denser
+from mic.errors import SceneError
+from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
+
+MESHES = Path(__file__).resolve().parents[1] / "meshes"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mic.load_scene(MESHES / "lap_joint")
+
+
+@pytest.fixture(scope="module")
+def model(scene, cache):
+    return mic.reduce(scene, cache)
+
+
+def with_zone(scene, **keys):
+    return scene.model_copy(update={"zones": [zone.model_copy(update=keys) for zone in scene.zones]})
+
+
+def sideways(points, point):
+    return np.linalg.norm((points - np.array(point))[:, :2], axis=1)
+
+
+def test_candidates_stand_four_thicknesses_apart_and_one_at_each_clamp_and_weld(scene, model):
+    """1000 mm² of sheets of 1 mm: 62 or 63 candidates, on elements of 2.5 mm, under clamps of 5 mm."""
+    assert model.contacts.watched.all() and len(model.contacts) in (62, 63)
+    for item in (*scene.clamps, *scene.welds):
+        assert sideways(model.contacts.point, item.point).min() < 0.5
+    nearest = [np.sort(sideways(model.contacts.point, point))[1] for point in model.contacts.point]
+    assert min(nearest) > 2.0 and max(nearest) < 6.0
+
+
+def test_a_zone_that_states_its_pairs_keeps_them_and_watches_what_they_miss(scene, cache):
+    assembly = assemble(with_zone(scene, pairs=24), cache)
+    assert len(assembly.contacts) == 24 and not assembly.contacts.watched.any()
+    assert len(assembly.between) == 24
+    apart = [sideways(assembly.contacts.point, point).min() for point in assembly.between.point]
+    assert min(apart) > 2.0  # as far from the pairs as there is room
+
+
+def test_candidates_finer_than_the_elements_are_refused(scene, cache):
+    with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*spacing = 0\.5 mm.*finer than the elements"):
+        assemble(with_zone(scene, spacing=0.5), cache)
+
+
+def test_what_is_unseen_is_told_with_its_place_and_few_pairs_miss_more(model, lap_model):
+    few, many = (one.evaluate(one.deviations({})).resolutions["clamp"] for one in (lap_model, model))
+    assert few.unseen[0] > 2 * many.unseen[0] > 0
+    place = lap_model.between.point[few.unseen_at[0]]
+    assert sideways(lap_model.contacts.point, place).min() > 2.0
+    clamp = lap_model.scene.clamps[0]
+    assert sideways(place[None], clamp.point)[0] < 3 * clamp.radius  # where the clamp bends the sheets
+
+
+def test_the_nominal_lap_joint_does_not_move(model):
+    evaluation = model.evaluate(np.zeros(len(model.parameters)))
+    assert np.abs(evaluation.measurements).max() < 2e-3
+    clamps = sum(clamp.force for clamp in model.scene.clamps)
+    assert evaluation.resolutions["release"].force[0, :, 0].sum() < 0.05 * clamps
+
+
+def test_watched_is_dense(model):
+    """All candidates at once, none left out, one increment a step."""
+    stages = [
+        stage.model_copy(update={"increments": 1}) if stage.kind in ("clamp", "weld", "release") else stage
+        for stage in model.scene.stages
+    ]
+    watched = replace(
+        model,
+        scene=model.scene.model_copy(update={"stages": stages}),
+        contacts=replace(model.contacts, nugget=np.full(len(model.contacts), -1)),
+    )
+    dense = replace(watched, contacts=replace(watched.contacts, watched=np.zeros(len(model.contacts), bool)))
+    sigma = np.array([one.sigma for one in model.scene.deviations])
+    mean = np.array([one.mean for one in model.scene.deviations])
+    samples = mean + sigma * np.random.default_rng(4).standard_normal((6, len(mean)))
+    one, other = watched.evaluate(samples), dense.evaluate(samples)
+    assert not one.failed.any() and not other.failed.any()
+    np.testing.assert_allclose(one.measurements, other.measurements, atol=1e-5)
+
+
+def test_a_sample_alone_is_what_it_is_in_its_batch(model):
+    sigma = np.array([one.sigma for one in model.scene.deviations])
+    samples = model.deviations({}) + sigma * np.random.default_rng(5).standard_normal((5, len(sigma)))
+    together = model.evaluate(samples).measurements
+    for sample, wanted in zip(samples, together):
+        np.testing.assert_allclose(model.evaluate(sample).measurements[0], wanted, atol=1e-6)
+
+
+def test_once_a_weld_is_made_what_lies_within_its_nugget_carries_nothing(model):
+    inside = model.contacts.nugget >= 0
+    assert inside.sum() >= len(model.scene.welds)
+    for k in np.flatnonzero(inside):
+        weld = model.scene.welds[model.contacts.nugget[k]]
+        assert sideways(model.contacts.point[[k]], weld.point)[0] <= weld.radius
+    found = model.evaluate(model.deviations({})).resolutions
+    assert not found["release"].force[0, inside].any()
+    assert model.contacts.out([]).sum() == 0
+
+
+def test_a_model_is_read_back_with_its_candidates(model, tmp_path):
+    model.save(tmp_path / "model.npz")
+    again = ReducedModel.load(tmp_path / "model.npz")
+    np.testing.assert_array_equal(again.contacts.watched, model.contacts.watched)
+    np.testing.assert_array_equal(again.between.point, model.between.point)
+    samples = model.deviations({})
+    np.testing.assert_allclose(again.evaluate(samples).measurements, model.evaluate(samples).measurements, atol=1e-12)
+
+
+# ---------------------------------------------------------------------------------------------------- welds
+
+
+def test_a_weld_reads_nothing_of_an_assembly_that_moves_as_a_whole(scene, model, cache):
+    assert model.weld_size == (9, 9)
+    centroids = [part.surface.centroid for part in assemble(scene, cache).parts]
+    for axis in np.eye(3):
+        for motion in (
+            np.concatenate([[*axis, 0, 0, 0] for _ in centroids]),
+            np.concatenate([[*np.cross(axis, centre), *axis] for centre in centroids]),
+        ):
+            reading = model.compliance.rigid(model.rows["weld"]) @ motion
+            np.testing.assert_allclose(reading, 0, atol=1e-12)
+
+
+@pytest.mark.fem
+@pytest.mark.slow
+def test_a_fused_nugget_is_as_stiff_as_seven_small_welds_in_its_place_and_an_averaged_one_is_not(scene, cache):
+    parts = [part.model_copy(update={"size": "fine"}) for part in scene.parts]
+    report = scene.report.model_copy(update={"laws": ["frictionless"]})
+    scene = with_zone(scene, spacing=5.0, friction=0.0).model_copy(update={"parts": parts, "report": report})
+
+    def welded(change):
+        return scene.model_copy(update={"welds": [one for weld in scene.welds for one in change(weld)]})
+
+    def seven(weld):
+        angle = np.arange(6) * np.pi / 3
+        x, y, z = weld.point
+        places = [
+            (x, y, z),
+            *((x + 2 / 3 * weld.radius * np.cos(a), y + 2 / 3 * weld.radius * np.sin(a), z) for a in angle),
+        ]
+        return [
+            weld.model_copy(update={"name": f"{weld.name}-{k}", "point": at, "radius": weld.radius / 3, "fused": False})
+            for k, at in enumerate(places)
+        ]
+
+    rng = np.random.default_rng(1)
+    sigma, mean = (np.array([getattr(one, key) for one in scene.deviations]) for key in ("sigma", "mean"))
+    samples = mean + sigma * rng.standard_normal((8, len(mean)))
+    models = {
+        "small": mic.reduce(welded(seven), cache),
+        "fused": mic.reduce(scene, cache),
+        "averaged": mic.reduce(welded(lambda weld: [weld.model_copy(update={"fused": False})]), cache),
+    }
+    found = {name: model.evaluate(samples).measurements for name, model in models.items()}
+    assert np.abs(found["fused"] - found["small"]).max() < 4e-3
+    assert np.abs(found["averaged"] - found["small"]).max() > 8e-3
+
+
+def test_the_wheelhouse_with_candidates_is_the_papers_but_for_its_pairs():
+    paper, watched = (mic.load_scene(MESHES / "wheelhouse" / file) for file in ("scene.toml", "watched.toml"))
+    assert [zone.pairs for zone in paper.zones] == [34] * 3 and all(zone.candidates for zone in watched.zones)
+    names = {"name", "description", "zones"}
+    assert paper.model_dump(exclude=names) == watched.model_dump(exclude=names)
+    given = {"pairs"}
+    assert [zone.model_dump(exclude=given) for zone in paper.zones] == [
+        zone.model_dump(exclude=given) for zone in watched.zones
+    ]
+
+
+@pytest.mark.fem
+def test_check_tells_how_the_characteristics_move_with_denser_pairs(cache, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("MIC_CACHE", str(cache))
+    told = CliRunner().invoke(app, ["check", str(MESHES / "lap_joint"), "--law", "frictionless", "--converge"])
+    assert told.exit_code == 0, told.output
+    pairs = re.search(r"(\d+) and (\d+) pairs; between them .* 0 of 30 samples failed", told.output)
+    assert pairs and 1.8 < int(pairs[2]) / int(pairs[1]) < 2.3
+    row = next(line for line in told.output.splitlines() if "M1" in line and "%" in line)
+    assert abs(float(row.split("│")[-2].strip(" %").replace("−", "-"))) < 3
+
+
+def test_denser_pairs_stand_at_a_share_of_the_distance(scene, cache):
+    few = assemble(with_zone(scene, pairs=24), cache)
+    assert denser(few).zones[0].pairs == 49
+    many = assemble(scene, cache)
+    assert denser(many).zones[0].spacing == pytest.approx(DENSER * np.sqrt(1000 / len(many.contacts)), rel=0.02)
+
+
+# -------------------------------------------------------------------------------------------- known answers
+
+LENGTH, WIDTH, THICKNESS, YOUNG = 200.0, 20.0, 2.0, 210e3  # mm, MPa
+INERTIA = WIDTH * THICKNESS**3 / 12
+
+
+def strip_scene(folder, clamps, fixture, zone, size=5.0):
+    """A strip along x without lateral contraction, its ends on locators, above a rigid fixture."""
+    (folder / "geometry.py").write_text(
+        "from mic.geometry.structured import extrude\n"
+        f"def build(part, size):\n    return extrude([(0, 0), ({WIDTH}, 0)], 0.0, {LENGTH}, size)\n"
+    )
+    at = [("z", x, y) for x, y in ((0, 2), (0, WIDTH - 2), (LENGTH, WIDTH / 2))]
+    at += [("y", 0, 2), ("y", LENGTH, 2), ("x", 0, 2)]
+    axes = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+    return mic.Scene(
+        name="strip",
+        folder=folder,
+        parts=[dict(name="strip", geometry="geometry.py", size=size, thickness=THICKNESS, young=YOUNG, poisson=0.0)],
+        fixtures=[dict(name="stop", **fixture)],
+        locators=[
+            dict(name=f"A{i}", part="strip", point=(x, y, 0), direction=axes[axis], radius=0)
+            for i, (axis, x, y) in enumerate(at)
+        ],
+        clamps=[dict(name=f"C{i}", part="strip", direction=(0, 0, -1), **one) for i, one in enumerate(clamps)],
+        zones=[dict(name="stop", parts=("stop", "strip"), **zone)],
+        stages=[dict(kind="locate"), dict(kind="clamp")],
+        report=dict(laws=["frictionless"]),
+    )
+
+
+@pytest.mark.fem
+def test_a_strip_pressed_onto_a_stop(tmp_path, cache):
+    """The stop takes what the strip does not: R = P − 48 E I g/L³."""
+    gap, force = 0.5, 20.0
+    middle = (LENGTH / 2, WIDTH / 2)
+    stop = dict(point=(*middle, -THICKNESS / 2 - gap), normal=(0, 0, 1), radius=4.0)
+    scene = strip_scene(tmp_path, [dict(point=(*middle, 0), force=force, radius=4.0)], stop, {})
+    found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
+    wanted = force - 48 * YOUNG * INERTIA * gap / LENGTH**3
+    assert found.force[0, :, 0].sum() == pytest.approx(wanted, rel=5e-3)
+
+
+@pytest.mark.fem
+def test_a_strip_under_a_uniform_load_lifts_off_a_table_at_its_ends(tmp_path, cache):
+    """Held at the height g over a table at its ends and pressed down by q, it lies flat but for the ends' a,
+
+    a⁴ = 24 E I g/q,        R/(q L) = 1 − a/L        with both ends: each takes q a/2.
+    """
+    gap, load = 0.02, 0.05  # mm, N/mm
+    table = tmp_path / "table.stl"
+    corners = [(-5, -5), (LENGTH + 5, -5), (LENGTH + 5, WIDTH + 5), (-5, WIDTH + 5)]
+    a, b, c, d = (f"vertex {x} {y} {-THICKNESS / 2 - gap}\n" for x, y in corners)
+    facets = "".join(f"facet normal 0 0 1\nouter loop\n{one}endloop\nendfacet\n" for one in (a + b + c, a + c + d))
+    table.write_text(f"solid table\n{facets}endsolid table\n")
+    places = np.arange(2.5, LENGTH, 5.0)
+    clamps = [
+        dict(point=(x, y, 0), force=load * 5.0 / 2, radius=3.0) for x in places for y in (WIDTH / 4, 3 * WIDTH / 4)
+    ]
+    scene = strip_scene(tmp_path, clamps, dict(mesh="table.stl"), {})
+    found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
+    free = (24 * YOUNG * INERTIA * gap / load) ** 0.25
+    assert free < LENGTH / 2
+    total = found.force[0, :, 0].sum()
+    assert total / (load * LENGTH) == pytest.approx(1 - free / LENGTH, rel=5e-3)
+
+
+def test_a_part_is_not_held_by_rows_that_read_rounding_of_its_motions():
+    """Moments of a nugget that read strain alone read nothing of a motion, exactly or but for rounding."""
+    held = np.vstack([np.eye(6), np.full((3, 6), 1e-17)])
+    np.testing.assert_array_equal(statically_determinate(held[::-1], np.ones(6)), np.arange(3, 9))

@@ -1,0 +1,99 @@
+"""Candidates of which only those that would penetrate take part, against all of them at once."""
+
+import numpy as np
+import pytest
+
+from mic.contact import ContactSolver, laws
+from mic.contact.friction import Friction
+from mic.contact.path import Followed, Increments
+from mic.contact.problems import compliant
+from mic.contact.states import OPEN
+from mic.contact.watched import PENETRATION, WatchedSolver
+
+M, N = 60, 12
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Candidates of which some fifth closes along the way: compliance, places, loads at the start and the end."""
+    rng = np.random.default_rng(3)
+    S = compliant(M, rng, 1e4)
+    point = np.column_stack([rng.random((M, 2)) * 100, np.zeros(M)])
+    b = np.zeros((N, 2, 3 * M))
+    b[:, 0, ::3] = rng.uniform(0.2, 1.0, (N, M))
+    b[:, 1] = b[:, 0] + 0.3 * rng.standard_normal((N, 3 * M))
+    b[:, 1, ::3] -= 0.8 * (rng.random((N, M)) < 0.3)
+    return S, point, b
+
+
+def watched(problem, law="coulomb", start=None, allowed=None, friction=0.3, **settings):
+    S, point, _ = problem
+    start = np.zeros(M, bool) if start is None else start
+    allowed = np.ones(M, bool) if allowed is None else allowed
+    mu = Friction.of(friction, M)
+    return WatchedSolver(S, mu, point, np.full(M, 15.0), start, allowed, laws.find(law), tol=1e-10, **settings)
+
+
+def followed(solver, b, path):
+    n = len(b)
+    return solver.follow(b, np.zeros((n, 3 * M)), b[:, 0].reshape(n, M, 3)[:, :, 1:], path)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
+def test_the_outcome_is_that_of_all_candidates_at_once(problem, law):
+    S, _, b = problem
+    path = Increments(1)
+    few, all_ = followed(watched(problem, law), b, path), followed(ContactSolver(S, 0.3, law), b, path)
+    assert few.converged.all() and all_.converged.all()
+    touching = (all_.force[:, ::3] > 1e-9).sum(axis=1)
+    assert (touching > 1).all() and touching.max() > 3
+    np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
+    np.testing.assert_allclose(few.anchor, all_.anchor, atol=1e-5)
+    assert few.displacement[:, ::3].min() > -2 * PENETRATION
+
+
+def test_a_followed_path_ends_where_that_of_all_candidates_ends(problem):
+    S, _, b = problem
+    path = Followed(1e-5)
+    few, all_ = followed(watched(problem), b, path), followed(ContactSolver(S, 0.3), b, path)
+    motion = np.abs(b[:, 1] - b[:, 0]).max()
+    assert np.abs(few.displacement - all_.displacement).max() < 1e-3 * motion
+    assert np.abs(few.anchor - all_.anchor).max() < 1e-3 * motion
+    np.testing.assert_allclose(few.trace.share.sum(axis=2), 1.0, atol=1e-9)
+
+
+def test_a_sample_does_not_depend_on_its_batch(problem):
+    _, _, b = problem
+    together = followed(watched(problem), b, Followed())
+    for i in range(N):
+        alone = followed(watched(problem), b[[i]], Followed())
+        np.testing.assert_allclose(alone.displacement[0], together.displacement[i], atol=1e-9)
+        np.testing.assert_allclose(alone.trace.error[0], together.trace.error[i], rtol=1e-6)
+
+
+def test_the_outcome_does_not_depend_on_what_it_starts_from(problem):
+    _, _, b = problem
+    one = followed(watched(problem), b, Increments(1))
+    solver = watched(problem, start=np.arange(M) % 3 == 0)
+    np.testing.assert_allclose(followed(solver, b, Increments(1)).displacement, one.displacement, atol=1e-5)
+    assert (solver.carried == (one.force[:, ::3] > 1e-9).any(axis=0)).mean() > 0.95
+
+
+def test_what_is_not_allowed_carries_no_force_and_loses_what_it_had(problem):
+    _, _, b = problem
+    free = followed(watched(problem), b, Increments(1))
+    most = int(free.force[:, ::3].sum(axis=0).argmax())
+    solver = watched(problem, allowed=np.arange(M) != most)
+    n = len(b)
+    found = solver.follow(b, free.force, b[:, 0].reshape(n, M, 3)[:, :, 1:], Increments(1))
+    assert not found.force[:, 3 * most : 3 * most + 3].any()
+    assert found.displacement[:, 3 * most].min() < -0.01 and found.converged.all()
+
+
+def test_where_nothing_touches_nothing_is_solved(problem):
+    _, _, b = problem
+    apart = b.copy()
+    apart[:, :, ::3] += 10.0
+    found = followed(watched(problem), apart, Followed())
+    assert found.converged.all() and not found.force.any() and (found.trace.share[:, :, OPEN] == 1).all()
+    np.testing.assert_array_equal(found.displacement, apart[:, 1])

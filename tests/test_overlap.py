@@ -1,0 +1,92 @@
+"""Nominal overlap: closed at pairs and welds alike, told, refused where drawing does not explain it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mic
+from mic.commands import app
+from mic.errors import SceneError
+from mic.model.assembly import assemble
+
+MESHES = Path(__file__).resolve().parents[1] / "meshes"
+
+
+def lap(thickness, **zone):
+    """The lap joint, its sheets so thick (they are drawn 1 mm apart), a zone's keys changed."""
+    scene = mic.load_scene(MESHES / "lap_joint")
+    parts = [part.model_copy(update={"thickness": thickness, "size": "coarse"}) for part in scene.parts]
+    zones = [one.model_copy(update={"pairs": 24} | zone) for one in scene.zones]
+    return scene.model_copy(update={"parts": parts, "zones": zones})
+
+
+def test_overlap_is_closed_at_pairs_and_welds_alike_and_its_depth_and_area_are_known(cache):
+    assembly = assemble(lap(1.06), cache)
+    np.testing.assert_array_equal(assembly.contacts.gap, 0.0)
+    np.testing.assert_array_equal(assembly.weld_gap, 0.0)
+    np.testing.assert_allclose(assembly.contacts.overlap, 0.06, rtol=1e-9)
+    np.testing.assert_allclose(assembly.contacts.overlapping, assembly.contacts.area, rtol=1e-9)
+
+
+def test_overlap_that_is_meant_is_kept_at_pairs_and_welds_alike(cache):
+    assembly = assemble(lap(1.06, nominal_overlap="keep"), cache)
+    np.testing.assert_allclose(assembly.contacts.gap, -0.06, rtol=1e-9)
+    np.testing.assert_allclose(assembly.weld_gap, -0.06, rtol=1e-9)
+
+
+def test_gaps_that_are_open_stay(cache):
+    assembly = assemble(lap(0.9), cache)
+    np.testing.assert_allclose(assembly.contacts.gap, 0.1, rtol=1e-9)
+    np.testing.assert_allclose(assembly.weld_gap, 0.1, rtol=1e-9)
+    assert not assembly.contacts.overlap.any() and not assembly.contacts.overlapping.any()
+
+
+def test_overlap_beyond_the_limit_is_refused_naming_zone_depth_place_and_remedy(cache):
+    with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.4 mm at \(.*up to 0\.35 mm.*half a thickness.*keep"):
+        assemble(lap(1.4), cache)
+    assert (assemble(lap(1.4, nominal_overlap=0.41), cache).contacts.gap == 0).all()
+    with pytest.raises(SceneError, match=r"up to 0\.05 mm"):
+        assemble(lap(1.06, nominal_overlap=0.05), cache)
+
+
+def test_a_weld_where_no_pair_lies_has_the_same_limit(cache):
+    scene = lap(1.4).model_copy(update={"zones": []})
+    with pytest.raises(SceneError, match=r"welds\[0\] \(W1\).*0\.4 mm"):
+        assemble(scene, cache)
+
+
+def test_check_tells_depth_area_and_what_is_done_and_draws_the_map(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("MIC_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "scene"
+    mic.examples.copy("lap_joint", folder)
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace("thickness = 1\n", "thickness = 1.06\n"))
+    told = CliRunner().invoke(app, ["check", str(folder), "--overlap", str(tmp_path / "map.png")])
+    assert told.exit_code == 0, told.output
+    assert "0.060 mm deep, over 1000 mm²: closed" in told.output
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_check_says_which_welds_freeze_a_gap(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("MIC_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "scene"
+    mic.examples.copy("lap_joint", folder)
+    text = (folder / "scene.toml").read_text().replace("thickness = 1\n", "thickness = 0.9\n")
+    (folder / "scene.toml").write_text(text.replace('name = "W1"\n', 'name = "W1"\nclose = true\n'))
+    told = CliRunner().invoke(app, ["check", str(folder)]).output
+    assert "weld W2 lies over a nominal gap of 0.100 mm" in told and "weld W1 lies" not in told
+
+
+@pytest.mark.fem
+def test_a_nominal_assembly_whose_drawing_overlaps_does_not_move(cache):
+    closed = mic.reduce(lap(1.06, pairs=62), cache)
+    nothing = np.zeros(len(closed.parameters))
+    evaluation = closed.evaluate(nothing)
+    assert np.abs(evaluation.measurements).max() < 2e-3
+    assert evaluation.resolutions["release"].force[0, :, 0].sum() < 0.05 * 120
+    kept = mic.reduce(lap(1.06, pairs=62, nominal_overlap="keep"), cache).evaluate(nothing)
+    assert np.abs(kept.measurements).max() > 2e-2
