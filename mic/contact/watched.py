@@ -27,6 +27,7 @@ from mic.contact.path import Increments, Path, PathSolution, Trace
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
+from mic.product import product
 
 __all__ = ["PENETRATION", "WatchedSolver"]
 
@@ -155,7 +156,7 @@ class WatchedSolver:
         force = np.zeros((len(samples), d * m))
         force[:, rows] = solution.force
         found.force[samples] = force
-        u = force[:, rows] @ self._S[rows] + b[:, -1]
+        u = product(force[:, rows], self._S[rows]) + b[:, -1]
         found.displacement[samples] = u
         anchor = u.reshape(-1, m, d)[:, :, 1:].copy()
         anchor[:, own] = solution.anchor
