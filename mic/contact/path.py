@@ -47,7 +47,7 @@ class Followed:
     Attributes
     ----------
     tolerance : float
-        Largest error of a step, as a share of the tangential motion that the contacts are about to make (root mean
+        Largest error of a step, as a share of the tangential motion that the contacts made on the leg so far (root mean
         squares over the contacts).
     floor : float
         Or as a length, if that is larger [length].

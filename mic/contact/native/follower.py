@@ -7,9 +7,10 @@ asks, where a contact is closed,
 
 with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 
-1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start; a
-   slider whose rate would push it back is stuck.  Contacts that open or break loose on the way change a few rows of
-   that problem, its inverse by rank 3.  The step ends just behind the first contact that closes.
+1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start.  On
+   the cone a contact slides forward or its force does not leave the cone: which of them is found by pivots.  Contacts
+   that open or break loose on the way change a few rows of that problem, its inverse by rank 3.  The step ends just
+   behind the first contact that closes.
 2. **Solution.**  Backward Euler's method measures slip from where the step began, which drags a slider straight towards
    its end, and a contact that closes from too far back.  Both are mended, to second order, by moving the point from
    which slip is measured, and the same problem as ever is solved:
@@ -22,7 +23,8 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 
    ``l`` and ``c`` are the prediction's.
 3. **Error.**  ``l`` and ``c`` of the solution give other shifts.  How far they differ, root mean square over the
-   contacts, estimates the step's error.  Too large, the step is solved once more with the better shifts, then cut.
+   contacts, estimates the step's error; it may be a share of the motion so far, not of the path, most of which may pass
+   without any.  Too large, the step is solved once more with the better shifts, then cut.
 """
 
 from __future__ import annotations
@@ -43,6 +45,7 @@ from mic.contact.native.kernels import (
     NUMBER,
     VECTOR,
     derivative,
+    force_scale,
     gauss_seidel,
     jit,
     newton,
@@ -54,23 +57,34 @@ from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = ["follower"]
 
-# Of a step of the whole path.
-LONGEST = 0.5  # the estimate sees two directions of a slider, not what it does in between
-SHORTEST = 1e-2  # behind a closing, too: contacts that close within it do so together
-#: Newton's tolerance within a path; at its end it is the solver's. Looser, statuses flicker and steps are cut in vain.
-INNER = 1e-5
+# Of a step of the whole path: the longest, because the estimate sees two directions of a slider and not what it does in
+# between; and the shortest. Contacts may make most of their motion within a hundredth of the path and less.
+LONGEST, SHORTEST = 0.5, 1e-6
+#: Steps before a path is given up.
+MOST = 4000
+#: Behind a closing a step goes on for this share of its length and of the path, or for this share of the motion that
+#: may be in error: what closes meanwhile does so together.
+BEHIND, TOGETHER, HARMLESS = 0.25, 1e-2, 0.5
+#: Newton's tolerance within a path; at its end it is the solver's.  It is relative to what overlap alone would be
+#: answered with, which is a thousand times the motion where parts hang together loosely: looser, paths part.
+INNER = 1e-9
 #: A contact this near its cone (relative) at the start of a step may slide.
 NEAR = 1e-7
-#: Shrinking the step aims below the tolerance by this factor, the usual one of step control.
-SAFETY = 0.8
+#: Shrinking the step aims below the tolerance by this factor, the usual one of step control; and how much it may grow.
+SAFETY, GROWTH = 0.8, 4.0
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
-#: Contacts that open or break loose within one prediction before it is cut short, and sliders that do not slide.
-EVENTS, PASSES = 32, 16
+#: Contacts that open or break loose within one prediction before it is cut short, and changes of sliders after each.
+EVENTS, PASSES = 32, 32
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
-#: Newton's steps, sweeps before them and of the first call for help, and calls before the path is given up.
-NEWTON, SWEEPS, HELP = 12, 10, 6
+#: Sweeps before Newton's method, its steps, and the changes of statuses within one of them.
+SWEEPS, NEWTON, PIVOTS = 10, 10, 100
+#: In a slider's equation its displacement counts so many times, compared with its own compliance: its direction is then
+#: that of its motion sooner than that of its force, which others hold.
+STRETCH = 10.0
+#: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
+HELP, PATIENCE = 6, 12
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
@@ -143,6 +157,15 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
 
 
+@jit(NUMBER(VECTOR, VECTOR))
+def _motion(w, unit):
+    """Root mean square over the contacts of a tangential motion, a length."""
+    total = 0.0
+    for k in range(len(unit)):
+        total += (w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) * unit[k] ** 2
+    return np.sqrt(total / max(len(unit), 1))
+
+
 @jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
 def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
@@ -171,6 +194,8 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
 @jit(
     void(
         VECTOR,
+        VECTOR,
+        VECTOR,
         COUNTS,
         MATRIX,
         VECTOR,
@@ -189,12 +214,14 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
         MATRIX,
     )
 )
-def _record(y0, state0, e0, grip, loose, y, w, state, touched, shift, opened, gone, part, slip, length, work, share):
+def _record(
+    y0, w0, motion, state0, e0, grip, loose, y, w, state, touched, shift, opened, gone, part, slip, length, work, share
+):
     """Add a step to what the contacts went through: slip under load, its length, friction's work, shares of the path.
 
     Forces of a contact that slides grow linearly over the step, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``;
-    one that breaks loose unforeseen slides under the force of the end.  A contact that opens has done so where the
-    prediction has it: after the share ``opened``, having ``gone`` so far.
+    one that breaks loose unforeseen slides under the force of the end.  A contact closes or opens where the prediction
+    has it: it opens after the share ``opened``, having ``gone`` so far.
     """
     for k in range(len(state)):
         i = 3 * k
@@ -204,7 +231,11 @@ def _record(y0, state0, e0, grip, loose, y, w, state, touched, shift, opened, go
             if state[k] == OPEN:
                 share[k, 0] += part
                 continue
-            m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
+            if w0[i] + motion[i] < 0.0:  # foreseen, before its own force could take load off the others
+                begin = _crossing(w0[i], w0[i] + motion[i])
+                m1, m2 = m1 - begin * motion[i + 1], m2 - begin * motion[i + 2]
+            else:
+                m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
             end, m1, m2 = opened[k], gone[k, 0], gone[k, 1]
             if end == 1.0:  # the prediction did not see it
@@ -212,7 +243,9 @@ def _record(y0, state0, e0, grip, loose, y, w, state, touched, shift, opened, go
                 m1, m2 = end * w[i + 1], end * w[i + 2]
         slides = 1.0  # share of the time under load in which the contact slides
         if state0[k] == STICK:
-            if loose[k] < 1.0:
+            if loose[k] == 0.0:  # held on its cone
+                slides = 1.0 if state[k] == SLIP else 0.0
+            elif loose[k] < 1.0:
                 slides = max(end - loose[k], 0.0) / max(end, 1e-300)
             elif state[k] == SLIP:
                 # Its own compliance, 1, as if it were all: first the force grows, then the contact moves.
@@ -323,18 +356,168 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
     return -1
 
 
+@jit(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, int64, MATRIX, MATRIX, VECTOR, VECTOR))
+def _facet(equation, parameters, y, w, y_new, k, A, B, right, e):
+    """Contact k slides against the force that ``y_new`` has: its linear equation there, ``A dy + B dw = right``.
+
+    ``e`` (2,) receives the force's direction.
+    """
+    i = 3 * k
+    at, back, phi, found = y_new[i : i + 3].copy(), np.zeros(3), np.zeros(3), np.zeros(1, np.int64)
+    own, blocks_A, blocks_B = parameters[k : k + 1], np.zeros((1, 3, 3)), np.zeros((1, 3, 3))
+    equation(own, at, back, phi, blocks_A, blocks_B, found, False)
+    if found[0] == SLIP:  # from outside onto the cone
+        at[1] -= phi[1]
+        at[2] -= phi[2]
+    t = max(np.sqrt(at[1] ** 2 + at[2] ** 2), 1e-300)
+    for c in range(1, 3):
+        e[c - 1] = at[c] / t
+        back[c] = -NEAR * at[c]
+    equation(own, at, back, phi, blocks_A, blocks_B, found, True)
+    A[:], B[:] = blocks_A[0], blocks_B[0]
+    for row in range(3):
+        right[row] = -phi[row]
+        for c in range(3):
+            right[row] -= A[row, c] * (y[i + c] - at[c]) + B[row, c] * (w[i + c] - back[c])
+
+
+@jit(void(MATRIX, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR))
+def _linear(W, own, inverse, right, y, q, y_new, w_new):
+    """``y_new = y + J⁻¹ right`` over the contacts `own`, and ``w_new = W y_new + q``."""
+    r = np.empty(3 * len(own))
+    for a in range(len(own)):
+        for c in range(3):
+            r[3 * a + c] = right[3 * own[a] + c]
+    x = np.dot(inverse, r)
+    y_new[:] = y
+    for a in range(len(own)):
+        for c in range(3):
+            y_new[3 * own[a] + c] += x[3 * a + c]
+    times(W, y_new, w_new)
+    w_new += q
+
+
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
     # In the closure of `follow` these two would be part of the cache's key, and no two processes write them alike.
-    global solve, predict
+    global newton_by_pivots, solve, predict
 
-    @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, int64, COUNTS))
-    def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, counts):
-        """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
+    @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, COUNTS))
+    def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, counts):
+        """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (y, w).
+
+        Equations are linearised where they are, statuses are not held: after each linear solution the contact whose
+        inequality is violated most changes its status, the inverse by rank 3, until none is.  A slider whose motion is
+        small would else be taken for one that sticks and back again, step after step.
 
         Returns 1 if it is solved; ``w = W y + q`` in any case.
         """
         digest  # noqa: B018  (a variable of the closure, and so part of the cache's key)
+        m = len(parameters)
+        phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        state, found, place = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
+        e, right = np.zeros((m, 2)), np.zeros(3 * m)
+        y_new, w_new, trial, still = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m)
+        one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
+        new_A, new_B = np.zeros((3, 3)), np.zeros((3, 3))
+        for _ in range(NEWTON):
+            derivative(equation, parameters, y, w, phi, A, B, state)
+            size = force_scale(scale, q, y, w)
+            if np.sqrt(np.dot(phi, phi)) <= tol * size:
+                return 1
+            small = 0.1 * tol * size
+            trial[:] = STRETCH * w
+            derivative(equation, parameters, y, trial, phi, A, B, state)
+            for k in range(m):
+                i = 3 * k
+                place[k] = 0 if state[k] != OPEN or y[i] != 0.0 or y[i + 1] != 0.0 or y[i + 2] != 0.0 else -1
+                if state[k] == SLIP:
+                    B[k] *= STRETCH
+                    v1, v2 = y[i + 1] - trial[i + 1], y[i + 2] - trial[i + 2]
+                    t = np.sqrt(v1 * v1 + v2 * v2)
+                    e[k, 0], e[k, 1] = v1 / t, v2 / t
+                for c in range(i, i + 3):
+                    right[c] = -w[c] if state[k] == STICK else -phi[c]
+            own = np.empty(0, np.int64)
+            inverse = np.empty((0, 0))
+            grown, worst = True, -1
+            for _ in range(PIVOTS):
+                if grown:
+                    own = np.flatnonzero(place >= 0)
+                    for a in range(len(own)):
+                        place[own[a]] = a
+                    inverse = _inverse(W, A, B, own)
+                    counts[FACTORISATIONS] += 1
+                _linear(W, own, inverse, right, y, q, y_new, w_new)
+                trial[:] = y_new
+                for k in range(m):
+                    if state[k] != STICK:
+                        trial[3 * k + 1] = trial[3 * k + 2] = 0.0
+                equation(parameters, trial, still, phi, nothing, nothing, found, False)
+                hardest, worst, grown = small, -1, False
+                for k in range(m):
+                    i = 3 * k
+                    if state[k] == OPEN:
+                        wrong = -w_new[i]
+                        if wrong > small and place[k] < 0:
+                            place[k] = 0
+                            grown = True
+                    elif y_new[i] < 0.0:
+                        wrong = -y_new[i]
+                    elif state[k] == SLIP:
+                        wrong = e[k, 0] * w_new[i + 1] + e[k, 1] * w_new[i + 2]
+                    elif found[k] == SLIP:
+                        wrong = np.sqrt(phi[i + 1] ** 2 + phi[i + 2] ** 2)
+                    else:
+                        continue
+                    if wrong > hardest:
+                        hardest, worst = wrong, k
+                if worst < 0:
+                    break
+                i = 3 * worst
+                if state[worst] != OPEN and y_new[i] < 0.0:
+                    state[worst] = OPEN
+                    right[i : i + 3] = -y[i : i + 3]
+                    new_A[:], new_B[:] = one, none
+                elif state[worst] == STICK:
+                    state[worst] = SLIP
+                    _facet(equation, parameters, y, w, y_new, worst, new_A, new_B, right[i : i + 3], e[worst])
+                else:
+                    state[worst] = STICK
+                    right[i : i + 3] = -w[i : i + 3]
+                    new_A[:], new_B[:] = none, one
+                if grown:
+                    A[worst], B[worst] = new_A, new_B
+                else:
+                    _change(W, A, B, own, inverse, place[worst], new_A, new_B)
+            if worst >= 0:
+                return 0
+            y[:], w[:] = y_new, w_new
+        return 0
+
+    @jit(
+        int64(
+            EQUATION_POINTER,
+            MATRIX,
+            MATRIX,
+            MATRIX,
+            VECTOR,
+            VECTOR,
+            VECTOR,
+            VECTOR,
+            NUMBER,
+            NUMBER,
+            int64,
+            int64,
+            COUNTS,
+        )
+    )
+    def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, calls, counts):
+        """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
+
+        `calls` for help are made before it is given up.  Returns 1 if it is solved; ``w = W y + q`` in any case.
+        """
+        digest  # noqa: B018
         m = len(parameters)
         none = np.empty((0, 0))
         best = start.copy()
@@ -343,12 +526,16 @@ def _compile(digest):
             gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
             times(W, y, w)
             w += q
-        error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, 0, m)
-        counts[FACTORISATIONS] += steps
-        run = sweeps
-        for _ in range(HELP):
+        if newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, counts) == 1:
+            return 1
+        run, halvings = sweeps, 0 if sweeps > 0 else 20
+        for call in range(calls + 1):
+            error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, PATIENCE, halvings, m)
+            counts[FACTORISATIONS] += steps
             if error <= tol:
                 return 1
+            if call == calls:
+                break
             counts[RESCUES] += 1
             y[:] = best
             times(W, y, w)
@@ -358,11 +545,8 @@ def _compile(digest):
                 best[:] = y
                 times(W, y, w)
                 w += q
-            halvings = 0 if sweeps > 0 else 20
-            error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, NEWTON, halvings, m)
-            counts[FACTORISATIONS] += steps
             run *= 2
-        return 1 if error <= tol else 0
+        return 0
 
     @jit(
         NUMBER(
@@ -397,7 +581,7 @@ def _compile(digest):
         rate,
         step,
         behind,
-        apart,
+        allowed,
         state0,
         e0,
         grip,
@@ -420,8 +604,9 @@ def _compile(digest):
             Length of a unit of ``w_t``.
         step, behind : float
             Length of the step, in shares of the path; and how far it goes behind the first contact that closes.
-        apart : float
-            A contact that slid farther than this length ends the step where it opens, too.
+        allowed : float
+            Error of the step, a length: motion below it does not count.  A contact that slid farther ends the step
+            where it opens, too.
         state0, e0 : (m,), (m, 2) array
             Receive the statuses of the start, and the directions of sliders.
         grip, loose : (m,) array
@@ -461,9 +646,13 @@ def _compile(digest):
         w[:] = w0
         x[:] = 0.0
         motion[:] = 0.0
+        for k in range(m):
+            loose[k] = 0.0 if state0[k] == SLIP else 1.0
+            grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
         state, held, found = state0.copy(), np.zeros(m, np.bool_), np.zeros(m, np.int64)
         trial, still = np.empty(3 * m), np.zeros(3 * m)
-        new_A, new_B = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        new_A, new_B, nothing = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((0, 3, 3))
+        A0, B0 = A.copy(), B.copy()
         closed = np.flatnonzero(state != OPEN)
         inverse = _inverse(W, A, B, closed)
         counts[FACTORISATIONS] += 1
@@ -471,23 +660,33 @@ def _compile(digest):
         for event in range(EVENTS):
             for _ in range(PASSES):
                 _rates(W, B, closed, inverse, rate, dy, dw)
-                # Of the sliders that would be pushed back, the one pushed hardest sticks: others may then slide.
+                # On the cone a contact slides forward or its force does not leave the cone, never both: of those that
+                # do neither, the worst changes.
                 hardest, worst = 0.0, -1
                 for a in range(len(closed)):
                     k = closed[a]
-                    pushed = dw[3 * k + 1] * e0[k, 0] + dw[3 * k + 2] * e0[k, 1]
-                    if state[k] == SLIP and pushed > hardest:
-                        hardest, worst = pushed, a
+                    i = 3 * k
+                    if state[k] == SLIP:
+                        wrong = dw[i + 1] * e0[k, 0] + dw[i + 2] * e0[k, 1]
+                    elif held[k]:
+                        wrong = 0.0
+                        for c in range(3):
+                            wrong += (e0[k, 0] * A0[k, 1, c] + e0[k, 1] * A0[k, 2, c]) * dy[i + c]
+                    else:
+                        continue
+                    if wrong > hardest:
+                        hardest, worst = wrong, a
                 if worst < 0:
                     break
-                state[closed[worst]] = STICK
-                held[closed[worst]] = True
-                _change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
+                k = closed[worst]
+                if held[k]:
+                    state[k], held[k] = SLIP, False
+                    _change(W, A, B, closed, inverse, worst, A0[k], B0[k])
+                else:
+                    state[k], held[k] = STICK, True
+                    _change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
             if event == 0:
                 state0[:] = state
-                for k in range(m):
-                    loose[k] = 0.0 if state[k] == SLIP else 1.0
-                    grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
             advance, first = step - reached, -1
             closes = False
             for k in range(m):
@@ -515,12 +714,20 @@ def _compile(digest):
                 breaks = _breaking(equation, parameters, trial, still, state, held, phi, found)
                 advance, first, closes = high, breaks, False
             if closes:
-                advance = min(advance + behind, step - reached)
+                harmless = HARMLESS * allowed / max(_motion(dw, unit), 1e-300)
+                advance = min(advance + max(behind, harmless), step - reached)
             y += advance * dy
             w += advance * dw
             x += advance * dy
             motion += advance * dw
             reached += advance
+            trial[:] = y
+            for k in range(m):
+                trial[3 * k + 1] *= 1.0 + NEAR
+                trial[3 * k + 2] *= 1.0 + NEAR
+            equation(parameters, trial, still, phi, nothing, nothing, found, False)
+            for k in range(m):
+                held[k] = held[k] and found[k] != STICK
             if closes or first < 0 or event == EVENTS - 1:
                 break
             i = 3 * first
@@ -532,9 +739,10 @@ def _compile(digest):
                 state[first], loose[first] = SLIP, reached
                 grip[first] = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
                 e0[first, 0], e0[first, 1] = y[i + 1] / grip[first], y[i + 2] / grip[first]
+                A0[first], B0[first] = new_A[first], new_B[first]
                 for a in range(len(closed)):
                     if closed[a] == first:
-                        _change(W, A, B, closed, inverse, a, new_A[first], new_B[first])
+                        _change(W, A, B, closed, inverse, a, A0[first], B0[first])
                 continue
             opened[first] = reached
             gone[first, 0], gone[first, 1] = motion[i + 1], motion[i + 2]
@@ -543,7 +751,7 @@ def _compile(digest):
                 y[i + row] = 0.0
             state[first] = OPEN
             # Where it was counts, if it slid so far that the time of its opening does.
-            if unit[first] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > apart:
+            if unit[first] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > allowed * np.sqrt(m):
                 step = min(step, reached + behind)
             for a in range(len(closed)):
                 if closed[a] == first:
@@ -622,8 +830,8 @@ def _compile(digest):
         equal : int
             So many equal steps; 0 for steps of controlled error.
         tolerance, floor : float
-            A step's error may be this share of the motion that the prediction sees over the whole path, root mean
-            square over the contacts, or this length.
+            A step's error may be this share of the motion that the contacts made so far, root mean square over them, or
+            this length.
         tol : float
             Newton's tolerance at the end.
         sweeps : int
@@ -663,10 +871,10 @@ def _compile(digest):
             if order == 1:  # what does not balance is part of the first step
                 for k in range(m):
                     w[3 * k + 1] = w[3 * k + 2] = 0.0
-            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, done) == 0:
+            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, HELP, done) == 0:
                 done[FAILED] += 1
                 continue
-            s, h, allowed = 0.0, 1.0 / equal if equal > 0 else LONGEST, -1.0
+            s, h, made = 0.0, 1.0 / equal if equal > 0 else LONGEST, 0.0
             while True:
                 for k in range(m):
                     for c in range(2):
@@ -686,8 +894,8 @@ def _compile(digest):
                                 e0[k, 0], e0[k, 1] = y0[3 * k + 1] / grip[k], y0[3 * k + 2] / grip[k]
                             loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
-                        behind = 1.0 if equal > 0 else smallest
-                        apart = np.inf if equal > 0 or allowed < 0.0 else allowed * np.sqrt(m)
+                        behind = 1.0 if equal > 0 else min(TOGETHER, max(smallest, BEHIND * step))
+                        allowed = np.inf if equal > 0 else max(tolerance * made, floor)
                         step = predict(
                             equation,
                             W,
@@ -698,7 +906,7 @@ def _compile(digest):
                             rate,
                             step,
                             behind,
-                            apart,
+                            allowed,
                             state0,
                             e0,
                             grip,
@@ -709,22 +917,26 @@ def _compile(digest):
                             gone,
                             done,
                         )
-                    if allowed < 0.0:
-                        total = 0.0
-                        for k in range(m):
-                            total += (motion[3 * k + 1] ** 2 + motion[3 * k + 2] ** 2) * unit[k] ** 2
-                        allowed = max(tolerance * np.sqrt(total / max(m, 1)) / step, floor)
+                    allowed = max(tolerance * (made + _motion(motion, unit)), floor)
                     target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     yp[:], wp[:] = y0 + x, w0 + motion
                     if order == 2:
                         _shifts(W, y0, w0, state0, e0, grip, loose, motion, yp, wp, state0, False, shift, touched)
-                    for turn in range(order):
+                    # With the prediction's shifts, then with the solution's; where no shorter step is to be had, with
+                    # none: backward Euler's method as it is, which always leads on.
+                    turn, last = 0, step <= 1.0001 * smallest
+                    while True:
                         q[:] = Q0[sample] + target * rate
                         for k in range(m):
                             for c in range(2):
                                 q[3 * k + 1 + c] -= L[sample, 2 * k + c] + shift[k, c]
-                        if turn == 0:
+                        if turn == 2:
+                            y[:] = y0
+                        elif turn == 0:
                             y[:] = yp
+                            for k in range(m):
+                                if order == 2 and opened[k] < 1.0:
+                                    y[3 * k : 3 * k + 3] = 0.0
                             # Linear rates overrun a slider that turns fast: it starts from its old direction.
                             for k in range(m):
                                 i = 3 * k
@@ -746,6 +958,7 @@ def _compile(digest):
                             tol if end or equal > 0 else INNER,
                             starting_scale(q) if end else scale,
                             sweeps,
+                            HELP if last or order == 1 or _motion(motion, unit) <= allowed else 0,
                             done,
                         )
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
@@ -755,11 +968,22 @@ def _compile(digest):
                         if order == 1:
                             break
                         _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, True, other, late)
-                        error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
-                        if turn == 1 or error <= allowed and equal == 0:
+                        if turn == 2:  # as far from backward Euler's method as its shifts are
+                            for k in range(m):
+                                phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
+                            error = _motion(phi, unit)
                             break
-                        shift[:] = other
-                        touched[:] = late
+                        error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
+                        if solved == 1 and (error <= allowed and equal == 0 or turn == 1 and equal > 0):
+                            break
+                        if turn == 0 and solved == 1:
+                            turn = 1
+                            shift[:], touched[:] = other, late
+                        elif last:
+                            turn = 2
+                            shift[:], touched[:] = 0.0, 0.0
+                        else:
+                            break
                     if solved == 1 and error <= allowed or step <= 1.0001 * smallest:
                         break
                     done[CUT] += 1
@@ -770,6 +994,8 @@ def _compile(digest):
                     break
                 _record(
                     y0,
+                    w0,
+                    motion,
                     state0,
                     e0,
                     grip,
@@ -790,7 +1016,11 @@ def _compile(digest):
                 estimate[sample] += error
                 done[STEPS] += 1
                 s = target
-                h = min(LONGEST, max(smallest, step * SAFETY * np.sqrt(allowed / max(error, 1e-300))))
+                made += _motion(w, unit)
+                h = min(LONGEST, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
+                if done[STEPS] > MOST and equal == 0:
+                    done[FAILED] += 1
+                    break
                 if equal > 0:
                     h = smallest
             Q[sample] = q

@@ -29,6 +29,7 @@ __all__ = [
     "VECTOR",
     "compiled",
     "derivative",
+    "force_scale",
     "gauss_seidel",
     "jit",
     "local_factors",
@@ -258,7 +259,7 @@ def _solve_dense(J, r):
 
 
 @jit(NUMBER(NUMBER, VECTOR, VECTOR, VECTOR))
-def _force_scale(scale, q, y, w):
+def force_scale(scale, q, y, w):
     """What errors are relative to, as in the certificate: the larger of ``scale`` and ``(yᵀ W y)^{1/2}``."""
     energy = 0.0
     rounding = 0.0
@@ -381,7 +382,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     step, change = np.empty(n), np.empty(n)
     trial_y, trial_w = y.copy(), w.copy()
     trial = error = _merit(equation, parameters, y, w, phi, state)
-    size = _force_scale(scale, q, y, w)
+    size = force_scale(scale, q, y, w)
     gained = 0
     for iteration in range(steps):
         if error <= tol * size or iteration - gained > 6:
@@ -418,7 +419,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
         if trial < error or halvings > 0:
             error, gained = trial, iteration + 1
             y[:], w[:] = trial_y, trial_w
-            size = _force_scale(scale, q, y, w)
+            size = force_scale(scale, q, y, w)
     return error / size if size > 0.0 else 0.0, steps
 
 
@@ -583,7 +584,7 @@ def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
             w = np.dot(W, y) + q
             for _ in range(12):
                 error = np.linalg.norm(np.minimum(y, w))
-                size = _force_scale(scale, q, y, w)
+                size = force_scale(scale, q, y, w)
                 error = error / size if size > 0.0 else 0.0
                 if error < best:
                     best = error
