@@ -36,10 +36,20 @@ def test_the_reference_s_own_shells_give_what_is_kept(name):
         assert off(references.by_shells(references.CASES[name], size, "p2-cr"), name) == pytest.approx(kept, rel=1e-2)
 
 
-@pytest.mark.parametrize("name, size, bar", [("crowned panel", 2.5, 0.013), ("trough", 5, 0.01)])
-def test_the_production_element_meets_the_reference(name, size, bar):
-    """Its theory, Kirchhoff's, ends 0.4 % beside the panel's reference. On 5 mm it leaves 3.0 %."""
-    error = off(references.by_shells(references.CASES[name], size, "dkt-opt-curved"), name)
+def crown(points):
+    """Normals (n, 3) of the crowned panel."""
+    x, y = points[:, 0], points[:, 1]
+    zx = -50 * x / 14400 * (1 - 0.6 * (y / 80) ** 2) + y / 1600
+    zy = -25 * (1 - (x / 120) ** 2) * 1.2 * y / 6400 + x / 1600
+    normals = np.column_stack([-zx, -zy, np.ones(len(x))])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("name, size, normals, bar", [("crowned panel", 2.5, crown, 0.013), ("trough", 5, None, 0.01)])
+def test_the_production_element_meets_the_reference(name, size, normals, bar):
+    """Its theory, Kirchhoff's, ends 0.4 % beside the panel's reference.  On 5 mm it leaves 3.0 %; with normals that are
+    estimated 1.303 % on 2.5 mm."""
+    error = off(references.by_shells(references.CASES[name], size, "dkt-opt-curved", normals), name)
     print(name, size, error)
     assert error < bar
 

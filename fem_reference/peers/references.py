@@ -130,13 +130,16 @@ def by_calculix(case: Case, size: float, corners: int) -> np.ndarray:
     return np.einsum("nir,nis->rs", weights, u)
 
 
-def by_shells(case: Case, size: float, element: str) -> np.ndarray:
-    """H (r, r) by an element of `fem_reference` on the triangles of S6."""
+def by_shells(case: Case, size: float, element: str, normals: Callable | None = None) -> np.ndarray:
+    """H (r, r) by an element of `fem_reference` on S6's triangles; ``normals(points)`` if the surface tells them."""
     coordinates, quadrilaterals = case.grid(size)
-    return on_triangles(case, case.shape(coordinates), _halves(quadrilaterals), element)
+    points = case.shape(coordinates)
+    return on_triangles(case, points, _halves(quadrilaterals), element, None if normals is None else normals(points))
 
 
-def on_triangles(case: Case, points: np.ndarray, triangles: np.ndarray, element: str) -> np.ndarray:
+def on_triangles(
+    case: Case, points: np.ndarray, triangles: np.ndarray, element: str, normals: np.ndarray | None = None
+) -> np.ndarray:
     """H (r, r) by an element of `fem_reference`, loads and readings linear between vertices as CalculiX has them.
 
     Parameters
@@ -146,9 +149,12 @@ def on_triangles(case: Case, points: np.ndarray, triangles: np.ndarray, element:
         Vertices on the case's surface, mm.
     triangles : (k, 3) int array
     element : str
+    normals : (n, 3) array, optional
+        The surface's own at the vertices; estimated from the triangles otherwise.
     """
     weights = _spread(case, points, triangles)
-    part = ShellPart(Surface(points, triangles), case.thickness, YOUNG, POISSON, element)
+    surface = Surface(points, triangles, None if normals is None else normals[triangles])
+    part = ShellPart(surface, case.thickness, YOUNG, POISSON, element)
     held = case.clamped(part.dof_position)
     load = np.zeros((part.ndof, len(case.discs)))
     load[part.vertex_displacement_dofs] = weights
