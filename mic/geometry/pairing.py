@@ -36,6 +36,7 @@ __all__ = ["ContactPair", "Pressed", "Side", "find_between", "find_pairs", "node
 ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
 UNDER = 1.5  # radii of a clamp between two candidates
 RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
+FINE = 6  # sampling points across a cell
 SIDEWAYS = 0.05  # of the thinner sheet: how far beside the normal a closest point may lie where surfaces touch
 
 
@@ -136,13 +137,11 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     tie = max(first.surface.tie, second.surface.tie)
     cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
     area = cloud.area.sum()
-    if zone.candidates:
-        spacing = _candidate_spacing(zone, sampled, other, cloud, pressed)
-        count = max(1, int(area / spacing**2 + 0.5 + EQUAL))
-    else:
-        count = len(zone.points or ()) or zone.pairs
-    cloud = _facing(zone, sampled, other, np.sqrt(area / count) / 6)
     anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
+    if zone.candidates:
+        return _candidates(zone, sampled, other, _candidate_spacing(zone, sampled, other, cloud, pressed), anchors, pressed, swap)
+    count = len(zone.points or ()) or zone.pairs
+    cloud = _facing(zone, sampled, other, np.sqrt(area / count) / FINE)
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))  # from here on, the first of equals is chosen
     if count > len(cloud.area):
         raise ValueError(
@@ -156,9 +155,7 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
                 f"points[{lost[0]}] lies where the parts face nothing; move it, or widen max_gap or the region"
             )
     else:
-        fixed = _under(pressed, cloud, np.sqrt(area / count), tie) if zone.candidates else np.zeros((0, 3))
-        count = max(count, len(fixed))
-        centres = _centres(cloud.point, cloud.area, count, tie, fixed)
+        centres = _centres(cloud.point, cloud.area, count, tie, np.zeros((0, 3)))
     cell = _nearest(centres, cloud.point, tie)
     pairs = []
     for k, centre in enumerate(centres):
@@ -166,26 +163,93 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
         if not len(member):
             raise ValueError(f"pair {k} has no area of its own: its point coincides with another's; remove one of them")
         own = cloud.take(member)
-        if zone.patch == "tributary":
-            reading = own
+        pairs.append(_pair(_reading(zone, sampled, other, own, centre, tie), own.area.sum(), sampled, other, swap))
+    _set_tangents(pairs)
+    return pairs
+
+
+def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[ContactPair]:
+    """Candidates: along the edges of both sheets, where something presses them together, and over all the rest."""
+    tie = max(sampled.surface.tie, other.surface.tie)
+    cloud = _facing(zone, sampled, other, spacing / FINE)
+    cloud = cloud.take(_ranking(cloud.point, anchors, tie))
+    edge = _edges(zone, sampled, other, spacing)
+    edge = edge.take(_ranking(edge.point, anchors, tie))
+    length, ends = edge.area.sum(), np.zeros((0, 3))
+    if len(edge.area):
+        ends = _centres(edge.point, edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
+    under = _under(pressed, cloud, spacing, tie)
+    if len(ends):
+        under = under[cKDTree(ends).query(under)[0] > spacing / 4 + tie]
+    fixed = np.vstack([ends, under])
+    rest = (cloud.area.sum() - spacing * length / 2) / spacing**2 - len(under)
+    count = max(1, len(fixed) + max(0, int(rest + 0.5 + EQUAL)))
+    count = min(count, len(cloud.area))
+    centres = _centres(cloud.point, cloud.area, count, tie, fixed)
+    cell = _nearest(centres, cloud.point, tie)
+    along = _nearest(ends, edge.point, tie) if len(ends) else np.zeros(0, dtype=np.int64)
+    pairs = []
+    for k, centre in enumerate(centres):
+        own = cloud.take(np.flatnonzero(cell == k))
+        if not len(own.area):
+            continue
+        if k < len(ends):
+            reading = edge.take(np.flatnonzero(along == k))
         else:
-            nearest = _first(-np.linalg.norm(own.point - centre, axis=1), tie)
-            seed = centre if zone.points else own.point[nearest]
-            disc = sampled.surface.patch(seed, float(zone.patch), own.normal.mean(0))
-            reading = _project(
-                sampled,
-                other,
-                zone.max_gap,
-                np.radians(zone.max_angle_deg),
-                disc.triangle,
-                disc.barycentric,
-                disc.weight,
-            )
-            if not len(reading.area):
-                reading = own.take([nearest])
+            reading = _reading(zone, sampled, other, own, centre, tie)
         pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
     _set_tangents(pairs)
     return pairs
+
+
+def _reading(zone, sampled, other, own, centre, tie):
+    """Where a pair reads the bodies: its cell, or the disc that the zone states."""
+    if zone.patch == "tributary":
+        return own
+    nearest = _first(-np.linalg.norm(own.point - centre, axis=1), tie)
+    seed = centre if zone.points else own.point[nearest]
+    disc = sampled.surface.patch(seed, float(zone.patch), own.normal.mean(0))
+    angle = np.radians(zone.max_angle_deg)
+    reading = _project(sampled, other, zone.max_gap, angle, disc.triangle, disc.barycentric, disc.weight)
+    return reading if len(reading.area) else own.take([nearest])
+
+
+def _edges(zone, sampled, other, spacing):
+    """Points of both bodies' edges that face the other body, as points of the sampled one; `area` is length, mm.
+
+    Edges that lie upon each other are one.
+    """
+    angle, step = np.radians(zone.max_angle_deg), spacing / FINE
+    found = []
+    for body, opposite in ((sampled, other), (other, sampled)):
+        if body.disc is not None:
+            continue
+        at = body.surface.sample_edges(*body.surface.edges(angle), step)
+        cloud = _project(body, opposite, zone.max_gap, angle, *at)
+        if body is other:
+            cloud = _turned(cloud, sampled)
+            if len(found[0].area):
+                cloud = cloud.take(cKDTree(found[0].point).query(cloud.point)[0] > spacing / 4)
+        found.append(cloud.take(_in_region(zone, cloud.point, sampled.surface.tie)))
+    return _Cloud(*(np.concatenate([getattr(one, name) for one in found]) for name in _Cloud.__dataclass_fields__))
+
+
+def _turned(cloud, body):
+    """The same points seen from the other body, onto whose surface they were projected."""
+    point = body.surface.at(cloud.other_triangle, cloud.other_barycentric)
+    normal = body.surface.normals[cloud.other_triangle]
+    along = np.einsum("ij,ij->i", cloud.point - point, normal)
+    sign = np.where(along < -body.surface.tie, -1.0, 1.0)
+    return _Cloud(
+        cloud.other_triangle,
+        cloud.other_barycentric,
+        point,
+        normal * sign[:, None],
+        cloud.area,
+        along * sign,
+        cloud.triangle,
+        cloud.barycentric,
+    )
 
 
 def find_between(zone, first: Side, second: Side, pairs: Sequence[ContactPair], landmarks=()) -> list[ContactPair]:
@@ -197,7 +261,7 @@ def find_between(zone, first: Side, second: Side, pairs: Sequence[ContactPair], 
     sampled, other = (second, first) if swap else (first, second)
     tie = max(first.surface.tie, second.surface.tie)
     area = sum(pair.area for pair in pairs)
-    cloud = _facing(zone, sampled, other, np.sqrt(area / len(pairs)) / 6)
+    cloud = _facing(zone, sampled, other, np.sqrt(area / len(pairs)) / FINE)
     anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))
     side = 1 if swap else 0

@@ -173,6 +173,31 @@ class Surface:
         _, index, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
         return (count[index.ravel()] == 1).reshape(-1, 3)
 
+    def edges(self, max_angle: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where the sheet ends or folds: edges of triangles on the border, or that no neighbour continues.
+
+        Parameters
+        ----------
+        max_angle : float
+            Radians: a neighbour that is turned by more does not continue a triangle.
+
+        Returns
+        -------
+        triangle : (e,) int array
+            An edge on which two triangles end is one of each.
+        opposite : (e,) int array
+            Corner of the triangle that the edge lies opposite to.
+        """
+        ends = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+        owner = np.repeat(np.arange(len(self.triangles)), 3)
+        _, edge, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+        edge = edge.ravel()
+        total = np.column_stack([np.bincount(edge, self.normals[owner, i], len(count)) for i in range(3)])
+        # Of two unit normals that enclose φ the sum measures 2 cos(φ/2).
+        smooth = (count == 2) & (np.linalg.norm(total, axis=1) >= 2 * np.cos(max_angle / 2) - EQUAL)
+        ending = np.flatnonzero(~smooth[edge])
+        return owner[ending], ending % 3
+
     @cached_property
     def border_vertices(self) -> np.ndarray:
         """(n,) bool: whether each vertex ends an edge of the border."""
@@ -367,6 +392,33 @@ class Surface:
         if not triangle:
             return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
         return np.concatenate(triangle), np.concatenate(barycentric), np.concatenate(area)
+
+    def sample_edges(self, triangle, opposite, spacing: float):
+        """Midpoint quadrature on edges of triangles, on equal parts no longer than `spacing`.
+
+        Parameters
+        ----------
+        triangle, opposite : (e,) int array
+            As :meth:`edges` returns them.
+        spacing : float
+            mm.
+
+        Returns
+        -------
+        triangle : (q,) int array
+        barycentric : (q, 3) array
+        length : (q,) array
+            Length that each point stands for, mm.
+        """
+        length = self.edge_lengths[triangle, opposite]
+        parts = np.maximum(np.ceil(length / spacing - EQUAL), 1).astype(int)
+        owner = np.repeat(np.arange(len(parts)), parts)
+        at = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / parts[owner]
+        barycentric = np.zeros((len(owner), 3))
+        rows = np.arange(len(owner))
+        barycentric[rows, (opposite[owner] + 1) % 3] = 1 - at
+        barycentric[rows, (opposite[owner] + 2) % 3] = at
+        return triangle[owner], barycentric, (length / parts)[owner]
 
     def at(self, triangle, barycentric) -> np.ndarray:
         """(q, 3) coordinates of points given by triangle and barycentric coordinates, mm."""

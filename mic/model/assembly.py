@@ -392,7 +392,7 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
     bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
     stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
-    watched = np.array([scene.zones[i].candidates for i in zone_of], dtype=bool)
+    watched = np.array([every_node or scene.zones[i].candidates for i in zone_of], dtype=bool)
     normal = np.array([pair.frame[:, 0] for pair in pairs]).reshape(-1, 3)
     through = [
         sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
