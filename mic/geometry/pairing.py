@@ -24,7 +24,7 @@ point on the other, as node-to-surface contact does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -84,6 +84,8 @@ class ContactPair:
         Where the pair reads the first and the second body.
     sides : tuple of two int
         Which surface of each body faces the other (+1: along its triangle normals).
+    nugget : int
+        Of the places where the sheets are pressed together, the weld within whose nugget the pair lies; -1 for none.
     """
 
     point: np.ndarray
@@ -94,6 +96,7 @@ class ContactPair:
     area: float
     patches: tuple[Patch, Patch]
     sides: tuple[int, int]
+    nugget: int = -1
 
 
 @dataclass(frozen=True)
@@ -106,10 +109,13 @@ class Pressed:
         mm.
     radius : float or None
         Of a clamp, mm: candidates are so near to each other that a few lie under it.
+    nugget : float or None
+        Radius of a weld, mm: pairs lie within its nugget or outside, none across its rim.
     """
 
     point: np.ndarray
     radius: float | None = None
+    nugget: float | None = None
 
 
 def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[Pressed] = ()) -> list[ContactPair]:
@@ -173,31 +179,37 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
     tie = max(sampled.surface.tie, other.surface.tie)
     cloud = _facing(zone, sampled, other, spacing / FINE)
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))
+    fused = _fused(pressed, cloud)
     edge = _edges(zone, sampled, other, spacing)
+    edge = edge.take(np.flatnonzero(_fused(pressed, edge) < 0))
     edge = edge.take(_ranking(edge.point, anchors, tie))
     length, ends = edge.area.sum(), np.zeros((0, 3))
     if len(edge.area):
         ends = _centres(edge.point, edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
-    under = _under(pressed, cloud, spacing, tie)
-    if len(ends):
-        under = under[cKDTree(ends).query(under)[0] > spacing / 4 + tie]
-    fixed = np.vstack([ends, under])
-    rest = (cloud.area.sum() - spacing * length / 2) / spacing**2 - len(under)
-    count = max(1, len(fixed) + max(0, int(rest + 0.5 + EQUAL)))
-    count = min(count, len(cloud.area))
-    centres = _centres(cloud.point, cloud.area, count, tie, fixed)
-    cell = _nearest(centres, cloud.point, tie)
     along = _nearest(ends, edge.point, tie) if len(ends) else np.zeros(0, dtype=np.int64)
+    under = _under(pressed, cloud, spacing, tie)
     pairs = []
-    for k, centre in enumerate(centres):
-        own = cloud.take(np.flatnonzero(cell == k))
-        if not len(own.area):
-            continue
-        if k < len(ends):
-            reading = edge.take(np.flatnonzero(along == k))
-        else:
-            reading = _reading(zone, sampled, other, own, centre, tie)
-        pairs.append(_pair(reading, own.area.sum(), sampled, other, swap))
+    for nugget in np.unique(fused):
+        whole = cloud.take(np.flatnonzero(fused == nugget))
+        own = under[cKDTree(whole.point).query(under)[0] <= tie]
+        taken = whole.area.sum()
+        if nugget < 0 and len(ends):
+            own = own[cKDTree(ends).query(own)[0] > spacing / 4 + tie]
+            taken -= spacing * length / 2
+            own = np.vstack([ends, own])
+        rest = taken / spacing**2 - (len(own) - (len(ends) if nugget < 0 else 0))
+        count = min(max(1, len(own) + max(0, int(rest + 0.5 + EQUAL))), len(whole.area))
+        centres = _centres(whole.point, whole.area, count, tie, own)
+        cell = _nearest(centres, whole.point, tie)
+        for k, centre in enumerate(centres):
+            member = whole.take(np.flatnonzero(cell == k))
+            if not len(member.area):
+                continue
+            if nugget < 0 and k < len(ends):
+                reading = edge.take(np.flatnonzero(along == k))
+            else:
+                reading = _reading(zone, sampled, other, member, centre, tie)
+            pairs.append(replace(_pair(reading, member.area.sum(), sampled, other, swap), nugget=int(nugget)))
     _set_tangents(pairs)
     return pairs
 
@@ -212,6 +224,18 @@ def _reading(zone, sampled, other, own, centre, tie):
     angle = np.radians(zone.max_angle_deg)
     reading = _project(sampled, other, zone.max_gap, angle, disc.triangle, disc.barycentric, disc.weight)
     return reading if len(reading.area) else own.take([nearest])
+
+
+def _fused(pressed, cloud) -> np.ndarray:
+    """(n,) of the places where the sheets are pressed together the weld in whose nugget each point lies; -1 for none."""
+    found = np.full(len(cloud.area), -1)
+    for i, one in enumerate(pressed):
+        if one.nugget is not None:
+            step = cloud.point - one.point
+            along = np.einsum("ij,ij->i", step, cloud.normal)
+            sideways = np.linalg.norm(step - along[:, None] * cloud.normal, axis=1)
+            found[(sideways <= one.nugget * (1 + EQUAL)) & (np.abs(along) <= cloud.distance + one.nugget)] = i
+    return found
 
 
 def _edges(zone, sampled, other, spacing):

@@ -314,7 +314,7 @@ def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
 def _pressed(scene, zone) -> list[Pressed]:
     """Where something presses the bodies of a zone together: clamps, welds and locators."""
     places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
-    places += [Pressed(np.array(item.point)) for item in scene.welds if set(item.parts) == set(zone.parts)]
+    places += [Pressed(np.array(item.point), nugget=item.radius) for item in scene.welds if set(item.parts) == set(zone.parts)]
     return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
 
 
