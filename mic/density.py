@@ -46,13 +46,12 @@ class Convergence:
 def denser(assembly: Assembly) -> Scene:
     """The scene of an assembly with its pairs at `DENSER` of their distance; points it states turn to candidates."""
     zones = []
-    for i, zone in enumerate(assembly.scene.zones):
-        area = assembly.contacts.area[assembly.contacts.zone == i]
+    for i, (zone, spacing) in enumerate(zip(assembly.scene.zones, assembly.spacing)):
         if zone.pairs:
             zones.append(zone.model_copy(update={"pairs": round(zone.pairs / DENSER**2)}))
         else:
-            spacing = DENSER * float(np.sqrt(area.mean()))
-            zones.append(zone.model_copy(update={"points": None, "spacing": spacing}))
+            own = spacing or float(np.sqrt(assembly.contacts.area[assembly.contacts.zone == i].mean()))
+            zones.append(zone.model_copy(update={"points": None, "spacing": DENSER * own}))
     return assembly.scene.model_copy(update={"zones": zones})
 
 

@@ -37,13 +37,26 @@ def sideways(points, point):
     return np.linalg.norm((points - np.array(point))[:, :2], axis=1)
 
 
-def test_candidates_stand_four_thicknesses_apart_and_one_at_each_clamp_and_weld(scene, model):
-    """1000 mm² of sheets of 1 mm: 62 or 63 candidates, on elements of 2.5 mm, under clamps of 5 mm."""
-    assert model.contacts.watched.all() and len(model.contacts) in (62, 63)
+def test_candidates_stand_four_thicknesses_apart_along_the_edges_and_within_and_one_at_each_clamp_and_weld(
+    scene, model
+):
+    """1000 mm² of sheets of 1 mm, 130 mm about: 32 or 33 at the edges, 4 mm apart, and one for each 16 mm² within.
+
+    Half of what those at the edges take lies beyond these.
+    """
+    edge, count = 130 / 4, (1000 - 130 * 4 / 2) / 16
+    assert model.contacts.watched.all() and abs(len(model.contacts) - edge - count) < 3
     for item in (*scene.clamps, *scene.welds):
         assert sideways(model.contacts.point, item.point).min() < 0.5
+    x, y = model.contacts.point[:, 0], model.contacts.point[:, 1]
+    beyond = np.min([x - 60, 100 - x, y, 25 - y], axis=0)
+    at_edge = beyond < 0.5
+    assert abs(at_edge.sum() - edge) < 1.5 and beyond.min() > -1e-9
+    assert (beyond[at_edge] < 1e-9).sum() >= at_edge.sum() - 4  # but for those about a corner
+    assert beyond[~at_edge].min() > 2.0
     nearest = [np.sort(sideways(model.contacts.point, point))[1] for point in model.contacts.point]
-    assert min(nearest) > 2.0 and max(nearest) < 6.0
+    assert min(nearest) > 1.9 and max(nearest) < 6.0
+    assert model.contacts.area.sum() == pytest.approx(1000)
 
 
 def test_a_zone_that_states_its_pairs_keeps_them_and_watches_what_they_miss(scene, cache):
@@ -200,7 +213,7 @@ def test_denser_pairs_stand_at_a_share_of_the_distance(scene, cache):
     few = assemble(with_zone(scene, pairs=24), cache)
     assert denser(few).zones[0].pairs == 49
     many = assemble(scene, cache)
-    assert denser(many).zones[0].spacing == pytest.approx(DENSER * np.sqrt(1000 / len(many.contacts)), rel=0.02)
+    assert denser(many).zones[0].spacing == pytest.approx(DENSER * 4.0)
 
 
 # -------------------------------------------------------------------------------------------- known answers
@@ -209,8 +222,8 @@ LENGTH, WIDTH, THICKNESS, YOUNG = 200.0, 20.0, 2.0, 210e3  # mm, MPa
 INERTIA = WIDTH * THICKNESS**3 / 12
 
 
-def strip_scene(folder, clamps, fixture, zone, size=5.0):
-    """A strip along x without lateral contraction, its ends on locators, above a rigid fixture."""
+def strip_scene(folder, clamps, fixture, zone, size=5.0, measurements=()):
+    """A strip along x without lateral contraction, its ends on locators, above a rigid fixture; read while clamped."""
     (folder / "geometry.py").write_text(
         "from mic.geometry.structured import extrude\n"
         f"def build(part, size):\n    return extrude([(0, 0), ({WIDTH}, 0)], 0.0, {LENGTH}, size)\n"
@@ -229,9 +242,19 @@ def strip_scene(folder, clamps, fixture, zone, size=5.0):
         ],
         clamps=[dict(name=f"C{i}", part="strip", direction=(0, 0, -1), **one) for i, one in enumerate(clamps)],
         zones=[dict(name="stop", parts=("stop", "strip"), **zone)],
-        stages=[dict(kind="locate"), dict(kind="clamp")],
+        stages=[dict(kind="locate"), dict(kind="clamp")] + [dict(kind="measure")] * bool(measurements),
+        measurements=[dict(lower=-1, upper=1, **one) for one in measurements],
         report=dict(laws=["frictionless"]),
     )
+
+
+def flat_table(folder, gap):
+    """A file of a rigid table under the whole strip; returns its name."""
+    corners = [(-5, -5), (LENGTH + 5, -5), (LENGTH + 5, WIDTH + 5), (-5, WIDTH + 5)]
+    a, b, c, d = (f"vertex {x} {y} {-THICKNESS / 2 - gap}\n" for x, y in corners)
+    facets = "".join(f"facet normal 0 0 1\nouter loop\n{one}endloop\nendfacet\n" for one in (a + b + c, a + c + d))
+    (folder / "table.stl").write_text(f"solid table\n{facets}endsolid table\n")
+    return "table.stl"
 
 
 @pytest.mark.fem
@@ -253,21 +276,47 @@ def test_a_strip_under_a_uniform_load_lifts_off_a_table_at_its_ends(tmp_path, ca
     a⁴ = 24 E I g/q,        R/(q L) = 1 − a/L        with both ends: each takes q a/2.
     """
     gap, load = 0.02, 0.05  # mm, N/mm
-    table = tmp_path / "table.stl"
-    corners = [(-5, -5), (LENGTH + 5, -5), (LENGTH + 5, WIDTH + 5), (-5, WIDTH + 5)]
-    a, b, c, d = (f"vertex {x} {y} {-THICKNESS / 2 - gap}\n" for x, y in corners)
-    facets = "".join(f"facet normal 0 0 1\nouter loop\n{one}endloop\nendfacet\n" for one in (a + b + c, a + c + d))
-    table.write_text(f"solid table\n{facets}endsolid table\n")
     places = np.arange(2.5, LENGTH, 5.0)
     clamps = [
         dict(point=(x, y, 0), force=load * 5.0 / 2, radius=3.0) for x in places for y in (WIDTH / 4, 3 * WIDTH / 4)
     ]
-    scene = strip_scene(tmp_path, clamps, dict(mesh="table.stl"), {})
+    scene = strip_scene(tmp_path, clamps, dict(mesh=flat_table(tmp_path, gap)), {})
     found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
     free = (24 * YOUNG * INERTIA * gap / load) ** 0.25
     assert free < LENGTH / 2
     total = found.force[0, :, 0].sum()
     assert total / (load * LENGTH) == pytest.approx(1 - free / LENGTH, rel=5e-3)
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("apart", [40.0, 20.0])
+def test_a_strip_is_pressed_down_between_two_rows_of_pairs_as_a_beam_on_four_supports_and_watched_it_is_not(
+    apart, tmp_path, cache
+):
+    """Pressed by P in the middle of two rows of pairs, a apart, L₁ from the ends: by the theorem of three moments
+
+    M = −3 P a²/(8 (2 L₁ + 3 a)) over the rows,   δ = (P a³/48 + M a²/8)/(E I) into the table,   ΣR = P − 2 M/L₁.
+    """
+    force, across = 400.0, np.linspace(0, WIDTH, 5)
+    line = [(LENGTH / 2, y, force * share) for y, share in zip(across, (1 / 8, 1 / 4, 1 / 4, 1 / 4, 1 / 8))]
+    clamps = [dict(point=(x, y, 0), force=own, radius=0) for x, y, own in line]
+    table = dict(mesh=flat_table(tmp_path, 0.0))
+    rows = [(LENGTH / 2 + side * apart / 2, y, 0.0) for side in (-1, 1) for y in across]
+
+    probe = dict(name="depth", part="strip", point=(LENGTH / 2, WIDTH / 2, 0), direction=(0, 0, -1), radius=0)
+
+    def pressed(zone):
+        scene = strip_scene(tmp_path, clamps, table, zone, measurements=[probe])
+        return mic.reduce(scene, cache).evaluate({})
+
+    free = (LENGTH - apart) / 2
+    moment = -3 * force * apart**2 / (8 * (2 * free + 3 * apart))
+    depth = (force * apart**3 / 48 + moment * apart**2 / 8) / (YOUNG * INERTIA)
+    found = pressed(dict(points=rows, patch=0.0))
+    assert found.measurements[0, 0] == pytest.approx(depth, rel=0.02)
+    assert found.resolutions["clamp"].force[0, :, 0].sum() == pytest.approx(force - 2 * moment / free, rel=0.02)
+    watched = pressed({})
+    assert watched.measurements[0, 0] < 1e-3 and watched.resolutions["clamp"].unseen[0] < 1e-3
 
 
 def test_a_part_is_not_held_by_rows_that_read_rounding_of_its_motions():

@@ -39,11 +39,12 @@ def readings(case, folder):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("watched", [False, True], ids=["any", "watched"])
 @pytest.mark.parametrize("change", SAME)
 @settings(max_examples=5, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, seed, tmp_path_factory):
-    case = random_case(seed)
+def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, watched, seed, tmp_path_factory):
+    case = random_case(seed, watched=watched)
     other, matrix, unit = SAME[change](case, seed)
     contacts, patches = readings(case, tmp_path_factory.mktemp("given"))
     found, found_patches = readings(other, tmp_path_factory.mktemp("changed"))
@@ -59,11 +60,12 @@ def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, seed, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.fem
+@pytest.mark.parametrize("watched", [False, True], ids=["any", "watched"])
 @pytest.mark.parametrize("change", SAME)
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_the_same_scene_has_the_same_measurements(change, seed, tmp_path_factory):
-    case = random_case(seed)
+def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_path_factory):
+    case = random_case(seed, watched=watched)
     other, _, unit = SAME[change](case, seed)
     for law in ("coulomb", "frictionless"):
         given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
@@ -74,10 +76,11 @@ def test_the_same_scene_has_the_same_measurements(change, seed, tmp_path_factory
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("watched", [False, True], ids=["any", "watched"])
 @settings(max_examples=5, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_pairs_on_borders_follow_a_small_change(seed, tmp_path_factory):
-    case = random_case(seed)
+def test_pairs_on_borders_follow_a_small_change(watched, seed, tmp_path_factory):
+    case = random_case(seed, watched=watched)
     contacts, patches = readings(case, tmp_path_factory.mktemp("given"))
     found, found_patches = readings(moved_by(case, 1e-9, seed), tmp_path_factory.mktemp("changed"))
     np.testing.assert_allclose(found.point, contacts.point, rtol=0, atol=1e-6)

@@ -41,6 +41,17 @@ def test_tangential_displacement_of_a_zone_is_the_rms_over_its_pairs(found):
     assert moved == pytest.approx(rms, rel=1e-12) and rms > 1e-5
 
 
+def test_candidates_count_by_their_area(lap_model, evaluation):
+    area = np.linspace(1.0, 5.0, len(lap_model.contacts))
+    watched = np.ones(len(area), dtype=bool)
+    dense = replace(lap_model, contacts=replace(lap_model.contacts, watched=watched, area=area))
+    slips = tables(dense, evaluation)["slips"].query("stage == 'clamp'")
+    resolution = evaluation.resolutions["clamp"]
+    for column, motion in (("rms_tangential", resolution.displacement[:, :, 1:]), ("rms_slip", resolution.trace.slip)):
+        wanted = np.sqrt(np.average((motion**2).sum(axis=2), axis=1, weights=area))
+        np.testing.assert_allclose(slips[column], wanted, rtol=1e-12)
+
+
 def test_slip_of_a_zone_is_that_under_load(found, evaluation):
     """Whatever slid, rubbed; what was open all the way is told by the tangential displacement alone."""
     for stage, resolution in evaluation.resolutions.items():

@@ -6,10 +6,15 @@ between the *facing* surfaces (both half-thicknesses taken off) within a limit. 
 of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the projections on the
 other, so that a pair's two forces act on one line and leave no couple behind.
 
-A zone that states neither how many pairs nor which gets *candidates*: a cell about every place where something presses
-the sheets together, and the others so far apart as an element allows and what bends between two pairs demands,
+A zone that states neither how many pairs nor which gets *candidates*, so far apart as an element allows and what bends
+between two pairs demands,
 
     max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius.
+
+They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
+length of the edge; at every place where something presses the sheets together; and over the rest, each reading a cell.
+Contact begins where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a
+nugget or outside, so that no pair fights the weld that it lies at half.
 
 Points *between* the pairs, as far from them as there are, tell how far the sheets pass through each other unseen.
 
@@ -17,8 +22,8 @@ Which sampling points belong to a zone, and to which pair, must not hang on roun
 is inside, and where cells could start or end at several places alike, the distances from the scene's locators decide.
 So a scene that is turned, mirrored, renumbered or written in other units has the same pairs, in the same order.
 
-`node_pairs` takes the mesh's own sampling instead: every vertex of the first surface in the zone against its closest
-point on the other, as node-to-surface contact does.
+`node_pairs` takes the meshes' own sampling instead: every vertex of either surface in the zone against its closest
+point on the other, as node-to-surface contact does, both ways.
 """
 
 from __future__ import annotations
@@ -31,11 +36,13 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import EQUAL, Patch, Surface
 
-__all__ = ["ContactPair", "Pressed", "Side", "find_between", "find_pairs", "node_pairs", "pair_at"]
+__all__ = ["ContactPair", "Pressed", "Side", "candidate_spacing", "find_between", "find_pairs", "node_pairs", "pair_at"]
 
 ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
 UNDER = 1.5  # radii of a clamp between two candidates
 RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
+FOLD = 10.0  # degrees: a sheet whose triangles turn by more ends a plane there
+NEAR = 0.005  # of the thinner sheet: what is farther apart than the nearest place of a cell, by so much, is not read
 FINE = 6  # sampling points across a cell
 SIDEWAYS = 0.05  # of the thinner sheet: how far beside the normal a closest point may lie where surfaces touch
 
@@ -85,7 +92,7 @@ class ContactPair:
     sides : tuple of two int
         Which surface of each body faces the other (+1: along its triangle normals).
     nugget : int
-        Of the places where the sheets are pressed together, the weld within whose nugget the pair lies; -1 for none.
+        Number of the weld within whose nugget the pair lies; -1 for none.
     """
 
     point: np.ndarray
@@ -107,15 +114,16 @@ class Pressed:
     ----------
     point : (3,) array
         mm.
-    radius : float or None
-        Of a clamp, mm: candidates are so near to each other that a few lie under it.
-    nugget : float or None
-        Radius of a weld, mm: pairs lie within its nugget or outside, none across its rim.
+    radius : float
+        Of a clamp, mm: candidates are so near to each other that a few lie under it. Of a weld's nugget, mm: pairs lie
+        within or outside, none across its rim. Nothing hangs on that of a locator.
+    weld : int
+        Number of the weld; -1 for anything else.
     """
 
     point: np.ndarray
-    radius: float | None = None
-    nugget: float | None = None
+    radius: float = 0.0
+    weld: int = -1
 
 
 def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[Pressed] = ()) -> list[ContactPair]:
@@ -141,11 +149,11 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     swap = first.rigid  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
     sampled, other = (second, first) if swap else (first, second)
     tie = max(first.surface.tie, second.surface.tie)
-    cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
-    area = cloud.area.sum()
     anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
     if zone.candidates:
-        return _candidates(zone, sampled, other, _candidate_spacing(zone, sampled, other, cloud, pressed), anchors, pressed, swap)
+        spacing = candidate_spacing(zone, first, second, pressed)
+        return _candidates(zone, sampled, other, spacing, anchors, pressed, swap)
+    area = _facing(zone, sampled, other, _first_spacing(sampled.surface)).area.sum()
     count = len(zone.points or ()) or zone.pairs
     cloud = _facing(zone, sampled, other, np.sqrt(area / count) / FINE)
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))  # from here on, the first of equals is chosen
@@ -179,9 +187,9 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
     tie = max(sampled.surface.tie, other.surface.tie)
     cloud = _facing(zone, sampled, other, spacing / FINE)
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))
-    fused = _fused(pressed, cloud)
+    fused = _fused(pressed, cloud, tie)
     edge = _edges(zone, sampled, other, spacing)
-    edge = edge.take(np.flatnonzero(_fused(pressed, edge) < 0))
+    edge = edge.take(np.flatnonzero(_fused(pressed, edge, tie) < 0))
     edge = edge.take(_ranking(edge.point, anchors, tie))
     length, ends = edge.area.sum(), np.zeros((0, 3))
     if len(edge.area):
@@ -205,11 +213,14 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
             member = whole.take(np.flatnonzero(cell == k))
             if not len(member.area):
                 continue
-            if nugget < 0 and k < len(ends):
+            if nugget < 0 and k < len(ends) and zone.patch == "tributary":
                 reading = edge.take(np.flatnonzero(along == k))
             else:
                 reading = _reading(zone, sampled, other, member, centre, tie)
-            pairs.append(replace(_pair(reading, member.area.sum(), sampled, other, swap), nugget=int(nugget)))
+            whole = _pair(member, member.area.sum(), sampled, other, swap)
+            pair = _pair(_nearest_part(reading, sampled, other), whole.area, sampled, other, swap)
+            told = {"overlap": whole.overlap, "overlapping": whole.overlapping, "nugget": int(nugget)}
+            pairs.append(replace(pair, **told))
     _set_tangents(pairs)
     return pairs
 
@@ -226,15 +237,15 @@ def _reading(zone, sampled, other, own, centre, tie):
     return reading if len(reading.area) else own.take([nearest])
 
 
-def _fused(pressed, cloud) -> np.ndarray:
-    """(n,) of the places where the sheets are pressed together the weld in whose nugget each point lies; -1 for none."""
+def _fused(pressed, cloud, tie) -> np.ndarray:
+    """(n,) number of the weld in whose nugget, seen along the normal, each point lies; -1 for none."""
     found = np.full(len(cloud.area), -1)
-    for i, one in enumerate(pressed):
-        if one.nugget is not None:
+    for one in pressed:
+        if one.weld >= 0:
             step = cloud.point - one.point
             along = np.einsum("ij,ij->i", step, cloud.normal)
             sideways = np.linalg.norm(step - along[:, None] * cloud.normal, axis=1)
-            found[(sideways <= one.nugget * (1 + EQUAL)) & (np.abs(along) <= cloud.distance + one.nugget)] = i
+            found[(sideways <= one.radius + tie) & (np.abs(along) <= cloud.distance + one.radius)] = one.weld
     return found
 
 
@@ -248,14 +259,23 @@ def _edges(zone, sampled, other, spacing):
     for body, opposite in ((sampled, other), (other, sampled)):
         if body.disc is not None:
             continue
-        at = body.surface.sample_edges(*body.surface.edges(angle), step)
+        at = body.surface.sample_edges(*body.surface.edges(np.radians(FOLD)), step)
         cloud = _project(body, opposite, zone.max_gap, angle, *at)
+        if len(cloud.area):  # on a fold a point is there once for each of the two triangles
+            tree = cKDTree(cloud.point)
+            cloud = replace(
+                cloud, area=cloud.area / tree.query_ball_point(cloud.point, body.surface.tie, return_length=True)
+            )
         if body is other:
             cloud = _turned(cloud, sampled)
             if len(found[0].area):
-                cloud = cloud.take(cKDTree(found[0].point).query(cloud.point)[0] > spacing / 4)
+                cloud = cloud.take(cKDTree(found[0].point).query(cloud.point)[0] > spacing / 4 + sampled.surface.tie)
         found.append(cloud.take(_in_region(zone, cloud.point, sampled.surface.tie)))
-    return _Cloud(*(np.concatenate([getattr(one, name) for one in found]) for name in _Cloud.__dataclass_fields__))
+    return _joined(found)
+
+
+def _joined(clouds):
+    return _Cloud(*(np.concatenate([getattr(one, name) for one in clouds]) for name in _Cloud.__dataclass_fields__))
 
 
 def _turned(cloud, body):
@@ -276,7 +296,39 @@ def _turned(cloud, body):
     )
 
 
-def find_between(zone, first: Side, second: Side, pairs: Sequence[ContactPair], landmarks=()) -> list[ContactPair]:
+def candidate_spacing(zone, first: Side, second: Side, pressed: Sequence[Pressed] = ()) -> float:
+    """Distance between the candidates of a zone, mm: what it states, or what elements, sheets and clamps demand.
+
+    Parameters
+    ----------
+    zone, first, second, pressed
+        As `find_pairs` takes them.
+
+    Raises
+    ------
+    ValueError
+        If the zone is empty, or states a distance that is finer than the elements.
+    """
+    sampled, other = (second, first) if first.rigid else (first, second)
+    cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
+    surfaces = [(sampled, cloud.triangle)] + [(other, cloud.other_triangle)] * (not other.rigid)
+    element = max(float(np.median(body.surface.edge_lengths[np.unique(own)])) for body, own in surfaces)
+    if zone.spacing is not None:
+        if zone.spacing < RESOLVED * element:
+            raise ValueError(
+                f"spacing = {zone.spacing:g} mm between candidates is finer than the elements there "
+                f"({element:.2g} mm), which tell such neighbours not apart: refine the mesh, or ask for "
+                f"{RESOLVED * element:.2g} mm or more"
+            )
+        return zone.spacing
+    thinner = _thinner(sampled, other)
+    radii = [place.radius for place in pressed if place.radius and place.weld < 0]
+    return max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+
+
+def find_between(
+    zone, first: Side, second: Side, pairs: Sequence[ContactPair], landmarks=(), pressed: Sequence[Pressed] = ()
+) -> list[ContactPair]:
     """As many points of the zone as it has pairs, as far from these and from each other as possible.
 
     They are pairs whose patches are points, and none of them carries force: they tell what the pairs miss.
@@ -298,17 +350,21 @@ def find_between(zone, first: Side, second: Side, pairs: Sequence[ContactPair], 
     for _ in range(min(len(pairs), len(cloud.area))):
         chosen.append(_first(nearest, tie))
         nearest = np.minimum(nearest, np.linalg.norm(cloud.point - cloud.point[chosen[-1]], axis=1))
-    between = [_pair(cloud.take([i]), cloud.area[i], sampled, other, swap) for i in chosen]
+    fused = _fused(pressed, cloud, tie)
+    between = [
+        replace(_pair(cloud.take([i]), cloud.area[i], sampled, other, swap), nugget=int(fused[i])) for i in chosen
+    ]
     _set_tangents(between)
     return between
 
 
-def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
-    """A pair at every vertex of the first surface that lies in the zone and faces the second; its patches are points.
+def node_pairs(zone, first: Side, second: Side, pressed: Sequence[Pressed] = ()) -> list[ContactPair]:
+    """A pair at every vertex of either surface that lies in the zone and faces the other; its patches are points.
 
-    The zone's own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it,
-    and looks along the mean normal of its triangles. (A rigid first body is looked at from the second, as in
-    `find_pairs`.)
+    Those of one surface alone would miss where the other ends. A rigid fixture has no vertices of its own. The zone's
+    own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it, half of it
+    where both bodies have vertices, and looks along the mean normal of its triangles. Vertices that lie upon each other
+    are one.
 
     Raises
     ------
@@ -317,28 +373,38 @@ def node_pairs(zone, first: Side, second: Side) -> list[ContactPair]:
     """
     swap = first.rigid
     sampled, other = (second, first) if swap else (first, second)
-    surface = sampled.surface
-    vertex, use = _vertex_uses(surface)
-    inside = _in_region(zone, surface.points[vertex], surface.tie)
-    vertex, (triangle, corner) = vertex[inside], np.divmod(use[inside], 3)
-    area = np.bincount(surface.triangles.ravel(), np.repeat(surface.areas / 3, 3))
-    cloud = _project(
-        sampled,
-        other,
-        zone.max_gap,
-        np.radians(zone.max_angle_deg),
-        triangle,
-        np.eye(3)[corner],
-        area[vertex],
-        surface.vertex_normals[vertex],
-    )
+    tie = max(first.surface.tie, second.surface.tie)
+    cloud = _vertices(zone, sampled, other)
+    if not other.rigid:
+        back = _turned(_vertices(zone, other, sampled), sampled)
+        if len(cloud.area):
+            distance, same = cKDTree(cloud.point).query(back.point)
+            np.add.at(cloud.area, same[distance <= tie], back.area[distance <= tie])
+            back = back.take(np.flatnonzero(distance > tie))
+        cloud = _joined([cloud, back])
+        cloud = replace(cloud, area=cloud.area / 2)
+    cloud = cloud.take(np.flatnonzero(_in_region(zone, cloud.point, sampled.surface.tie)))
     if not len(cloud.area):
         raise ValueError(
-            "no vertex of the mesh faces the other surface there; refine the mesh, move the region, or widen max_gap"
+            "no vertex of the meshes faces the other surface there; refine the mesh, move the region, or widen max_gap"
         )
-    pairs = [_pair(cloud.take([i]), cloud.area[i], sampled, other, swap) for i in range(len(cloud.area))]
+    fused = _fused(pressed, cloud, tie)
+    pairs = [
+        replace(_pair(cloud.take([i]), cloud.area[i], sampled, other, swap), nugget=int(fused[i]))
+        for i in range(len(cloud.area))
+    ]
     _set_tangents(pairs)
     return pairs
+
+
+def _vertices(zone, body, opposite):
+    """Vertices of one body that face the other; the area of each is a third of the triangles about it."""
+    surface = body.surface
+    vertex, use = _vertex_uses(surface)
+    triangle, corner = np.divmod(use, 3)
+    area = np.bincount(surface.triangles.ravel(), np.repeat(surface.areas / 3, 3))[vertex]
+    normal, angle = surface.vertex_normals[vertex], np.radians(zone.max_angle_deg)
+    return _project(body, opposite, zone.max_gap, angle, triangle, np.eye(3)[corner], area, normal)
 
 
 def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
@@ -421,34 +487,17 @@ def _facing(zone, sampled, other, spacing):
     return cloud
 
 
-def _candidate_spacing(zone, sampled, other, cloud, pressed) -> float:
-    """Distance between candidates, mm."""
-    surfaces = [(sampled, cloud.triangle)] + [(other, cloud.other_triangle)] * (not other.rigid)
-    element = max(float(np.median(body.surface.edge_lengths[np.unique(own)])) for body, own in surfaces)
-    if zone.spacing is not None:
-        if zone.spacing < RESOLVED * element:
-            raise ValueError(
-                f"spacing = {zone.spacing:g} mm between candidates is finer than the elements there "
-                f"({element:.2g} mm), which tell such neighbours not apart: refine the mesh, or ask for "
-                f"{RESOLVED * element:.2g} mm or more"
-            )
-        return zone.spacing
-    thinner = min(body.thickness for body in (sampled, other) if not body.rigid)
-    radii = [place.radius for place in pressed if place.radius]
-    return max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
-
-
 def _under(pressed, cloud, spacing, tie) -> np.ndarray:
     """(k, 3) places of the zone where something presses the sheets together, half a spacing or more apart."""
     places: list[np.ndarray] = []
     for one in pressed:
         step = cloud.point - one.point
         sideways = np.linalg.norm(step - np.einsum("ij,ij->i", step, cloud.normal)[:, None] * cloud.normal, axis=1)
-        sideways[np.linalg.norm(step, axis=1) > 2 * cloud.distance + spacing] = np.inf
+        sideways[np.linalg.norm(step, axis=1) > 2 * cloud.distance + spacing + tie] = np.inf
         at = _first(-sideways, tie)
-        if sideways[at] > spacing / 4:
+        if sideways[at] > spacing / 4 + tie:
             continue
-        if all(np.linalg.norm(cloud.point[at] - place) > spacing / 2 for place in places):
+        if all(np.linalg.norm(cloud.point[at] - place) > spacing / 2 + tie for place in places):
             places.append(cloud.point[at])
     return np.array(places).reshape(-1, 3)
 
@@ -476,7 +525,7 @@ def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, no
     point = surface.at(triangle, barycentric)
     normal = surface.normals[triangle] if normal is None else normal
     reach = max_gap + sampled.half_thickness + other.half_thickness
-    thinner = min(body.thickness for body in (sampled, other) if not body.rigid)
+    thinner = _thinner(sampled, other)
     tie = max(surface.tie, opposite.tie)
     farthest = np.hypot(reach, np.tan(max_angle) * reach + SIDEWAYS * thinner) + 3 * tie
     foot = opposite.project(point, normal, max_angle, farthest)
@@ -549,7 +598,10 @@ def _centres(point, weight, count, tie, fixed):
     for _ in range(50):
         cell = _nearest(centres, point, tie)
         total = np.bincount(cell, weight, count)
+        empty = total == 0  # one that stands upon others
+        total[empty] = 1.0
         moved = np.column_stack([np.bincount(cell, weight * point[:, i], count) for i in range(3)]) / total[:, None]
+        moved[empty] = centres[empty]
         moved[: len(fixed)] = fixed
         if np.linalg.norm(moved - centres, axis=1).max() < tie:
             break
@@ -567,6 +619,17 @@ def _vertex_uses(surface):
     use = np.flatnonzero(along >= most[vertex] - EQUAL)
     used, first = np.unique(vertex[use], return_index=True)
     return used, use[first]
+
+
+def _thinner(*bodies) -> float:
+    return min(body.thickness for body in bodies if not body.rigid)
+
+
+def _nearest_part(cloud, sampled, other):
+    """A cell, its points weighed by how near to the nearest of them the surfaces are; where these overlap they touch."""
+    apart = np.maximum(cloud.distance - sampled.half_thickness - other.half_thickness, 0.0)
+    share = np.maximum(1 - (apart - apart.min()) / (NEAR * _thinner(sampled, other)), 0.0)
+    return replace(cloud, area=share * cloud.area)
 
 
 def _pair(cloud, area, sampled, other, swap):

@@ -16,7 +16,16 @@ from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
-from mic.geometry.pairing import ContactPair, Pressed, Side, find_between, find_pairs, node_pairs, pair_at
+from mic.geometry.pairing import (
+    ContactPair,
+    Pressed,
+    Side,
+    candidate_spacing,
+    find_between,
+    find_pairs,
+    node_pairs,
+    pair_at,
+)
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
 from mic.model.rows import AXES, Rows
@@ -154,6 +163,8 @@ class Assembly:
         Hashes of the files that the meshes of parts and fixtures were made from.
     sizes : dict of str to float
         Element sizes, mm, of the parts that state an accuracy.
+    spacing : tuple of float or None
+        Distance between the candidates of each zone, mm; None where a zone states its pairs.
     """
 
     scene: Scene
@@ -166,6 +177,7 @@ class Assembly:
     weld_gap: np.ndarray
     inputs: dict[str, str | None]
     sizes: Mapping[str, float] = field(default_factory=dict)
+    spacing: tuple[float | None, ...] = ()
 
     @property
     def offsets(self) -> np.ndarray:
@@ -186,7 +198,7 @@ def assemble(
     cache : Path
         Folder for generated meshes.
     every_node : bool
-        One contact pair per mesh vertex in the zones (:func:`mic.geometry.pairing.node_pairs`), not the pairs that the
+        Candidates at every mesh vertex in the zones (:func:`mic.geometry.pairing.node_pairs`), not the pairs that the
         zones ask for.
     progress : callable, optional
         Called with one line of text before each solve.
@@ -242,7 +254,24 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         for part in scene.parts
     )
     weld_size = tuple(size for _, size in drawn)
-    return Assembly(scene, parts, rows.matrices(), rows.labels, contacts, between, weld_size, weld_gap, inputs, sizes)
+    spacing: list[float | None] = []
+    for zone in scene.zones:
+        first, second = (bodies[name] for name in zone.parts)
+        asked = pairs and zone.candidates
+        spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone)) if asked else None)
+    return Assembly(
+        scene,
+        parts,
+        rows.matrices(),
+        rows.labels,
+        contacts,
+        between,
+        weld_size,
+        weld_gap,
+        inputs,
+        sizes,
+        tuple(spacing),
+    )
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
@@ -303,7 +332,7 @@ def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
         a, b = (bodies[name] for name in zone.parts)
         try:
             if every_node:
-                found.append(node_pairs(zone, a, b))
+                found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
             else:
                 found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
         except ValueError as error:
@@ -314,7 +343,9 @@ def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
 def _pressed(scene, zone) -> list[Pressed]:
     """Where something presses the bodies of a zone together: clamps, welds and locators."""
     places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
-    places += [Pressed(np.array(item.point), nugget=item.radius) for item in scene.welds if set(item.parts) == set(zone.parts)]
+    for i, weld in enumerate(scene.welds):
+        if set(weld.parts) == set(zone.parts):
+            places.append(Pressed(np.array(weld.point), weld.radius, i))
     return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
 
 
@@ -325,31 +356,17 @@ def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     zones: list[int] = []
     for i, (zone, own) in enumerate(zip(scene.zones, pairs)):
         a, b = (bodies[name] for name in zone.parts)
-        found = find_between(zone, a, b, own, landmarks)
+        found = find_between(zone, a, b, own, landmarks, _pressed(scene, zone))
         for one in found:
             _joint_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, one, 1)
             points.append(one)
         zones += [i] * len(found)
     at = np.array([one.point for one in points]).reshape(-1, 3)
-    normal = np.array([one.frame[:, 0] for one in points]).reshape(-1, 3)
     zone_of, gap = np.array(zones, dtype=np.int64), np.array([one.gap for one in points])
     for i, zone in enumerate(scene.zones):
         if zone.nominal_overlap != "keep":
             gap[zone_of == i] = np.maximum(gap[zone_of == i], 0.0)
-    return Between(zone_of, gap, _nuggets(scene, zone_of, at, normal), at)
-
-
-def _nuggets(scene, zone_of, point, normal) -> np.ndarray:
-    """(m,) the weld within whose nugget, seen along the normal, each point lies; -1 for none."""
-    found = np.full(len(zone_of), -1)
-    for i, weld in enumerate(scene.welds):
-        alike = [z for z, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
-        step = point - np.array(weld.point)
-        along = np.einsum("ij,ij->i", step, normal)
-        sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
-        reach = max(part.thickness for part in scene.parts if part.name in weld.parts) + weld.radius
-        found[np.isin(zone_of, alike) & (sideways <= weld.radius) & (np.abs(along) <= reach)] = i
-    return found
+    return Between(zone_of, gap, np.array([one.nugget for one in points], dtype=np.int64), at)
 
 
 def _joint_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimension) -> None:
@@ -393,7 +410,6 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
     stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
     watched = np.array([every_node or scene.zones[i].candidates for i in zone_of], dtype=bool)
-    normal = np.array([pair.frame[:, 0] for pair in pairs]).reshape(-1, 3)
     through = [
         sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
         for zone in scene.zones
@@ -410,7 +426,7 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
         area,
         watched,
         np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
-        np.where(watched, _nuggets(scene, zone_of, point, normal), -1),
+        np.array([pair.nugget for pair in pairs], dtype=np.int64),
         bearing,
         point,
         np.array([p.frame for p in pairs]).reshape(-1, 3, 3),

@@ -258,7 +258,8 @@ SLIPS = _dataset(
             "rms_slip",
             "float64",
             "mm",
-            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net",
+            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net; the "
+            "denser the pairs, the less of the zone touches",
         ),
         Column("slip_length", "float64", "mm", "the same of the length of the way that each slipped"),
         Column(
@@ -269,7 +270,8 @@ SLIPS = _dataset(
         Column("slip", "float64", "1", "share of the path that a pair slipped"),
     ),
     "Motion of the zones along their surfaces; no rows where only normals are modelled. Without friction nothing slips "
-    "under load and no path is followed: all but `rms_tangential` is NaN.",
+    "under load and no path is followed: all but `rms_tangential` is NaN. Pairs that a zone states count alike, "
+    "candidates by their area.",
     version=2,
 )
 MEASUREMENTS = _dataset(

@@ -37,7 +37,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     measured = [item.name for item in model.scene.measurements][: evaluation.measurements.shape[1]]
     modelled = len(zones) if model.contacts.dimension == 3 else 0
     motions = [
-        _motion(resolution, model.contacts.zone == z, LAWS[evaluation.law].frictional)
+        _motion(resolution, model.contacts, model.contacts.zone == z, LAWS[evaluation.law].frictional)
         for resolution in resolutions
         for z in range(modelled)
     ]
@@ -87,27 +87,32 @@ def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
     return asked & (resolution.rung != "followed") & resolution.converged
 
 
-def _motion(resolution: Resolution, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
+def _motion(resolution: Resolution, contacts, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
     """The last columns of :data:`mic.results.schema.SLIPS` for one zone: (n,) each, NaN for what takes friction.
+
+    Pairs that the zone states count alike. Candidates stand nearer to each other along edges, and count by their area.
 
     Parameters
     ----------
     resolution : Resolution
+    contacts : mic.model.assembly.Contacts
     own : (m,) bool array
         The zone's pairs.
     frictional : bool
     """
     u_t, trace = resolution.displacement[:, own, 1:], resolution.trace
-    share = trace.share[:, own].mean(axis=1)
+    weight = np.where(contacts.watched, contacts.area, 1.0)[own]
+    weight = weight / weight.sum()
+    share = weight @ trace.share[:, own]
     under_load = {
-        "rms_slip": np.sqrt((trace.slip[:, own] ** 2).sum(axis=2).mean(axis=1)),
-        "slip_length": np.sqrt((trace.length[:, own] ** 2).mean(axis=1)),
+        "rms_slip": np.sqrt((trace.slip[:, own] ** 2).sum(axis=2) @ weight),
+        "slip_length": np.sqrt(trace.length[:, own] ** 2 @ weight),
         "friction_work": trace.work[:, own].sum(axis=1),
         **{STATES[state]: share[:, state] for state in (OPEN, STICK, SLIP)},
     }
     if not frictional:
         under_load = {name: np.full(len(u_t), np.nan) for name in under_load}
-    return {"rms_tangential": np.sqrt((u_t**2).sum(axis=2).mean(axis=1))} | under_load
+    return {"rms_tangential": np.sqrt((u_t**2).sum(axis=2) @ weight)} | under_load
 
 
 def _contacts(contacts, resolutions, number, stages, zones, frictional):

@@ -48,10 +48,11 @@ class Case:
         return model.evaluate(self.deviations, law).measurements
 
 
-def random_case(seed: int, patch=None, points: bool = False) -> Case:
+def random_case(seed: int, patch=None, points: bool = False, watched: bool = False) -> Case:
     """A plate under another plate, an L or a hat, held, clamped, welded, released and measured.
 
-    `patch`, if given, is that of the zone; with `points` its pairs are given points, and there is no other region.
+    `patch`, if given, is that of the zone; with `points` its pairs are given points, and there is no other region;
+    `watched`, they are candidates.
     """
     rng = np.random.default_rng(seed)
     pick = lambda *options: options[rng.integers(len(options))]
@@ -123,7 +124,7 @@ def random_case(seed: int, patch=None, points: bool = False) -> Case:
     zone = {"name": "Z", "parts": pick(("lower", "upper"), ("upper", "lower")), "friction": 0.25, "max_gap": 1.0}
     zone["patch"] = pick("tributary", "tributary", 0.0, 3.0)
     zone |= {} if patch is None else {"patch": patch}
-    share = 1.0 if points else rng.random()
+    share = 1.0 if points else 0.8 if watched else rng.random()
     if share < 0.7:
         zone["pairs"] = int(pick(1, 2, 3, 4, 6, 9, 12))
     elif share < 0.85:
