@@ -217,10 +217,9 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
                 reading = edge.take(np.flatnonzero(along == k))
             else:
                 reading = _reading(zone, sampled, other, member, centre, tie)
-            whole = _pair(member, member.area.sum(), sampled, other, swap)
-            pair = _pair(_nearest_part(reading, sampled, other), whole.area, sampled, other, swap)
-            told = {"overlap": whole.overlap, "overlapping": whole.overlapping, "nugget": int(nugget)}
-            pairs.append(replace(pair, **told))
+            cut = _pair(member, member.area.sum(), sampled, other, swap)
+            pair = _pair(_nearest_part(reading, sampled, other), cut.area, sampled, other, swap)
+            pairs.append(replace(pair, overlap=cut.overlap, overlapping=cut.overlapping, nugget=int(nugget)))
     _set_tangents(pairs)
     return pairs
 
@@ -626,7 +625,7 @@ def _thinner(*bodies) -> float:
 
 
 def _nearest_part(cloud, sampled, other):
-    """A cell, its points weighed by how near to the nearest of them the surfaces are; where these overlap they touch."""
+    """A cell, its points weighed by how near the surfaces are there; where they overlap they touch."""
     apart = np.maximum(cloud.distance - sampled.half_thickness - other.half_thickness, 0.0)
     share = np.maximum(1 - (apart - apart.min()) / (NEAR * _thinner(sampled, other)), 0.0)
     return replace(cloud, area=share * cloud.area)
