@@ -14,22 +14,20 @@ import numpy as np
 
 from mic import cache_folder
 from mic.sampling.draw import draw
-from verification.comparison import reduced_and_assembly, zone_slip
+from verification.comparison import reduced_and_assembly
 from verification.mesh.study import same_points
+from verification.path.study import slips
 from verification.scenes import going, shipped
 
 
 def measured(model, samples):
     """Key characteristics, tangential displacement and slip under load of each zone after clamping, and who failed."""
-    scene, zone = model.scene, model.contacts.zone
+    scene = model.scene
     found = model.evaluate(draw(scene, scene.monte_carlo.seed, 0, samples), "coulomb")
-    clamped = found.resolutions["clamp"]
-    slip = [np.sqrt((clamped.trace.slip[:, zone == z] ** 2).sum(-1).mean(1)) for z in range(len(scene.zones))]
-    tables = {
-        "key characteristics": found.measurements,
-        "tangential displacement": zone_slip(clamped.displacement, model.contacts, len(scene.zones)),
-        "slip under load": np.stack(slip, axis=1),
-    }
+    by_zone = slips(model, found)
+    tables = {"key characteristics": found.measurements}
+    for name, kind in (("tangential displacement", "displacement"), ("slip under load", "slip")):
+        tables[name] = np.stack([by_zone["clamp", zone.name, kind] for zone in scene.zones], axis=1)
     return tables, found.failed
 
 

@@ -43,7 +43,7 @@ ERRORS = ("error of 6σ", "error of slip 6σ", "error of mean slip", "error of t
 # Finer than every setting; what the base's knobs are turned to, one at a time.
 FULL = {
     "truth": {"size": 4.0, "pairs": 68, "tolerance": FINEST},
-    "sizes": {"coarse": 17.5, "medium": 9.5, "fine": 5.0},
+    "sizes": {"coarse": 17.5, "medium": 8.0, "fine": 5.0},
     "more sizes": (7.0,),
     "pairs": {17: 17, 34: 34, 68: 68},
     "patches": (0.0, 3.0, 6.0),

@@ -399,8 +399,16 @@ def _linear(W, own, inverse, right, y, q, y_new, w_new):
 
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
-    # In the closure of `follow` these two would be part of the cache's key, and no two processes write them alike.
-    global newton_by_pivots, solve, predict
+    # In the closure of `follow` these would be part of the cache's key, and no two processes write them alike.
+    global sweep, newton_by_pivots, solve, predict
+
+    @jit(void(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, int64))
+    def sweep(W, P, parameters, y, w, q, slip, sweeps):
+        """Gauss-Seidel's sweeps from (y, w), and ``w = W y + q`` without the rounding that they leave."""
+        digest  # noqa: B018  (a variable of the closure, and so part of the cache's key)
+        gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
+        times(W, y, w)
+        w += q
 
     @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, COUNTS))
     def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, counts):
@@ -412,7 +420,7 @@ def _compile(digest):
 
         Returns 1 if it is solved; ``w = W y + q`` in any case.
         """
-        digest  # noqa: B018  (a variable of the closure, and so part of the cache's key)
+        digest  # noqa: B018
         m = len(parameters)
         phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         state, found, place = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
@@ -523,9 +531,7 @@ def _compile(digest):
         best = start.copy()
         slip = np.zeros(m)
         if sweeps > 0:
-            gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
-            times(W, y, w)
-            w += q
+            sweep(W, P, parameters, y, w, q, slip, sweeps)
         if newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, counts) == 1:
             return 1
         run, halvings = sweeps, 0 if sweeps > 0 else 20
@@ -541,10 +547,8 @@ def _compile(digest):
             times(W, y, w)
             w += q
             if sweeps > 0:
-                gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
+                sweep(W, P, parameters, y, w, q, slip, run)
                 best[:] = y
-                times(W, y, w)
-                w += q
             run *= 2
         return 0
 
@@ -984,7 +988,7 @@ def _compile(digest):
                             shift[:], touched[:] = 0.0, 0.0
                         else:
                             break
-                    if solved == 1 and error <= allowed or step <= 1.0001 * smallest:
+                    if solved == 1 and error <= allowed or last:
                         break
                     done[CUT] += 1
                     shrink = SAFETY * np.sqrt(allowed / error) if solved == 1 else 0.25
