@@ -18,6 +18,7 @@ from mic.errors import SceneError
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import ContactPair, Pressed, Side, find_between, find_pairs, node_pairs, pair_at
 from mic.model.meshing import chosen_sizes
+from mic.model.nuggets import nuggets
 from mic.model.overlap import closed, joined_by
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
@@ -336,20 +337,7 @@ def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     for i, zone in enumerate(scene.zones):
         if zone.nominal_overlap != "keep":
             gap[zone_of == i] = np.maximum(gap[zone_of == i], 0.0)
-    return Between(zone_of, gap, _nuggets(scene, zone_of, at, normal), at)
-
-
-def _nuggets(scene, zone_of, point, normal) -> np.ndarray:
-    """(m,) the weld within whose nugget, seen along the normal, each point lies; -1 for none."""
-    found = np.full(len(zone_of), -1)
-    for i, weld in enumerate(scene.welds):
-        alike = [z for z, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
-        step = point - np.array(weld.point)
-        along = np.einsum("ij,ij->i", step, normal)
-        sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
-        reach = max(part.thickness for part in scene.parts if part.name in weld.parts) + weld.radius
-        found[np.isin(zone_of, alike) & (sideways <= weld.radius) & (np.abs(along) <= reach)] = i
-    return found
+    return Between(zone_of, gap, nuggets(scene, zone_of, at, normal), at)
 
 
 def _joint_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimension) -> None:
@@ -410,7 +398,7 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
         area,
         watched,
         np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
-        np.where(watched, _nuggets(scene, zone_of, point, normal), -1),
+        np.where(watched, nuggets(scene, zone_of, point, normal), -1),
         bearing,
         point,
         np.array([p.frame for p in pairs]).reshape(-1, 3, 3),
