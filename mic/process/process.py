@@ -146,7 +146,12 @@ class Process:
         draws[0] = 0.0
         ahead.stages = ahead._prepared([Increments(1)] * len(ahead.stages))
         ahead.attempt(mean + sigma * draws)
-        return {key[-1]: one.carried for key, one in ahead._solvers.items() if isinstance(one, WatchedSolver)}
+        return ahead.carried
+
+    @property
+    def carried(self) -> dict[tuple[str, Step], np.ndarray]:
+        """Candidates (m,) that carried force at the end of a step in any sample so far, by stage and step."""
+        return {key[-1]: one.carried for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
 
     @property
     def redundant(self) -> list[str]:
