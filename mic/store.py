@@ -226,8 +226,12 @@ def save_arrays(path: Path, format: Format, header: Mapping[str, Any], arrays: M
     arrays = {name: np.asarray(array) for name, array in arrays.items()}
     document = {"kind": format.kind, "format": format.version, **header}
     document["checksum"] = _checksum(document, arrays)
-    with replacing(path) as temporary:
-        np.savez_compressed(temporary, header=np.array(json.dumps(document)), **arrays)  # type: ignore[arg-type]
+    # Not by numpy's savez: on a full disk it leaves its archive to the interpreter to close, who complains aloud. Nor
+    # compressed: of compliance and forces that saves 4 %, at 2 s for 100 MB.
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, array in ({"header": np.array(json.dumps(document))} | arrays).items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -52,6 +52,14 @@ def test_the_outcome_is_that_of_all_candidates_at_once(problem, law):
     assert few.displacement[:, ::3].min() > -2 * PENETRATION
 
 
+@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
+def test_solved_at_once_it_is_what_a_solver_of_all_candidates_finds(problem, law):
+    S, _, b = problem
+    few, all_ = watched(problem, law).solve(b[:, 1]), ContactSolver(S, 0.3, law).solve(b[:, 1])
+    assert few.converged.all() and (all_.force[:, ::3] > 1e-9).any(axis=1).all()
+    np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
+
+
 def test_a_followed_path_ends_where_that_of_all_candidates_ends(problem):
     S, _, b = problem
     path = Followed(1e-5)

@@ -84,3 +84,29 @@ def test_steps_that_find_no_solution_are_shortened():
     assert np.abs(point.position[0] - exact).max() < 1e-3
     with pytest.raises(NoConvergence, match="refused"):
         extrapolated(*contact(start, end, longest=0.0), 1e-3)
+
+
+def beside(one, other, noise):
+    """Two contacts that know nothing of each other, as one problem; positions carry some noise, mm."""
+
+    def stacked(a, b):
+        place = np.concatenate([a.position, b.position])
+        rest = (np.concatenate([getattr(a, name), getattr(b, name)]) for name in ("gap", "force", "state", "held"))
+        return Point(a.share, place + noise.normal(scale=1e-14, size=place.shape), *rest)
+
+    def solve(point, s, anchor):
+        return stacked(one[0](point, s, anchor), other[0](point, s, anchor[1:]))
+
+    return solve, stacked(one[1], other[1])
+
+
+def test_rounding_in_a_step_that_a_closing_cuts_short_decides_nothing():
+    """The step up to the closing moves nothing but straight on: what its error estimate holds is rounding."""
+    start, end, _ = round_a_corner()
+    ends, steps = [], set()
+    for seed in range(4):
+        closing, corner = contact([1e-6, 0, 0], [-1, 0, 0]), contact(start, end)
+        point, trace = extrapolated(*beside(closing, corner, np.random.default_rng(seed)), 1e-3)
+        ends.append(point.position)
+        steps.add(trace.steps)
+    assert len(steps) == 1 and np.ptp(ends, axis=0).max() < 1e-10

@@ -86,6 +86,26 @@ def test_statistics_of_zones_and_measurements_by_hand(folder, evaluation):
         assert found["cpk"] == pytest.approx(min(1 - x.mean(), x.mean() + 1) / (3 * x.std(ddof=1)), rel=1e-6)
 
 
+def test_what_presses_a_zone_together_is_summed_over_all_pairs_and_over_those_clear_of_the_welds(folder, lap_model):
+    outcome, contacts = read_outcome(folder), lap_model.contacts
+    welds = lap_model.scene.welds
+    away = [np.linalg.norm((contacts.point - weld.point)[:, :2], axis=1) / weld.radius for weld in welds]
+    clear = np.min(away, axis=0) > 3
+    assert 0 < clear.sum() < len(clear)
+    rows = outcome.zone_statistics.set_index(["law", "stage"])
+    for law in LAWS:
+        for stage in outcome.stages:
+            force = outcome.contact(law, stage, "f_n")
+            for name, own in (("normal_force", clear | ~clear), ("normal_force_clear", clear)):
+                total, found = force[:, own].sum(axis=1), rows.loc[law, stage]
+                assert found[f"mean_{name}"] == pytest.approx(total.mean(), rel=1e-12) and total.mean() > 0
+                assert found[f"six_sigma_{name}"] == pytest.approx(6 * total.std(ddof=1), rel=1e-9)
+    clamped = rows.loc["coulomb", "clamp"]
+    assert clamped["mean_normal_force_clear"] < clamped["mean_normal_force"] - 1e-3  # N
+    told = outcome.summary()["laws"]["coulomb"]["zones"]["lap"]["stages"]["release"]
+    assert told["mean_normal_force_clear"] == rows.loc["coulomb", "release"]["mean_normal_force_clear"]
+
+
 def test_shares_of_states_add_up(folder):
     table = read_outcome(folder).contact_statistics
     np.testing.assert_allclose(table[["open", "stick", "slip"]].sum(axis=1), 1, rtol=1e-12)

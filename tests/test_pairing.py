@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mic.geometry.pairing import Side, find_pairs, node_pairs
+from mic.geometry.pairing import Pressed, Side, find_pairs, node_pairs
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.scene import Zone
@@ -78,6 +78,52 @@ def test_what_faces_lies_along_the_normal_and_not_beside_it(find, shape, bent_fi
         along = np.einsum("ij,ij->i", second - first, normal)
         sideways = np.linalg.norm(second - first - along[:, None] * normal, axis=1)
         assert (sideways <= np.tan(np.radians(angle)) * np.abs(along) + 0.05 * 0.8 + 1e-5).all()
+
+
+def test_candidates_read_the_edges_of_both_sheets_and_the_folds_where_they_end():
+    """A sheet of 20 mm on another that reaches beyond it; and an L, whose foot ends at its fold."""
+    below = Side(plane(0, size=30.0, n=13), 1.0)
+    above = (Side(plane(1, x0=5.0), 1.0), [(0, 5.0), (0, 25.0), (1, 0.0), (1, 20.0)])
+    foot = (Side(BENT["L"], 1.0), [(1, 5.0), (1, 25.0), (0, 0.0), (0, 20.0)])
+    for sheet, ends in (above, foot):
+        for which, bodies in enumerate(((sheet, below), (below, sheet))):
+            read = [
+                sheet.surface.at(pair.patches[which].triangle, pair.patches[which].barycentric)
+                for pair in find_pairs(zone(pairs=None, spacing=5.0), *bodies)
+            ]
+            for axis, end in ends:
+                assert sum(np.abs(x[:, axis] - end).max() < 1e-9 for x in read) >= 2
+
+
+def test_a_candidate_reads_where_its_cell_is_nearest():
+    """Over a plate that is tilted, contact begins at the lower end of each cell."""
+    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=16, tilt=0.02), 1.0)
+    for pair in find_pairs(zone(pairs=None, spacing=5.0), *bodies):
+        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)[:, 0]
+        read = x[pair.patches[0].weight > 0]
+        assert np.ptp(read) <= 0.005 / np.tan(0.02) + 1e-6 and pair.gap <= np.tan(0.02) * x.min() + 0.005
+
+
+def test_no_candidate_reads_across_the_rim_of_a_nugget():
+    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    weld = Pressed(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)
+    pairs = find_pairs(zone(pairs=None, spacing=4.0), *bodies, pressed=[weld])
+    for pair in pairs:
+        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        inside = np.linalg.norm(x[:, :2] - weld.point[:2], axis=1) <= 2.5 + 1e-5
+        assert inside.all() if pair.nugget == 3 else not inside.any()
+    assert sum(pair.area for pair in pairs if pair.nugget == 3) == pytest.approx(np.pi * 2.5**2, rel=0.05)
+    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+
+
+def test_every_node_is_every_node_of_both_sheets():
+    bodies = Side(plane(0, n=8), 1.0), Side(plane(1, n=7, x0=3.0), 1.0)
+    pairs = node_pairs(zone(), *bodies)
+    points = np.vstack([body.surface.points[:, :2] for body in bodies])
+    points = points[(points[:, 0] >= 3) & (points[:, 0] <= 20)]
+    found = np.array([pair.point[:2] for pair in pairs])
+    np.testing.assert_allclose(np.unique(found.round(6), axis=0), np.unique(points.round(6), axis=0), atol=2e-6)
+    assert len(found) == len(np.unique(points.round(6), axis=0))
 
 
 def test_a_round_pad_ends_at_its_circle_however_its_triangles_lie():
@@ -185,7 +231,9 @@ def test_a_patch_radius_bounds_what_a_pair_reads_and_leaves_its_area_alone():
 
 def test_spacing_points_and_nodal_patches():
     bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
-    assert len(find_pairs(zone(pairs=None, spacing=5.0), *bodies)) == 16
+    candidates = find_pairs(zone(pairs=None, spacing=5.0), *bodies)
+    assert len(candidates) == 80 / 5 + (400 - 80 * 5 / 2) / 25  # along the edges, and within
+    assert sum(pair.area for pair in candidates) == pytest.approx(400)
     wanted = [(5, 5, 0), (15, 5, 0), (10, 15, 0)]
     pairs = find_pairs(zone(pairs=None, points=wanted), *bodies)
     nodal = find_pairs(zone(pairs=None, points=wanted, patch=0.0), *bodies)

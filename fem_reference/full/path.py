@@ -169,7 +169,8 @@ def extrapolated(solve: Solver, start: Point, tolerance: float) -> tuple[Point, 
             continue
         rms = float(np.sqrt((difference**2).sum() / max(len(difference), 1)))
         trace += FullTrace(*way[:3], way[3] * taken, rms, 1, 0)
-        length = max(SHORTEST, min(allowed, length if cut else GROWTH * taken))
+        # A step that a change has cut short may leave an error of rounding, which says nothing of a length.
+        length = max(SHORTEST, length if cut and allowed >= GROWTH * taken else min(allowed, GROWTH * taken))
         point = end
     return point, replace(trace, solves=counted.calls)
 

@@ -6,7 +6,7 @@ forbids.  This study measures that, and what leaving friction out costs, on any 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pandas as pd
@@ -14,12 +14,18 @@ import pandas as pd
 from mic.contact.laws import COULOMB, LAWS
 from mic.contact.solver import ContactSolver
 from mic.contact.states import STATES, ContactState, classify
+from mic.contact.watched import WatchedSolver
 
 __all__ = ["compare_laws", "summarise"]
 
 
 def compare_laws(
-    S: np.ndarray, b: np.ndarray, mu_values: Iterable, tol: float = 1e-10, threads: int = 1
+    S: np.ndarray,
+    b: np.ndarray,
+    mu_values: Iterable,
+    tol: float = 1e-10,
+    threads: int = 1,
+    solver: Callable[..., ContactSolver | WatchedSolver] = ContactSolver,
 ) -> pd.DataFrame:
     """Solve every sample with every friction coefficient, under every law that reads nothing else.
 
@@ -33,6 +39,8 @@ def compare_laws(
         Friction to study; rows of the result carry the mean coefficient.
     tol, threads
         As for :class:`mic.contact.solver.ContactSolver`.
+    solver : callable
+        Takes S, a coefficient, and law, tol and threads by name; returns what solves.
 
     Returns
     -------
@@ -60,7 +68,7 @@ def compare_laws(
     for mu in mu_values:
         # Laws that read more than a coefficient are Coulomb's here.
         laws = [law for law in LAWS.values() if not law.reads]
-        solutions = {law: ContactSolver(S, mu, law, tol=tol, threads=threads).solve(b) for law in laws}
+        solutions = {law: solver(S, mu, law=law, tol=tol, threads=threads).solve(b) for law in laws}
         coulomb = solutions[COULOMB]
         coulomb_states = _states(coulomb.force.reshape(len(b), -1, 3), mu)
         for law, solution in solutions.items():

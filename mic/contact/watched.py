@@ -36,7 +36,7 @@ ROUNDS = 40  # in which a working set may grow
 
 
 class WatchedSolver:
-    """Stands in for a :class:`mic.contact.ContactSolver` over all candidates; follows paths, and nothing else.
+    """Stands in for a :class:`mic.contact.ContactSolver` over all candidates.
 
     Parameters
     ----------
@@ -84,6 +84,12 @@ class WatchedSolver:
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """As :meth:`mic.contact.ContactSolver.bound`, over all candidates."""
         return self.law.bound(normal, self._parameters)
+
+    def solve(self, b: np.ndarray) -> PathSolution:
+        """As :meth:`mic.contact.ContactSolver.solve`, for a batch (n, d m): one step from where nothing touches."""
+        way = np.stack([np.zeros_like(b), b], axis=1)
+        way[:, 0, :: self._d] = np.maximum(b[:, :: self._d], 0.0)
+        return self.follow(way, np.zeros_like(b), np.zeros((len(b), len(self._start), self._d - 1)), Increments(1))
 
     def follow(self, b: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> PathSolution:
         """As :meth:`mic.contact.ContactSolver.follow`; a candidate that is not allowed loses its force at the start.

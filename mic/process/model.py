@@ -11,6 +11,7 @@ import numpy as np
 from mic.model.reduction import Reduction
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
+from mic.process.plan import Step
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 
@@ -32,6 +33,11 @@ class ReducedModel(Reduction):
     def eliminations(self) -> dict[str, list[EliminatedStep]]:
         """The steps of every stage with their bilateral rows eliminated, once for all contact laws."""
         return eliminate_steps(self)
+
+    @cached_property
+    def likely(self) -> dict[tuple[str, Step], np.ndarray]:
+        """Candidates (m,) that are likely to carry force, by stage and step, for all contact laws alike."""
+        return Process.look_ahead(self)
 
     @cached_property
     def _processes(self) -> dict[tuple, Process]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
 
 from mic.contact import ContactSolver, laws
+from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.process.drive import drive
@@ -17,7 +18,7 @@ from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, path_of
 from mic.process.state import ProcessState
 from mic.product import product
 
-__all__ = ["TOLERANCE", "Process"]
+__all__ = ["TOLERANCE", "Process", "contact_solver"]
 
 #: The paper's solvers reach this residual.
 PAPER_TOLERANCE = 1e-5
@@ -27,6 +28,28 @@ TOLERANCE = 1e-10
 AHEAD = 8
 #: Spacings between two candidates that join a working set together.
 APART = 2.0
+
+
+def contact_solver(contacts, S: np.ndarray, friction: Friction, welds: Sequence[int], start: np.ndarray, **settings):
+    """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate.
+
+    Parameters
+    ----------
+    contacts : mic.model.assembly.Contacts
+    S : (d m, d m) array
+        Compliance, mm/N.
+    friction : Friction
+    welds : sequence of int
+        Those that hold.
+    start : (m,) bool array
+        Candidates that take part from the beginning.
+    **settings
+        Law and others, as :class:`mic.contact.ContactSolver` takes them.
+    """
+    if not contacts.watched.any():
+        return ContactSolver(S, friction, **settings)
+    reach, allowed = APART * np.sqrt(contacts.area), ~contacts.out(welds)
+    return WatchedSolver(S, friction, contacts.point, reach, ~contacts.watched | start, allowed, **settings)
 
 
 class Process:
@@ -45,6 +68,9 @@ class Process:
         Threads of the native solver over the samples of a batch.
     path_tolerance : float, optional
         Of the paths that are followed, see :class:`mic.contact.path.Followed`; default: the scene's.
+    starts : mapping, optional
+        Candidates (m,) that take part from the beginning, by stage and step; default:
+        :attr:`mic.process.model.ReducedModel.likely`.
 
     Attributes
     ----------
@@ -65,6 +91,7 @@ class Process:
         backend: str = "native",
         threads: int = 1,
         path_tolerance: float | None = None,
+        starts: Mapping[tuple[str, Step], np.ndarray] | None = None,
     ):
         self.model, self.law = model, law
         contacts = model.contacts
@@ -81,9 +108,7 @@ class Process:
         }
         self._plans = plan_stages(model.scene, model.weld_size)
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
-        self._starts: dict[tuple[str, Step], np.ndarray] = {}
-        if contacts.watched.any():
-            self._look_ahead()
+        self._starts = model.likely if starts is None else starts
         path_tolerance = path_tolerance or model.scene.path.tolerance
         self.stages = self._prepared([path_of(plan, obeyed, path_tolerance) for plan in self._plans])
 
@@ -100,34 +125,33 @@ class Process:
         friction = contacts.friction_in(stage)
         key = step.bilateral, friction.coefficient.tobytes(), (stage, step) if contacts.watched.any() else None
         if key not in self._solvers:
-            S, settings = eliminated.response.S, self._settings
-            if contacts.watched.any():
-                self._solvers[key] = WatchedSolver(
-                    S,
-                    friction,
-                    contacts.point,
-                    APART * np.sqrt(contacts.area),
-                    ~contacts.watched | self._starts.get((stage, step), False),
-                    ~contacts.out(step.welds),
-                    **settings,
-                )
-            else:
-                self._solvers[key] = ContactSolver(S, friction, **settings)
+            start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
+            self._solvers[key] = contact_solver(
+                contacts, eliminated.response.S, friction, step.welds, start, **self._settings
+            )
         return self._solvers[key]
 
-    def _look_ahead(self) -> None:
-        """Which candidates are likely to carry force in each step: those that do in a few samples, always the same.
+    @classmethod
+    def look_ahead(cls, model) -> dict[tuple[str, Step], np.ndarray]:
+        """Which candidates (m,) are likely to carry force, by stage and step: those that do in a few samples, always
+        the same, under Coulomb's law where tangents are modelled, with one increment a step.
 
         A sample starts from them, whatever samples it is evaluated with.
         """
-        scene = self.model.scene
-        mean, sigma = np.array([[one.mean, one.sigma] for one in scene.deviations]).reshape(-1, 2).T
-        ahead = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
-        ahead[0] = 0.0
-        self.stages = self._prepared([Increments(1)] * len(self._plans))
-        self.attempt(mean + sigma * ahead)
-        self._starts = {key[-1]: one.carried for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
-        self._solvers = {}
+        if not model.contacts.watched.any():
+            return {}
+        ahead = cls(model, "coulomb" if model.contacts.dimension == 3 else "frictionless", starts={})
+        mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
+        draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
+        draws[0] = 0.0
+        ahead.stages = ahead._prepared([Increments(1)] * len(ahead.stages))
+        ahead.attempt(mean + sigma * draws)
+        return ahead.carried
+
+    @property
+    def carried(self) -> dict[tuple[str, Step], np.ndarray]:
+        """Candidates (m,) that carried force at the end of a step in any sample so far, by stage and step."""
+        return {key[-1]: one.carried for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
 
     @property
     def redundant(self) -> list[str]:

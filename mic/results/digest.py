@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 
 from mic.contact.states import STATES
+from mic.model.nuggets import nuggets
 from mic.results.capability import outside
 from mic.results.schema import SLIPS
 from mic.results.statistics import Moments
 
 __all__ = ["BlockSamples", "Digest"]
 
+CLEAR = 3.0  # nugget radii from a weld: there the sum of the normal forces converges, nearer it grows with the pairs
 _CONTACT = ("f_n", "u_n", "f_t", "u_t", "path_stick", "path_slip")  # the last four where tangential motion is modelled
 
 
@@ -116,8 +118,9 @@ class Digest:
     moments : dict of tuple to Moments
         Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("slips", stage, column)``, one
         per zone with the columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage, column)``, (m,) with the
-        columns of :meth:`BlockSamples.contact`; ``("resolutions", stage, column)``, scalar: ``residual``,
-        ``path_error``, ``steps`` and ``factorisations``.
+        columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, one per zone: the sum of the normal
+        forces of ``"all"`` pairs, and of those ``"clear"`` of every weld by three nugget radii; ``("resolutions",
+        stage, column)``, scalar: ``residual``, ``path_error``, ``steps`` and ``factorisations``.
     counts : dict of tuple to int array
         Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("states", stage)``, (3, m) by state.
     """
@@ -170,6 +173,9 @@ class Digest:
             self._count(("outside",), outside(x, *limits.T))
         tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
         rescued = np.zeros(len(block.numbers), dtype=bool)
+        contacts = model.contacts
+        zone_of = np.equal.outer(contacts.zone, np.arange(len(model.scene.zones))).astype(float)
+        clear = nuggets(model.scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], CLEAR) < 0
         for stage in block.stages:
             rescued |= block.column("resolutions", "rescued", stage=stage)
             depth = block.column("resolutions", "unseen", stage=stage)
@@ -184,6 +190,9 @@ class Digest:
                 self._join(("slips", stage, column), np.column_stack(zones))
             for column in _CONTACT if tangential else _CONTACT[:2]:
                 self._join(("contacts", stage, column), block.contact(stage, column))
+            pressed = block.contact(stage, "f_n")
+            self._join(("pressed", stage, "all"), pressed @ zone_of)
+            self._join(("pressed", stage, "clear"), pressed[:, clear] @ zone_of[clear])
             state = block.contact(stage, "state")
             self._count(("states", stage), np.stack([(state == code).sum(axis=0) for code in range(len(STATES))]))
         self.rescued += [int(number) for number in block.numbers[rescued]]

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 
 from mic.contact.comparison import compare_laws
+from mic.contact.friction import Friction
+from mic.process.process import contact_solver
 from mic.results.schema import FRICTION
 
 if TYPE_CHECKING:
@@ -43,7 +45,8 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     stage = outcome.stages[0]
     chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
     coefficient = contacts.friction_in(stage).coefficient
-    S = next(prepared.response.S for prepared in outcome.model.process("coulomb").stages if prepared.plan.name == stage)
+    prepared = next(one for one in outcome.model.process("coulomb").stages if one.plan.name == stage)
+    S, welds = prepared.response.S, prepared.plan.steps[-1].welds
     force, displacement = (
         np.stack(
             [outcome.contact("coulomb", stage, f"{quantity}_{axis}", chosen) for axis in ("n", "t1", "t2")], axis=2
@@ -51,7 +54,12 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         for quantity in ("f", "u")
     )
     b = displacement - force @ S  # u = S f + b
-    return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS)
+    carries = (force[:, ::3] > 0).any(axis=0)
+
+    def solver(S, coefficient, **settings):
+        return contact_solver(contacts, S, Friction.of(coefficient, len(contacts)), welds, carries, **settings)
+
+    return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS, solver=solver)
 
 
 def read_friction(folder: Path) -> pd.DataFrame | None:

@@ -371,13 +371,22 @@ ZONE_STATISTICS = _statistic(
         *_hanging("six_sigma_rms_slip", "mm", "6σ of the zone's RMS slip under load"),
         *_estimate("mean_slip_length", "mm", "mean of the length of the way slipped"),
         *_estimate("mean_friction_work", "N mm", "mean of the work that friction dissipates in the zone"),
+        *_estimate("mean_normal_force", "N", "mean of the sum of the pairs' normal forces at the end of the stage"),
+        *_estimate("six_sigma_normal_force", "N", "its 6σ"),
+        *_estimate(
+            "mean_normal_force_clear",
+            "N",
+            "mean of the same sum over the pairs farther than three nugget radii from every weld: beside a nugget the "
+            "sum grows with the number of pairs, there it converges",
+        ),
+        *_estimate("six_sigma_normal_force_clear", "N", "its 6σ"),
         Column("open", "float64", "1", "mean share of the stage's path that a pair of the zone is open"),
         Column("stick", "float64", "1", "mean share of the path that it sticks"),
         Column("slip", "float64", "1", "mean share of the path that it slips"),
     ),
-    "Motion of each zone along its surfaces, stage by stage, as in the dataset `slips`. Empty where no tangential "
-    "motion was modelled, or no friction.",
-    version=2,
+    "Motion of each zone along its surfaces, stage by stage, as in the dataset `slips`, empty where no tangential "
+    "motion was modelled, or no friction; and what presses the zone together.",
+    version=3,
 )
 CONTACT_STATISTICS = _statistic(
     "contacts",

@@ -44,10 +44,11 @@ SUMMARY = Format("summary of a run", 2, "call `mic report` on the run folder")
 _MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
 _HANGING = ("mean", "six_sigma")  # what a path study is asked for
 _MOTIONS = ("rms_tangential", "rms_slip")
+_PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # of which pairs the forces are summed
 
 
 def zone_statistics(outcome: Outcome) -> pd.DataFrame:
-    """Motion of each zone along its surfaces, :data:`mic.results.schema.ZONE_STATISTICS`."""
+    """Motion of each zone, and what presses it together, :data:`mic.results.schema.ZONE_STATISTICS`."""
     rows = []
     pairs = np.bincount(outcome.model.contacts.zone, minlength=len(outcome.zones))
     for law in outcome.laws:
@@ -76,6 +77,10 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                     )
                 for column in ("slip_length", "friction_work"):
                     row |= _spread(f"mean_{column}", statistics.mean(own[column]))
+                for name, which in _PRESSED.items():
+                    force = outcome.digests[law].moments["pressed", stage, which].at(z)
+                    row |= _spread(f"mean_{name}", statistics.mean(force))
+                    row |= _spread(f"six_sigma_{name}", statistics.six_sigma(force))
                 rows.append(row | {state: statistics.mean(own[state]).value for state in STATES})
     return _frame(ZONE_STATISTICS, pd.DataFrame(rows))
 
@@ -163,6 +168,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         for row in _rows(outcome.zone_statistics, law):
             entry = _with_intervals(row, [f"{name}_{motion}" for motion in _MOTIONS for name in _HANGING])
             entry |= _with_intervals(row, ("mean_slip_length", "mean_friction_work"))
+            entry |= _with_intervals(row, [f"{name}_{force}" for force in _PRESSED for name in _HANGING])
             entry["path"] = {state: row[state] for state in STATES}
             zone = zones.setdefault(
                 row["zone"], {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
