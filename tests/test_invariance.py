@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
 
+from mic.contact.watched import PENETRATION
 from mic.model.assembly import assemble
 from mic.process.stage import FLOOR
 
@@ -70,7 +71,8 @@ def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_pat
     for law in ("coulomb", "frictionless"):
         given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # a length too, though no scene states it
+            patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # lengths too, though no scene states them
+            patch.setattr("mic.contact.watched.PENETRATION", PENETRATION / unit)
             changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())
 
