@@ -18,7 +18,7 @@ from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
 LAP = (5.0, 2.5, 1.25, 0.625)  # mm; the last judges the index of the three before
-WHEELHOUSE, QUICK_WHEELHOUSE = (17.5, 12.8, 8.0, 5.0), (30.0, 24.0, 19.0, 15.0)  # mm
+WHEELHOUSE, QUICK_WHEELHOUSE = (17.5, 12.8, 8.0, 5.0), (30.0, 21.0, 15.0, 10.5)  # mm
 FORMAL = 2.0  # order of the elements' energy
 NEAR, CAUTIOUS, SAFETY = 0.1, 3.0, 1.25
 
@@ -334,6 +334,6 @@ STUDY = Study(
             quick=0.2,
         ),
     ),
-    seconds=(150, 45),
+    seconds=(190, 60),
     run=run,
 )
