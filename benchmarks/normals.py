@@ -2,10 +2,12 @@
 
     python benchmarks/normals.py                     # coarse and medium against fine, about a minute
     python benchmarks/normals.py --against 3.5       # a finer limit, mm; some minutes
+    python benchmarks/normals.py --astray 0.2 0.5 1 2    # beside it, what normals cost that err by so many degrees
 
 Error of the compliance along the normals, per cent: Frobenius norm over that of the limit, held by six locators and by
 all. 24 places along the flange and 4 in each other region are read on discs of 6 mm. The limit has the geometry's
-normals. With the table come the angles between estimates and the geometry's normals.
+normals. With the table come the angles between estimates and the geometry's normals. Normals that err do so at random,
+vertex by vertex, by a root mean square; the change is that from the geometry's normals on the same mesh.
 """
 
 from __future__ import annotations
@@ -54,28 +56,44 @@ def compliance(geometry, part, surface, element):
     ]
 
 
+def astray(points, triangles, normals, degrees):
+    """(k, 3, 3) the normals, turned at random, alike for all triangles at a vertex."""
+    step = np.radians(degrees) / np.sqrt(2) * np.random.default_rng(0).normal(size=points.shape)[triangles]
+    turned = normals + step - (step * normals).sum(axis=2, keepdims=True) * normals
+    return turned / np.linalg.norm(turned, axis=2, keepdims=True)
+
+
+def off(found, limit):
+    """Relative errors on six locators and on all, per cent."""
+    return [100 * np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(found, limit)]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", nargs="+", default=["coarse", "medium"], help="named sizes of the wheelhouse")
     parser.add_argument("--against", type=float, help="size of the limit, mm; default: fine")
+    parser.add_argument("--astray", nargs="*", type=float, default=[], help="root mean squares, degrees")
     given = parser.parse_args()
     geometry = load_script(folder("wheelhouse") / "geometry.py")
-    print("| part, size | flat | geometry's normals | estimated | angle, mean and largest |")
-    print("| --- | --- | --- | --- | --- |")
+    heads = ["part, size", "flat", "geometry's normals", "estimated", "angle, mean and largest"]
+    heads += [f"{degrees:g}° astray" for degrees in given.astray]
+    print(f"| {' | '.join(heads)} |\n" + "| --- " * len(heads) + "|")
     for part in geometry.PARTS:
         fine = Surface(*geometry.build(part, given.against or geometry.SIZES["fine"]))
         limit = compliance(geometry, part, fine, "dkt-opt-curved")
         for size in given.sizes:
             points, triangles, normals = geometry.build(part, geometry.SIZES[size])
             bare, told = Surface(points, triangles), Surface(points, triangles, normals)
-            cells = []
-            for surface, element in ((bare, "dkt-opt"), (told, "dkt-opt-curved"), (bare, "dkt-opt-curved")):
-                found = compliance(geometry, part, surface, element)
-                off = [100 * np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(found, limit)]
-                cells.append("{:.1f} / {:.1f} %".format(*off))
+            exact = compliance(geometry, part, told, "dkt-opt-curved")
+            flat, estimated = (compliance(geometry, part, bare, element) for element in ("dkt-opt", "dkt-opt-curved"))
+            cells = ["{:.1f} / {:.1f} %".format(*off(found, limit)) for found in (flat, exact, estimated)]
             apart = np.linalg.norm(bare.corner_normals - told.corner_normals, axis=2) / 2
             angle = np.degrees(2 * np.arcsin(np.clip(apart, 0, 1)))
             cells.append(f"{angle.mean():.1f}°, {angle.max():.1f}°")
+            for degrees in given.astray:
+                surface = Surface(points, triangles, astray(points, triangles, normals, degrees))
+                changed = off(compliance(geometry, part, surface, "dkt-opt-curved"), exact)
+                cells.append("{:.2f} / {:.2f} %".format(*changed))
             print(f"| {part}, {size} | {' | '.join(cells)} |", flush=True)
 
 

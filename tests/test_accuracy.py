@@ -17,6 +17,10 @@ from mic.results.schema import ACCURACY
 
 pytestmark = pytest.mark.fem
 
+LINES = """across = np.union1d(np.linspace(0, 20, round(20 / size) + 1), np.linspace(20, 120, 11))
+    along = np.union1d(np.linspace(0, 10, round(10 / size) + 1), np.linspace(10, 80, 8))
+    m, n = len(across) - 1, len(along) - 1"""
+
 
 def compliance(assembly, cache):
     return held_compliance(ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0]))
@@ -49,6 +53,24 @@ def test_the_estimate_is_the_error_within_a_third(size, source, tmp_path, cache,
     effectivity = estimates(found) / true
     print(size, source, true.tolist(), effectivity.tolist())
     assert [one.quantity for one in found.estimates] == ["H", "K"]
+    assert found.finer.triangles == 4 * found.mesh.triangles
+    assert (0.7 < effectivity).all() and (effectivity < 1.4).all()
+
+
+def test_the_estimate_sees_places_that_a_script_leaves_as_they_are(tmp_path, cache, limit):
+    """Lines at 10 mm under the clamp, the force and most locators, whatever the size; they are divided."""
+    scene, size = curved_scene(tmp_path, size=10.0), 10.0
+    text = (tmp_path / "panel.py").read_text()
+    fixed = text.replace("m, n = round(120 / size), round(80 / size)", LINES).replace(
+        "np.linspace(0, 120, m + 1), np.linspace(0, 80, n + 1)", "across, along"
+    )
+    assert "across, along" in fixed and "union1d" in fixed
+    (tmp_path / "panel.py").write_text(fixed)
+    assembly = assemble(scene, cache)
+    true = errors(compliance(assembly, cache), limit)
+    (found,) = estimate_accuracy(assembly, cache)
+    effectivity = estimates(found) / true
+    print(size, true.tolist(), effectivity.tolist())
     assert found.finer.triangles == 4 * found.mesh.triangles
     assert (0.7 < effectivity).all() and (effectivity < 1.4).all()
 

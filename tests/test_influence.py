@@ -99,6 +99,7 @@ def test_an_indefinite_matrix_is_refused():
 #: Largest three eigenvalues of H on balanced forces, of the panel below, mm/N.
 COMPLIANCE = {
     "dkt-opt-curved": (1.006243006881e-05, 3.753199330617e-05, 1.191006882667e-04),
+    "dkmt-opt-curved": (1.010896884437e-05, 3.756958948354e-05, 1.192770885184e-04),
     "dkt-opt": (9.191797549896e-06, 3.151605296038e-05, 9.961153120999e-05),
     "p2-cr": (9.484394966696e-06, 3.416564864481e-05, 9.900068880311e-05),
 }

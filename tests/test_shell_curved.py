@@ -153,6 +153,8 @@ def test_rigid_motions_and_no_others_cost_nothing_whatever_the_normals(surface):
 
 
 PROGRAM = """
+import sys
+
 import numpy as np
 from mpi4py import MPI
 from support.panels import NU, PLACES, E, functionals, panel
@@ -161,17 +163,17 @@ from fem_reference.shell.part import ShellPart
 
 surface = panel(6)
 rows = functionals(surface, PLACES, 6.0)
-influence = lambda comm: ShellPart(surface, 0.8, E, NU, comm=comm).influence(rows)
+influence = lambda comm: ShellPart(surface, 0.8, E, NU, sys.argv[1], comm=comm).influence(rows)
 (H, G), (H_alone, G_alone) = influence(MPI.COMM_WORLD), influence(MPI.COMM_SELF)
 balanced = np.linalg.svd(G_alone)[0][:, 6:]
 assert abs(balanced.T @ (H - H_alone) @ balanced).max() < 1e-10 * abs(balanced.T @ H @ balanced).max()
 """
 
 
-@pytest.mark.parametrize("processes", [2, 4])
+@pytest.mark.parametrize("processes, element", [(2, "dkt-opt-curved"), (4, "dkt-opt-curved"), (2, "dkmt-opt-curved")])
 @pytest.mark.slow
-def test_normals_reach_the_cells_of_every_process(processes):
-    outcome = on_processes(processes, "-c", PROGRAM)
+def test_normals_reach_the_cells_of_every_process(processes, element):
+    outcome = on_processes(processes, "-c", PROGRAM, element)
     assert outcome.returncode == 0, outcome.stderr
 
 
@@ -249,6 +251,18 @@ def test_estimated_normals_do_no_harm_where_a_bend_has_two_rows(name):
     )
     print(f"{name}: flat {flat:.4f}, estimated {estimated:.4f}, exact {exact:.4f}")
     assert estimated < 1.02 * exact and (estimated < flat or exact > flat)
+
+
+def test_shear_tells_with_the_square_of_the_thickness():
+    """On thin sheet: of a bending stiffness that falls with t³, half the thickness leaves a quarter."""
+    surface = panel(6)
+    change = [
+        abs(ShellPart(surface, t, E, NU, "dkmt-opt-curved").stiffness_csr() - part.stiffness_csr()).max()
+        for t in (0.2, 0.1, 0.05)
+        for part in [ShellPart(surface, t, E, NU, "dkt-opt-curved")]
+    ]
+    assert change[2] > 0
+    assert change[0] / change[1] == pytest.approx(32, rel=0.05) and change[1] / change[2] == pytest.approx(32, rel=0.05)
 
 
 def test_deflections_of_flat_sheets_do_not_change():

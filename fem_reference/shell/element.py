@@ -16,7 +16,8 @@ Two elements, chosen because they share nothing but (1) and (2):
     (u, θ) linear, six freedoms per vertex. Kirchhoff plate theory held at discrete points (DKT: Batoz, Bathe and Ho
     1980) and Felippa's optimal membrane triangle with drilling freedoms (OPT: Felippa 2003), its strain measured on
     the curved surface that normals at the triangle's corners tell of. No shear strain, no penalty. Where the normals
-    are the triangle's own, what is left is DKT and OPT as published.
+    are the triangle's own, what is left is DKT and OPT as published. On request it shears: DKMT in place of DKT (Katili
+    1993), with the same freedoms, which tends to DKT where the sheet is thin.
 
 `p2_cr`
     u quadratic, θ Crouzeix–Raviart (Campello, Pimenta and Wriggers 2003; Bleyer, Numerical Tours of Computational
@@ -29,6 +30,9 @@ References
 ----------
 - Batoz, Bathe, Ho (1980), A study of three-node triangular plate bending elements, Int. J. Numer. Meth. Engng 15,
   1771–1812.
+- Katili (1993), A new discrete Kirchhoff–Mindlin element based on Mindlin–Reissner plate theory and assumed shear
+  strain fields, part I: an extended DKT element for thick-plate bending analysis, Int. J. Numer. Meth. Engng 36,
+  1859–1883.
 - Felippa (2003), A study of optimal membrane triangles with drilling freedoms, Comput. Methods Appl. Mech. Engrg 192,
   2125–2168.
 - Allman (1984), A compatible triangular element including vertex rotations for plane elasticity analysis, Comput.
@@ -41,6 +45,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +65,7 @@ __all__ = [
     "Material",
     "ShellElement",
     "Triangle",
+    "dkmt_strains",
     "dkt_curvature",
     "dkt_opt",
     "kinematics",
@@ -208,15 +214,46 @@ def dkt_curvature(T: Triangle, v: Kinematics):
         κ = sym ∇β
     """
     curvature = sym(v.grad_beta)
-    λ, dλ = T.barycentric, T.gradient
     for i, j, _ in T.edges:
-        edge = T.vertex[j] - T.vertex[i]  # l s
-        middle = (T.vertex[i] + T.vertex[j]) / 2
-        beta_middle = v.beta + dot(v.grad_beta, middle - T.position)  # ½(βi + βj): β is linear
-        shear = dot(v.grad_w - beta_middle, edge) / dot(edge, edge)  # γ_s/l; ∇w is constant
-        bubble_gradient = 4 * (λ[i] * dλ[j] + λ[j] * dλ[i])
-        curvature += 3 / 2 * shear * sym(outer(edge, bubble_gradient))
+        curvature += bubble(T, i, j, edge_shear(T, v, i, j))
     return curvature
+
+
+def dkmt_strains(T: Triangle, v: Kinematics, material: Material):
+    """Curvature and transverse shear strain of the discrete Kirchhoff–Mindlin triangle.
+
+    The mean shear γ_s along an edge of length l is shared between the bubble and a shear strain as constant curvature
+    has it in equilibrium (Katili 1993). With k the `SHEAR_FACTOR`,
+
+        β = Σ λi βi + Σ_edges 3/2 γ_s/(1 + φ) s 4 λi λj,      φ = 2/(k (1 − ν)) t²/l²
+        γ = Σ_edges l γ_s φ/(1 + φ) (λi ∇λj − λj ∇λi)                                                               (9)
+
+    whose tangential component on each edge is γ_s φ/(1 + φ). On thin sheet φ vanishes and DKT is left.
+    """
+    λ, dλ = T.barycentric, T.gradient
+    curvature, γ = sym(v.grad_beta), ufl.zero(2)
+    for i, j, _ in T.edges:
+        edge = T.vertex[j] - T.vertex[i]
+        φ = 2 / (SHEAR_FACTOR * (1 - material.poisson)) * material.thickness**2 / dot(edge, edge)
+        share = edge_shear(T, v, i, j) / (1 + φ)  # γ_s/l of the bubble; φ times as much is left
+        curvature += bubble(T, i, j, share)
+        γ += φ * dot(edge, edge) * share * (λ[i] * dλ[j] - λ[j] * dλ[i])
+    return curvature, γ
+
+
+def edge_shear(T: Triangle, v: Kinematics, i, j):
+    """γ_s/l of the edge i→j, β being linear and ∇w constant."""
+    edge = T.vertex[j] - T.vertex[i]  # l s
+    middle = (T.vertex[i] + T.vertex[j]) / 2
+    beta_middle = v.beta + dot(v.grad_beta, middle - T.position)  # ½(βi + βj)
+    return dot(v.grad_w - beta_middle, edge) / dot(edge, edge)
+
+
+def bubble(T: Triangle, i, j, shear):
+    """Curvature of the bubble of the edge i→j of length l whose amplitude is 3/2 l times `shear`."""
+    λ, dλ = T.barycentric, T.gradient
+    edge = T.vertex[j] - T.vertex[i]
+    return 3 / 2 * shear * sym(outer(edge, 4 * (λ[i] * dλ[j] + λ[j] * dλ[i])))
 
 
 def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material):
@@ -290,24 +327,28 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
     return basic + sqrt(material.beta0) * higher
 
 
-def dkt_opt(V, material: Material, normals):
+def dkt_opt(V, material: Material, normals, shear: bool = False):
     """Bilinear form of (1) for the six-freedom element on V = [P1]⁶.
 
-    `normals`, of [DG0]⁹, holds n at corners 0, 1, 2 of each cell in turn, on the side of the cell's e3.
+    `normals`, of [DG0]⁹, holds n at corners 0, 1, 2 of each cell in turn, on the side of the cell's e3. With `shear`
+    bending is DKMT's in place of DKT's, and ``½ k G t |γ|²`` is added with (9).
     """
     T, t = triangle(V.mesh), material.thickness
+    G = material.young / (2 * (1 + material.poisson))
     n = [as_vector([normals[3 * corner + i] for i in range(3)]) for corner in range(3)]
 
     def strains(v):
         u, θ = as_vector([v[i] for i in range(3)]), as_vector([v[i] for i in range(3, 6)])
         v = kinematics(T, u, θ)
-        return membrane_strain(T, v, corners(T, v, u, θ, n), material), dkt_curvature(T, v)
+        κ, γ = dkmt_strains(T, v, material) if shear else (dkt_curvature(T, v), None)
+        return membrane_strain(T, v, corners(T, v, u, θ, n), material), κ, γ
 
-    ε, κ = strains(ufl.TrialFunction(V))
-    ε_, κ_ = strains(ufl.TestFunction(V))
-    return (t * inner(plane_stress(ε, material), ε_) + t**3 / 12 * inner(plane_stress(κ, material), κ_)) * ufl.dx(
-        metadata={"quadrature_degree": QUADRATURE_DEGREE}
-    )
+    ε, κ, γ = strains(ufl.TrialFunction(V))
+    ε_, κ_, γ_ = strains(ufl.TestFunction(V))
+    W = t * inner(plane_stress(ε, material), ε_) + t**3 / 12 * inner(plane_stress(κ, material), κ_)
+    if shear:
+        W += SHEAR_FACTOR * G * t * dot(γ, γ_)
+    return W * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
 
 
 # ---------------------------------------------------------------------------------------------- P2 × CR
@@ -375,6 +416,7 @@ def of_corners(surface: Surface) -> np.ndarray:
 
 ELEMENTS = {
     "dkt-opt-curved": ShellElement(dkt_opt, compat.lagrange_6, P1, P1, of_corners),
+    "dkmt-opt-curved": ShellElement(partial(dkt_opt, shear=True), compat.lagrange_6, P1, P1, of_corners),
     "dkt-opt": ShellElement(dkt_opt, compat.lagrange_6, P1, P1, of_triangles),
     "p2-cr": ShellElement(p2_cr, compat.p2_crouzeix_raviart, P2, CROUZEIX_RAVIART),
 }

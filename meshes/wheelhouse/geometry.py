@@ -105,7 +105,7 @@ SIZES = {"coarse": 17.5, "medium": 8.0, "fine": 5.0}  # mm
 FLANGE_REFINEMENT = {"inner": 2.4, "outer": 2.7}  # size / size on the flange; they differ so that meshes do not match
 BEND_REFINEMENT = 1.6  # size / size along a bend
 PRESSING_REFINEMENT = 2.0  # size / size on what is pressed into a panel: there the sheet is curved most
-PAD = 4.0  # mm, largest size at a locator: its pad's radius
+PAD = 4.0  # mm, radius of a locator's pad; elements there are no larger, and no larger than half of those elsewhere
 GROWTH = 0.3  # mm of size per mm of distance
 
 
@@ -315,7 +315,7 @@ def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for region, angle, fraction, _ in LOCATORS[part].values():
         piece = _region(part, region)
         at = np.interp(piece.begin + fraction * (piece.end - piece.begin), l, v)
-        spots.append((ARCH_RADIUS * np.radians(angle), at, PAD, PAD, PAD))
+        spots.append((ARCH_RADIUS * np.radians(angle), at, PAD, PAD, min(PAD, size / 2)))
 
     uv, triangles = _mesh_strips(
         ARCH_RADIUS * np.radians([ARCH_START, ARCH_END]), np.interp(lines, l, v), v, target / scale, spots

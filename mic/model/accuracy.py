@@ -10,6 +10,10 @@ a factor 4/3 where r = 2. Estimated are Frobenius norms over those of H(h′),
 - of H between the rows that push across the sheet: contact normals, welds' normals, clamps, corrective forces;
 - of each key characteristic's influence: what it reads per newton on each of these rows.
 
+A geometry script need not make everything finer: a size that it sets by itself, at a hole or under a pad, is the same
+on both meshes, and with it its error. Where the triangles under a functional that is compared stay as large as they
+were, the mesh is divided on the curved surface that its normals tell of instead (:mod:`mic.geometry.refinement`).
+
 H belongs to a free part; it is compared on the six locators that the part is set down on, and on all that it has. A few
 contact pairs of each zone stand for all.
 """
@@ -35,6 +39,7 @@ from mic.compliance.part import Part
 from mic.compliance.support import motion_size
 from mic.errors import SceneError
 from mic.geometry.load import finer_surface
+from mic.geometry.refinement import halved
 from mic.geometry.surface import Patch, Surface
 from mic.model.shape import datum_locators
 from mic.store import Format, fingerprint
@@ -46,6 +51,7 @@ __all__ = ["Accuracy", "Estimate", "Mesh", "estimate_accuracy"]
 
 KEPT = Format("estimate of accuracy", 1, ABSENT)
 PAIRS = 24  # of each zone, that stand for all
+FINER = 0.5  # of a triangle's area: at half the size it is a quarter
 ORDER = 2  # of the elements' energy in the element size
 COMPLIANCE = "H"  # what the first estimate of a part is called
 
@@ -172,6 +178,8 @@ def estimate_accuracy(
                 f"part {part.name!r}: geometry: the script makes no more triangles at half the size; let build(part, "
                 "size) take notice of the size"
             )
+        if not _finer_everywhere(question.part, finer):
+            finer = Surface(*halved(part.surface.points, part.surface.triangles, part.surface.corner_normals))
         name = fingerprint(
             [part.fingerprint(), _digest(finer), question.labels]
             + [[matrix.indices.tolist(), matrix.data.tolist()] for matrix in question.rows]
@@ -317,6 +325,15 @@ def _carried(surface: Surface, other: Surface, patches: list[Patch]) -> list[Pat
     ends = np.cumsum([len(patch.weight) for patch in patches])[:-1]
     pieces = zip(np.split(foot.triangle, ends), np.split(foot.barycentric, ends), patches)
     return [Patch(triangle, barycentric, patch.weight) for triangle, barycentric, patch in pieces]
+
+
+def _finer_everywhere(part: Part, finer: Surface) -> bool:
+    """Whether the triangles under each of the part's functionals are smaller on the other mesh of its surface."""
+    patches = [part.functionals.patches[i] for i in np.unique(part.functionals.patch)]
+    return all(
+        other.weight @ finer.areas[other.triangle] < FINER * (patch.weight @ part.surface.areas[patch.triangle])
+        for patch, other in zip(patches, _carried(part.surface, finer, patches))
+    )
 
 
 def _estimate(question: _Question, surface: Surface) -> Accuracy:

@@ -14,11 +14,13 @@ import numpy as np
 from fem_reference.shell.factorisation import Factorisation
 from fem_reference.shell.part import ShellPart
 from mic.compliance.functional import Functionals
+from mic.geometry.repair import repair
 from mic.geometry.surface import Patch, Surface
 
 __all__ = ["Normals", "cylinder", "hemisphere", "panel_error", "twisted_beam"]
 
 Normals = Literal["exact", "mesh"]
+Split = Literal["in turn", "other", "deck"]  # diagonals of cells: in alternation, the others, as a deck's are chosen
 Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -159,7 +161,7 @@ PANEL_COMPLIANCE = np.array(
 )
 
 
-def panel(h: float, jitter: float, seed: int, normals: Normals, other: bool = False) -> Surface:
+def panel(h: float, jitter: float, seed: int, normals: Normals, split: Split = "in turn") -> Surface:
     """Doubly curved sheet of 240 × 160 mm with a hole of radius 30 mm, cells of about h."""
     around, outwards, random = 8 * max(1, round(2 * np.pi * 75 / h / 8)), round(68 / h), np.random.default_rng(seed)
     i, j = (a.ravel().astype(float) for a in np.meshgrid(np.arange(around), np.arange(outwards + 1), indexing="ij"))
@@ -177,7 +179,12 @@ def panel(h: float, jitter: float, seed: int, normals: Normals, other: bool = Fa
     x, y = shape(X / around, Y / outwards).T
     i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(outwards), indexing="ij"))
     at = lambda i, j: (i % around) * (outwards + 1) + j
-    triangles = _split(at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j), (i + j) % 2 == int(other))
+    cells = at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)
+    if split == "deck":
+        points, triangles, _ = repair(panel_height(x, y), np.zeros((0, 3), int), np.column_stack(cells))
+        x, y = points[:, 0], points[:, 1]
+    else:
+        triangles = _split(*cells, (i + j) % 2 == (split == "other"))
     return _mapped(x, y, triangles, panel_height, normals)
 
 
@@ -195,13 +202,14 @@ def _disc(plan, centre):
     return Patch(found.triangle, found.barycentric, np.repeat(weight, 16) / 32)
 
 
-def panel_error(element: str, normals: Normals, seed: int, h: float, jitter: float = 0.2, other: bool = False) -> float:
+def panel_error(
+    element: str, normals: Normals, seed: int, h: float, jitter: float = 0.2, split: Split = "in turn"
+) -> float:
     """‖H − H₀‖/‖H₀‖ of the panel clamped along x = −120, t = 1.2 mm: its compliance at the five places.
 
-    Averages over discs of radius 8 mm in the plane of x and y, along the exact normals above their centres. With
-    `other` the cells are divided the other way.
+    Averages over discs of radius 8 mm in the plane of x and y, along the exact normals above their centres.
     """
-    surface = panel(h, jitter, seed, normals, other)
+    surface = panel(h, jitter, seed, normals, split)
     plan = Surface(surface.points * [1, 1, 0], surface.triangles)
     patches, directions, step = [], [], 1e-5
     for x, y in PANEL_PLACES:

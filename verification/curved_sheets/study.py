@@ -40,7 +40,14 @@ CASES = (
     ("panel 2.5 mm", "panel with a hole, 2.5 mm, regular", partial(sheets.panel_error, h=2.5, jitter=0.0), 0.013),
     ("askew 10 mm", "panel with a hole, 10 mm, jittered", partial(sheets.panel_error, h=10.0), None),
     ("askew 5 mm", "panel with a hole, 5 mm, jittered", partial(sheets.panel_error, h=5.0), None),
-    ("askew 5 mm, other", "… with the other diagonals", partial(sheets.panel_error, h=5.0, other=True), None),
+    (
+        "askew 5 mm, other",
+        "… with the other diagonals",
+        partial(sheets.panel_error, h=5.0, split="other"),
+        None,
+    ),
+    ("deck 10 mm", "… 10 mm, divided as a deck's cells are", partial(sheets.panel_error, h=10.0, split="deck"), None),
+    ("deck 5 mm", "… 5 mm, divided as a deck's cells are", partial(sheets.panel_error, h=5.0, split="deck"), None),
 )
 JUDGED = [case for case in CASES if case[-1] is not None]
 
