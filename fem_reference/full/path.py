@@ -25,6 +25,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from fem_reference.full.equilibrium import NoConvergence
+from mic.contact.increments import Increments
 from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = ["TOUCHING", "FullTrace", "Point", "extrapolated", "increments", "shares"]
@@ -125,12 +126,12 @@ class FullTrace:
 
 
 def increments(solve: Solver, start: Point, count: int) -> tuple[Point, FullTrace]:
-    """Equal steps of backward Euler's method."""
+    """Steps of backward Euler's method, where production's end: :class:`mic.contact.increments.Increments`."""
     point, trace = start, FullTrace.start(*start.force.shape)
-    for number in range(1, count + 1):
-        before, point = point, solve(point, number / count, point.position)
+    for end in Increments(count).ends:
+        before, point = point, solve(point, end, point.position)
         gone = _gone(before, point, point.state == SLIP)
-        trace += FullTrace(*gone, shares(point.state) / count, np.nan, 1, 1)
+        trace += FullTrace(*gone, shares(point.state) * (end - before.share), np.nan, 1, 1)
     return point, trace
 
 

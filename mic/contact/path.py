@@ -7,7 +7,7 @@ backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and 
 contacts yield before they slip, the anchor is where their sliders stand, ``u_t + c f_t``
 (:mod:`mic.contact.laws.micro_slip`).
 
-:class:`Increments` takes equal steps of this kind, first order.  :class:`Followed` is of second order and controls its
+:class:`Increments` takes steps of this kind, first order.  :class:`Followed` is of second order and controls its
 error (:mod:`mic.contact.native.follower`).
 """
 
@@ -19,6 +19,7 @@ from functools import reduce
 
 import numpy as np
 
+from mic.contact.increments import Increments
 from mic.contact.states import OPEN, SLIP, STICK, classify
 from mic.product import product
 
@@ -26,18 +27,6 @@ __all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace"]
 
 #: Increments of a leg for a sample that the follower gives up.
 RESCUE = 256
-
-
-@dataclass(frozen=True)
-class Increments:
-    """Equal steps of backward Euler's method.
-
-    Attributes
-    ----------
-    count : int
-    """
-
-    count: int = 1
 
 
 @dataclass(frozen=True)
@@ -58,6 +47,11 @@ class Followed:
     tolerance: float = 1e-3
     floor: float = 0.0
     steps: int | None = None
+
+    @property
+    def ends(self) -> np.ndarray:
+        """(steps,) where equal steps end; none, if their error is controlled."""
+        return np.arange(1, (self.steps or 0) + 1) / (self.steps or 1)
 
 
 Path = Increments | Followed
@@ -259,15 +253,16 @@ def _put(all_samples, own, some):
 
 
 def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
-    """Equal steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
+    """Steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
     n, m = len(b0), solver.contacts
     trace = Trace.start(n, m)
     error = np.full(n, np.nan)
     slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
     converged, residual = np.ones(n, dtype=bool), np.zeros(n)
     iterations, factorisations = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    for step in range(1, count + 1):
-        b = b0 + (step / count) * (b1 - b0)
+    before_end = 0.0
+    for end in Increments(count).ends:
+        b = b0 + end * (b1 - b0)
         b = b.reshape(n, m, 3).copy()
         b[:, :, 1:] -= anchor
         # Where Coulomb's law has several solutions, take the one that continues the state before.
@@ -280,9 +275,9 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         slip, length = slip + slid, length + np.linalg.norm(slid, axis=-1)
         # The trapezoidal rule where the contact was closed before, else its force has grown from nothing.
         work = work - np.sum(0.5 * (before + now)[:, :, 1:] * slid, axis=-1)
-        share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) / count
+        share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) * (end - before_end)
         anchor = anchor + moved
-        force = solution.force
+        force, before_end = solution.force, end
         converged &= solution.converged
         residual = np.maximum(residual, solution.residual)
         iterations = iterations + solution.iterations

@@ -350,8 +350,8 @@ class Stage(_Table):
     path: Literal["followed", "increments", "one-step"] | None = Field(
         None,
         description="clamp, weld, release: how friction's path is followed: `followed`, the default, by steps of "
-        "controlled error; `increments`, so many equal ones for each step of the stage; `one-step`, all that the stage "
-        "does at once, overlaps included, as the paper has it",
+        "controlled error; `increments`, so many for each step of the stage, short at both its ends; `one-step`, all "
+        "that the stage does at once, overlaps included, as the paper has it",
     )
     increments: Annotated[int, Field(ge=1)] | None = Field(
         None, description='of each step of the stage; means path = "increments"'

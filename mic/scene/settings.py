@@ -11,7 +11,7 @@ __all__ = ["SETTINGS", "fill_in"]
 USUAL = Followed.tolerance
 
 #: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per
-#: zone, how friction's path is followed (equal increments for each step of the process, or the tolerance of a path that
+#: zone, how friction's path is followed (increments for each step of the process, or the tolerance of a path that
 #: is followed), samples. What each costs, and how far off it is, `verification/trade` measures. The tolerance of
 #: the contact solver is not among them: the tightest costs no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {

@@ -283,7 +283,7 @@ STUDY = Study(
         "how far off each sample may be, and is the one that the full finite elements follow by another method."
     ),
     reference=(
-        "Many equal increments; closed forms of one and two contacts and of the layered cantilever; the full finite "
+        "Many increments; closed forms of one and two contacts and of the layered cantilever; the full finite "
         "elements, whose path is extrapolated."
     ),
     acceptance=(

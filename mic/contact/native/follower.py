@@ -80,9 +80,12 @@ EVENTS, PASSES = 32, 32
 BISECTIONS = 40
 #: Sweeps before Newton's method, its steps, and the changes of statuses within one of them.
 SWEEPS, NEWTON, PIVOTS = 10, 10, 100
-#: In a slider's equation its displacement counts so many times, compared with its own compliance: its direction is then
-#: that of its motion sooner than that of its force, which others hold.
-STRETCH = 10.0
+#: Steps with inverses made before, a tenth of the cost of a new one, must bring the error down by this; steps in all;
+#: and the share of the contacts whose status may have changed.
+CHORD, STEPS_OF_NEWTON, CHANGES = 0.3, 40, 0.3
+#: In a slider's equation its displacement counts so many times that it is this share of its force: its direction is
+#: then that of its motion as well as that of its force, which others hold; and so many times at most.
+EVEN, STRETCH = 0.3, 1e4
 #: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
 HELP, PATIENCE = 6, 12
 
@@ -221,7 +224,8 @@ def _record(
 
     Forces of a contact that slides grow linearly over the step, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``;
     one that breaks loose unforeseen slides under the force of the end.  A contact closes or opens where the prediction
-    has it: it opens after the share ``opened``, having ``gone`` so far.
+    has it: it opens after the share ``opened``, having ``gone`` so far.  By as much as the end is not the prediction's
+    the way without load is not, but a like share of the whole.
     """
     for k in range(len(state)):
         i = 3 * k
@@ -233,14 +237,17 @@ def _record(
                 continue
             if w0[i] + motion[i] < 0.0:  # foreseen, before its own force could take load off the others
                 begin = _crossing(w0[i], w0[i] + motion[i])
-                m1, m2 = m1 - begin * motion[i + 1], m2 - begin * motion[i + 2]
+                doubt = abs(touched[k] - begin)
+                m1 -= begin * ((1.0 - doubt) * motion[i + 1] + doubt * m1)
+                m2 -= begin * ((1.0 - doubt) * motion[i + 2] + doubt * m2)
             else:
                 m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
-            end, m1, m2 = opened[k], gone[k, 0], gone[k, 1]
+            end, doubt = opened[k], min(abs(w[i] - motion[i]) / max(w[i], motion[i], 1e-300), 1.0)
             if end == 1.0:  # the prediction did not see it
-                end = _crossing(y0[i], -max(w[i], 1e-300))
-                m1, m2 = end * w[i + 1], end * w[i + 2]
+                end, doubt = _crossing(y0[i], -max(w[i], 1e-300)), 1.0
+            m1 = (1.0 - doubt) * gone[k, 0] + doubt * end * m1
+            m2 = (1.0 - doubt) * gone[k, 1] + doubt * end * m2
         slides = 1.0  # share of the time under load in which the contact slides
         if state0[k] == STICK:
             if loose[k] == 0.0:  # held on its cone
@@ -335,6 +342,27 @@ def _change(W, A, B, closed, inverse, a, new_A, new_B):
     inverse -= np.dot(left, _solve_small(middle, VJ))
 
 
+@jit(types.Tuple((COUNTS, MATRIX))(MATRIX, BLOCKS, COUNTS, MATRIX, int64))
+def _border(W, B, own, inverse, k):
+    """The contact k joins the system `own`, open: its inverse with three rows and columns more."""
+    c, n = len(own), len(inverse)
+    column = np.empty((n, 3))
+    for a in range(c):
+        for row in range(3):
+            for j in range(3):
+                total = 0.0
+                for i in range(3):
+                    total += B[own[a], row, i] * W[3 * own[a] + i, 3 * k + j]
+                column[3 * a + row, j] = total
+    joined, grown = np.empty(c + 1, np.int64), np.zeros((n + 3, n + 3))
+    joined[:c], joined[c] = own, k
+    grown[:n, :n] = inverse
+    grown[:n, n:] = -np.dot(inverse, column)
+    for i in range(n, n + 3):
+        grown[i, i] = 1.0
+    return joined, grown
+
+
 @jit(void(MATRIX, int64))
 def _let_go(inverse, a):
     """The contact ``closed[a]`` opens: its rows and columns leave the system, the inverse by rank 3."""
@@ -410,69 +438,138 @@ def _compile(digest):
         times(W, y, w)
         w += q
 
-    @jit(int64(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, COUNTS))
-    def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, counts):
+    @jit(
+        types.Tuple((int64, COUNTS, MATRIX))(
+            EQUATION_POINTER,
+            MATRIX,
+            MATRIX,
+            VECTOR,
+            VECTOR,
+            VECTOR,
+            NUMBER,
+            NUMBER,
+            COUNTS,
+            VECTOR,
+            BLOCKS,
+            BLOCKS,
+            COUNTS,
+            MATRIX,
+            COUNTS,
+        )
+    )
+    def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts):
         """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (y, w).
 
         Equations are linearised where they are, statuses are not held: after each linear solution the contact whose
         inequality is violated most changes its status, the inverse by rank 3, until none is.  A slider whose motion is
         small would else be taken for one that sticks and back again, step after step.
 
-        Returns 1 if it is solved; ``w = W y + q`` in any case.
+        A problem differs little from the one solved before: its inverse serves, with the rows of contacts whose status
+        changed, as long as every step brings the error down by :data:`CHORD`.
+
+        Parameters
+        ----------
+        kept, stretch, A, B : (m,), (m,), (m, 3, 3), (m, 3, 3) array
+            Of the linear problem that was solved last: statuses, how many times tangential displacements count, and
+            the equations.
+        own : (c,) int array
+            The contacts that it is over, none if there was none.
+        inverse : (3c, 3c) array
+
+        Returns
+        -------
+        int
+            1 if it is solved; ``w = W y + q`` in any case.
+        own, inverse
+            The last ones.
         """
         digest  # noqa: B018
         m = len(parameters)
-        phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        phi, new_A, new_B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         state, found, place = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
-        e, right = np.zeros((m, 2)), np.zeros(3 * m)
+        e, right, scaling = np.zeros((m, 2)), np.zeros(3 * m), np.ones(m)
         y_new, w_new, trial, still = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m)
         one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
-        new_A, new_B = np.zeros((3, 3)), np.zeros((3, 3))
-        for _ in range(NEWTON):
-            derivative(equation, parameters, y, w, phi, A, B, state)
+        y_old, before, renewed, tried = y.copy(), np.inf, 0, False
+        for _ in range(STEPS_OF_NEWTON):
+            derivative(equation, parameters, y, w, phi, new_A, new_B, state)
             size = force_scale(scale, q, y, w)
-            if np.sqrt(np.dot(phi, phi)) <= tol * size:
-                return 1
+            error = np.sqrt(np.dot(phi, phi))
+            if error <= tol * size:
+                return 1, own, inverse
+            serves = len(own) > 0 and error <= CHORD * before
+            if tried and before < error:
+                y[:] = y_old
+                times(W, y, w)
+                w += q
+                error = before
             small = 0.1 * tol * size
-            trial[:] = STRETCH * w
-            derivative(equation, parameters, y, trial, phi, A, B, state)
+            for k in range(m):
+                i = 3 * k
+                scaling[k] = stretch[k]
+                if kept[k] != SLIP or not serves:
+                    force = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+                    motion = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
+                    scaling[k] = min(max(EVEN * force / max(motion, 1e-300), 1.0), STRETCH)
+                trial[i] = w[i]
+                trial[i + 1], trial[i + 2] = scaling[k] * w[i + 1], scaling[k] * w[i + 2]
+            derivative(equation, parameters, y, trial, phi, new_A, new_B, state)
+            changed = 0
             for k in range(m):
                 i = 3 * k
                 place[k] = 0 if state[k] != OPEN or y[i] != 0.0 or y[i + 1] != 0.0 or y[i + 2] != 0.0 else -1
                 if state[k] == SLIP:
-                    B[k] *= STRETCH
+                    new_B[k, :, 1:] *= scaling[k]
                     v1, v2 = y[i + 1] - trial[i + 1], y[i + 2] - trial[i + 2]
                     t = np.sqrt(v1 * v1 + v2 * v2)
                     e[k, 0], e[k, 1] = v1 / t, v2 / t
                 for c in range(i, i + 3):
                     right[c] = -w[c] if state[k] == STICK else -phi[c]
-            own = np.empty(0, np.int64)
-            inverse = np.empty((0, 0))
-            grown, worst = True, -1
+                if state[k] != kept[k]:
+                    changed += 1
+            tried = serves and changed <= CHANGES * len(own)
+            if tried:
+                asked = place.copy()
+                place[:] = -1
+                for a in range(len(own)):
+                    place[own[a]] = a
+                for k in range(m):
+                    if asked[k] == 0 and place[k] < 0:
+                        place[k] = len(own)
+                        own, inverse = _border(W, B, own, inverse, k)
+                        A[k], B[k] = one, none
+            else:
+                if renewed == NEWTON:
+                    break
+                own = np.flatnonzero(place >= 0)
+                for a in range(len(own)):
+                    place[own[a]] = a
+                A[:], B[:], kept[:], stretch[:] = new_A, new_B, state, scaling
+                inverse = _inverse(W, A, B, own)
+                counts[FACTORISATIONS] += 1
+                renewed += 1
+            for k in range(m):
+                if state[k] == kept[k]:
+                    continue
+                _change(W, A, B, own, inverse, place[k], new_A[k], new_B[k])
+                kept[k], stretch[k] = state[k], scaling[k]
+            y_old[:], before = y, error
+            settled = False
             for _ in range(PIVOTS):
-                if grown:
-                    own = np.flatnonzero(place >= 0)
-                    for a in range(len(own)):
-                        place[own[a]] = a
-                    inverse = _inverse(W, A, B, own)
-                    counts[FACTORISATIONS] += 1
                 _linear(W, own, inverse, right, y, q, y_new, w_new)
                 trial[:] = y_new
                 for k in range(m):
-                    if state[k] != STICK:
+                    if kept[k] != STICK:
                         trial[3 * k + 1] = trial[3 * k + 2] = 0.0
                 equation(parameters, trial, still, phi, nothing, nothing, found, False)
-                hardest, worst, grown = small, -1, False
+                hardest, worst = small, -1
                 for k in range(m):
                     i = 3 * k
-                    if state[k] == OPEN:
+                    if kept[k] == OPEN:
                         wrong = -w_new[i]
-                        if wrong > small and place[k] < 0:
-                            place[k] = 0
-                            grown = True
                     elif y_new[i] < 0.0:
                         wrong = -y_new[i]
-                    elif state[k] == SLIP:
+                    elif kept[k] == SLIP:
                         wrong = e[k, 0] * w_new[i + 1] + e[k, 1] * w_new[i + 2]
                     elif found[k] == SLIP:
                         wrong = np.sqrt(phi[i + 1] ** 2 + phi[i + 2] ** 2)
@@ -481,30 +578,44 @@ def _compile(digest):
                     if wrong > hardest:
                         hardest, worst = wrong, k
                 if worst < 0:
+                    settled = True
                     break
                 i = 3 * worst
-                if state[worst] != OPEN and y_new[i] < 0.0:
-                    state[worst] = OPEN
+                if place[worst] < 0:
+                    place[worst] = len(own)
+                    own, inverse = _border(W, B, own, inverse, worst)
+                    A[worst], B[worst] = one, none
+                if kept[worst] != OPEN and y_new[i] < 0.0:
+                    kept[worst] = OPEN
                     right[i : i + 3] = -y[i : i + 3]
-                    new_A[:], new_B[:] = one, none
-                elif state[worst] == STICK:
-                    state[worst] = SLIP
-                    _facet(equation, parameters, y, w, y_new, worst, new_A, new_B, right[i : i + 3], e[worst])
+                    new_A[worst], new_B[worst] = one, none
+                elif kept[worst] == STICK:
+                    kept[worst] = SLIP
+                    stretch[worst] = 1.0
+                    _facet(
+                        equation,
+                        parameters,
+                        y,
+                        w,
+                        y_new,
+                        worst,
+                        new_A[worst],
+                        new_B[worst],
+                        right[i : i + 3],
+                        e[worst],
+                    )
                 else:
-                    state[worst] = STICK
+                    kept[worst] = STICK
                     right[i : i + 3] = -w[i : i + 3]
-                    new_A[:], new_B[:] = none, one
-                if grown:
-                    A[worst], B[worst] = new_A, new_B
-                else:
-                    _change(W, A, B, own, inverse, place[worst], new_A, new_B)
-            if worst >= 0:
-                return 0
+                    new_A[worst], new_B[worst] = none, one
+                _change(W, A, B, own, inverse, place[worst], new_A[worst], new_B[worst])
+            if not settled:
+                return 0, np.empty(0, np.int64), inverse
             y[:], w[:] = y_new, w_new
-        return 0
+        return 0, own, inverse
 
     @jit(
-        int64(
+        types.Tuple((int64, COUNTS, MATRIX))(
             EQUATION_POINTER,
             MATRIX,
             MATRIX,
@@ -518,12 +629,38 @@ def _compile(digest):
             int64,
             int64,
             COUNTS,
+            VECTOR,
+            BLOCKS,
+            BLOCKS,
+            COUNTS,
+            MATRIX,
+            COUNTS,
         )
     )
-    def solve(equation, W, P, parameters, y, w, q, start, tol, scale, sweeps, calls, counts):
+    def solve(
+        equation,
+        W,
+        P,
+        parameters,
+        y,
+        w,
+        q,
+        start,
+        tol,
+        scale,
+        sweeps,
+        calls,
+        kept,
+        stretch,
+        A,
+        B,
+        own,
+        inverse,
+        counts,
+    ):
         """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
 
-        `calls` for help are made before it is given up.  Returns 1 if it is solved; ``w = W y + q`` in any case.
+        `calls` for help are made before it is given up.  The rest as :func:`newton_by_pivots`.
         """
         digest  # noqa: B018
         m = len(parameters)
@@ -532,14 +669,17 @@ def _compile(digest):
         slip = np.zeros(m)
         if sweeps > 0:
             sweep(W, P, parameters, y, w, q, slip, sweeps)
-        if newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, counts) == 1:
-            return 1
+        solved, own, inverse = newton_by_pivots(
+            equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
+        )
+        if solved == 1:
+            return 1, own, inverse
         run, halvings = sweeps, 0 if sweeps > 0 else 20
         for call in range(calls + 1):
             error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, PATIENCE, halvings, m)
             counts[FACTORISATIONS] += steps
             if error <= tol:
-                return 1
+                return 1, own, inverse
             if call == calls:
                 break
             counts[RESCUES] += 1
@@ -550,7 +690,7 @@ def _compile(digest):
                 sweep(W, P, parameters, y, w, q, slip, run)
                 best[:] = y
             run *= 2
-        return 0
+        return 0, own, inverse
 
     @jit(
         NUMBER(
@@ -781,7 +921,7 @@ def _compile(digest):
             MATRIX,
             MATRIX,
             int64,
-            int64,
+            VECTOR,
             NUMBER,
             NUMBER,
             NUMBER,
@@ -806,7 +946,7 @@ def _compile(digest):
         L,
         Y,
         order,
-        equal,
+        ends,
         tolerance,
         floor,
         tol,
@@ -831,8 +971,8 @@ def _compile(digest):
             Anchors and forces, at the start and, in place, at the end.
         order : {1, 2}
             1 for backward Euler's method as it is: neither prediction nor shifts, and no estimate.
-        equal : int
-            So many equal steps; 0 for steps of controlled error.
+        ends : (k,) array
+            Where steps end, in shares of the path, the last at 1; none for steps of controlled error.
         tolerance, floor : float
             A step's error may be this share of the motion that the contacts made so far, root mean square over them, or
             this length.
@@ -857,9 +997,11 @@ def _compile(digest):
         shift, other = np.zeros((m, 2)), np.zeros((m, 2))
         grip, loose = np.zeros(m), np.ones(m)
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
-        phi, nothing = np.empty(size), np.empty((0, 3, 3))
+        phi, nothing, kept = np.empty(size), np.empty((0, 3, 3)), np.zeros(m, np.int64)
+        stretch, A, B = np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         digest  # noqa: B018
-        smallest = 1.0 / equal if equal > 0 else SHORTEST
+        given = len(ends) > 0
+        smallest = 1.0 if given else SHORTEST
         for sample in range(len(Q0)):
             done = counts[sample]
             y[:] = Y[sample]
@@ -872,13 +1014,36 @@ def _compile(digest):
             rate[:] = Q1[sample] - Q0[sample]
             scale = max(starting_scale(q), starting_scale(q + rate))
             y0[:] = y
+            solved, own, inverse = 1, np.empty(0, np.int64), np.empty((0, 0))
             if order == 1:  # what does not balance is part of the first step
                 for k in range(m):
                     w[3 * k + 1] = w[3 * k + 2] = 0.0
-            elif solve(equation, W, P, parameters, y, w, q, y0, INNER, scale, sweeps, HELP, done) == 0:
+            else:
+                solved, own, inverse = solve(
+                    equation,
+                    W,
+                    P,
+                    parameters,
+                    y,
+                    w,
+                    q,
+                    y0,
+                    INNER,
+                    scale,
+                    sweeps,
+                    HELP,
+                    kept,
+                    stretch,
+                    A,
+                    B,
+                    own,
+                    inverse,
+                    done,
+                )
+            if solved == 0:
                 done[FAILED] += 1
                 continue
-            s, h, made = 0.0, 1.0 / equal if equal > 0 else LONGEST, 0.0
+            s, h, made = 0.0, ends[0] if given else LONGEST, 0.0
             while True:
                 for k in range(m):
                     for c in range(2):
@@ -898,8 +1063,8 @@ def _compile(digest):
                                 e0[k, 0], e0[k, 1] = y0[3 * k + 1] / grip[k], y0[3 * k + 2] / grip[k]
                             loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
-                        behind = 1.0 if equal > 0 else min(TOGETHER, max(smallest, BEHIND * step))
-                        allowed = np.inf if equal > 0 else max(tolerance * made, floor)
+                        behind = 1.0 if given else min(TOGETHER, max(smallest, BEHIND * step))
+                        allowed = np.inf if given else max(tolerance * made, floor)
                         step = predict(
                             equation,
                             W,
@@ -950,7 +1115,7 @@ def _compile(digest):
                         times(W, y, w)
                         w += q
                         end = target == 1.0
-                        solved = solve(
+                        solved, own, inverse = solve(
                             equation,
                             W,
                             P,
@@ -959,10 +1124,16 @@ def _compile(digest):
                             w,
                             q,
                             y0,
-                            tol if end or equal > 0 else INNER,
+                            tol if end or given else INNER,
                             starting_scale(q) if end else scale,
                             sweeps,
                             HELP if last or order == 1 or _motion(motion, unit) <= allowed else 0,
+                            kept,
+                            stretch,
+                            A,
+                            B,
+                            own,
+                            inverse,
                             done,
                         )
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
@@ -978,7 +1149,7 @@ def _compile(digest):
                             error = _motion(phi, unit)
                             break
                         error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
-                        if solved == 1 and (error <= allowed and equal == 0 or turn == 1 and equal > 0):
+                        if solved == 1 and (turn == 1 if given else error <= allowed):
                             break
                         if turn == 0 and solved == 1:
                             turn = 1
@@ -1022,11 +1193,11 @@ def _compile(digest):
                 s = target
                 made += _motion(w, unit)
                 h = min(LONGEST, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
-                if done[STEPS] > MOST and equal == 0:
+                if given:
+                    h = ends[min(done[STEPS], len(ends) - 1)] - s
+                elif done[STEPS] > MOST:
                     done[FAILED] += 1
                     break
-                if equal > 0:
-                    h = smallest
             Q[sample] = q
             Y[sample] = y
 

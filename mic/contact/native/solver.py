@@ -116,9 +116,9 @@ class NativeSolver:
         slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
         estimate, counts = np.zeros(n), np.zeros((n, 5), dtype=np.int64)
         if isinstance(path, Increments):
-            settings: tuple = (1, path.count, 0.0, 0.0)
+            settings: tuple = (1, path.ends, 0.0, 0.0)
         else:
-            settings = (2, path.steps or 0, path.tolerance, path.floor)
+            settings = (2, path.ends, path.tolerance, path.floor)
         settings += (
             ladder.MARGIN * self.tol,
             follower.SWEEPS * problem.law.gauss_seidel,
