@@ -108,7 +108,8 @@ def run(
         with clock("reduced model"):
             with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
                 model = ReducedModel.build(assembly, influence)
-            for sentence in model.process().redundant + frozen_gaps(model):
+                notes = model.process().redundant + frozen_gaps(model)
+            for sentence in notes:
                 listener.say(f"note: {sentence}")
         with clock("Monte Carlo"):
             found = _sample(folder, model, laws, samples, seed, listener)

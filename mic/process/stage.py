@@ -35,7 +35,7 @@ from mic.product import product
 
 __all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
 
-FLOOR = 5e-4  # mm: no gauge reads a step's error below it, a coordinate measuring machine half a micrometre at best
+FLOOR = 2e-4  # mm: no gauge reads a step's error below it
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
 
 
