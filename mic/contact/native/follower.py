@@ -78,11 +78,11 @@ DAMPING = 1e-12
 EVENTS, PASSES = 32, 32
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
-#: Sweeps before Newton's method, its steps, and the changes of statuses within one of them.
-SWEEPS, NEWTON, PIVOTS = 10, 10, 100
-#: Steps with inverses made before, a tenth of the cost of a new one, must bring the error down by this; steps in all;
-#: and the share of the contacts whose status may have changed.
-CHORD, STEPS_OF_NEWTON, CHANGES = 0.3, 40, 0.3
+#: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step.
+SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS = 10, 40, 10, 100
+#: A step with the inverse of one before, a tenth of the cost of a new one, must bring the error down by this, and of
+#: the contacts this share may have changed their status.
+CHORD, CHANGES = 0.3, 0.3
 #: In a slider's equation its displacement counts so many times that it is this share of its force: its direction is
 #: then that of its motion as well as that of its force, which others hold; and so many times at most.
 EVEN, STRETCH = 0.3, 1e4
