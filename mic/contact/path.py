@@ -260,8 +260,8 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
     slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
     converged, residual = np.ones(n, dtype=bool), np.zeros(n)
     iterations, factorisations = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    before_end = 0.0
-    for end in Increments(count).ends:
+    ends = Increments(count).ends
+    for end, part in zip(ends, np.diff(ends, prepend=0.0)):
         b = b0 + end * (b1 - b0)
         b = b.reshape(n, m, 3).copy()
         b[:, :, 1:] -= anchor
@@ -275,9 +275,9 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         slip, length = slip + slid, length + np.linalg.norm(slid, axis=-1)
         # The trapezoidal rule where the contact was closed before, else its force has grown from nothing.
         work = work - np.sum(0.5 * (before + now)[:, :, 1:] * slid, axis=-1)
-        share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) * (end - before_end)
+        share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) * part
         anchor = anchor + moved
-        force, before_end = solution.force, end
+        force = solution.force
         converged &= solution.converged
         residual = np.maximum(residual, solution.residual)
         iterations = iterations + solution.iterations

@@ -185,8 +185,8 @@ class WatchedSolver:
         u = displacement.reshape(len(displacement), -1, self._d)
         depth = -u[:, :, 0]
         if self.law.frictional and self.law.shift < 1:
-            count = path.count if isinstance(path, Increments) else 1
-            moved = np.linalg.norm(u[:, :, 1:] - anchor, axis=2) / count
+            last = np.diff(path.ends, prepend=0.0)[-1] if isinstance(path, Increments) else 1.0
+            moved = last * np.linalg.norm(u[:, :, 1:] - anchor, axis=2)
             depth = depth + (1 - self.law.shift) * self._friction.coefficient * moved
         return np.where(working | ~self._allowed, 0.0, depth)
 

@@ -91,6 +91,10 @@ HELP, PATIENCE = 6, 12
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 
+#: Of the linear problem that was solved last: statuses, stretch, A, B, contacts, inverse; and what a solution returns.
+LAST_PROBLEM = COUNTS, VECTOR, BLOCKS, BLOCKS, COUNTS, MATRIX
+SOLVED = types.Tuple((int64, COUNTS, MATRIX))
+
 
 @jit(NUMBER(NUMBER))
 def _lag(z):
@@ -438,25 +442,7 @@ def _compile(digest):
         times(W, y, w)
         w += q
 
-    @jit(
-        types.Tuple((int64, COUNTS, MATRIX))(
-            EQUATION_POINTER,
-            MATRIX,
-            MATRIX,
-            VECTOR,
-            VECTOR,
-            VECTOR,
-            NUMBER,
-            NUMBER,
-            COUNTS,
-            VECTOR,
-            BLOCKS,
-            BLOCKS,
-            COUNTS,
-            MATRIX,
-            COUNTS,
-        )
-    )
+    @jit(SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, *LAST_PROBLEM, COUNTS))
     def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts):
         """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (y, w).
 
@@ -615,7 +601,7 @@ def _compile(digest):
         return 0, own, inverse
 
     @jit(
-        types.Tuple((int64, COUNTS, MATRIX))(
+        SOLVED(
             EQUATION_POINTER,
             MATRIX,
             MATRIX,
@@ -628,12 +614,7 @@ def _compile(digest):
             NUMBER,
             int64,
             int64,
-            COUNTS,
-            VECTOR,
-            BLOCKS,
-            BLOCKS,
-            COUNTS,
-            MATRIX,
+            *LAST_PROBLEM,
             COUNTS,
         )
     )
