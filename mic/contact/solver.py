@@ -13,6 +13,7 @@ from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
+from mic.product import one_thread
 
 __all__ = ["ContactSolver", "solve"]
 
@@ -65,6 +66,7 @@ class ContactSolver:
         If the backend is not installed.
     """
 
+    @one_thread
     def __init__(
         self,
         S: np.ndarray,
@@ -105,6 +107,7 @@ class ContactSolver:
         """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
         return self.law.bound(normal, self._parameters)
 
+    @one_thread
     def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
 
@@ -140,6 +143,7 @@ class ContactSolver:
             solution = self.certified(rows, force, iterations, rung, infeasible)
         return solution if b.ndim == 2 else _only(solution)
 
+    @one_thread
     def certified(
         self,
         b: np.ndarray,
@@ -177,6 +181,7 @@ class ContactSolver:
             **vars(certificate),
         )
 
+    @one_thread
     def follow(
         self,
         b: np.ndarray,

@@ -30,6 +30,7 @@ from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
+from mic.product import one_thread
 from mic.scene import Scene
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -185,6 +186,7 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
+@one_thread
 def assemble(
     scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
 ) -> Assembly:

@@ -16,7 +16,7 @@ from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import Step, plan_stages
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, path_of
 from mic.process.state import ProcessState
-from mic.product import product
+from mic.product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
 
@@ -83,6 +83,7 @@ class Process:
         If a stage leaves a part free to move.
     """
 
+    @one_thread
     def __init__(
         self,
         model,
@@ -167,6 +168,7 @@ class Process:
             )
         ]
 
+    @one_thread
     def evaluate(self, deviations: np.ndarray) -> Evaluation:
         """Take a batch through all stages.
 
