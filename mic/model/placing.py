@@ -172,9 +172,7 @@ class _Placing:
         sets = deck.node_sets if deck is not None else {}
         if name not in sets or not len(sets[name]):
             near = difflib.get_close_matches(name, sets, 1, cutoff=0.0)
-            hint = (
-                f"the nearest name is {near[0]!r}" if near else "its mesh has no sets of nodes: give point = [x, y, z]"
-            )
+            hint = f"the nearest name is {near[0]!r}" if near else "its mesh has no sets of nodes"
             raise _Misplaced(f"{key}: part {part!r} has no set of nodes {name!r}; {hint}")
         points = surface.points[np.unique(sets[name])]
         middle = points.mean(axis=0)
@@ -183,8 +181,8 @@ class _Placing:
         if distance > REACH:
             nearest = points[np.argmin(np.linalg.norm(points - middle, axis=1))]
             raise _Misplaced(
-                f"{key}: the middle of the {len(points)} nodes of {name!r} lies {distance:.3g} mm off part {part!r} (at "
-                f"most {REACH:g} mm is allowed); give a set that lies closer together, the rim of a hole as hole, or a "
+                f"{key}: the middle of the {len(points)} nodes of {name!r} lies {distance:.3g} mm off part {part!r} "
+                f"(at most {REACH:g} mm is allowed); give a set that lies closer together, the rim of a hole as hole, or a "
                 f"point: its node nearest to the middle is at {_words(nearest)}"
             )
         self.sentences.append(
@@ -238,15 +236,15 @@ class _Placing:
             foot = self.surfaces[part].project(point)
             if foot.distance[0] > REACH:
                 raise _Misplaced(
-                    f"{key}.point: {_words(point)} lies {foot.distance[0]:.3g} mm off part {part!r} (at most {REACH:g} mm "
-                    f"is allowed); the nearest point on it is {_words(foot.point[0])}"
+                    f"{key}.point: {_words(point)} lies {foot.distance[0]:.3g} mm off part {part!r} (at most "
+                    f"{REACH:g} mm is allowed); the nearest point on it is {_words(foot.point[0])}"
                 )
         try:
             n = pair_at(point, item.radius, self.sides[first], self.sides[second]).frame[:, 0]
         except ValueError:
             raise _Misplaced(
-                f"{key}.point: {first!r} and {second!r} do not face each other at {_words(point)}, so a tong cannot press "
-                "them together there; move it to where they do, or give two clamps"
+                f"{key}.point: {first!r} and {second!r} do not face each other at {_words(point)}, so a tong cannot "
+                "press them together there; move it to where they do, or give two clamps"
             ) from None
         along = n
         if not isinstance(item.direction, str):

@@ -42,7 +42,7 @@ def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
     names = {
         item["name"]
         for key in ("parts", "fixtures")
-        for item in (table.get(key) if isinstance(table.get(key), list) else [])
+        for item in (table[key] if isinstance(table.get(key), list) else [])
         if isinstance(item, dict) and isinstance(item.get("name"), str)
     }
     problems: list[str] = []
