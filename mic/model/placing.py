@@ -182,8 +182,8 @@ class _Placing:
             nearest = points[np.argmin(np.linalg.norm(points - middle, axis=1))]
             raise _Misplaced(
                 f"{key}: the middle of the {len(points)} nodes of {name!r} lies {distance:.3g} mm off part {part!r} "
-                f"(at most {REACH:g} mm is allowed); give a set that lies closer together, the rim of a hole as hole, or a "
-                f"point: its node nearest to the middle is at {_words(nearest)}"
+                f"(at most {REACH:g} mm is allowed); give a set that lies closer together, the rim of a hole as hole, "
+                f"or a point: its node nearest to the middle is at {_words(nearest)}"
             )
         self.sentences.append(
             f"{key} {name}: {_words(point)}, the middle of {len(points)} nodes"
