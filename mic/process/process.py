@@ -46,6 +46,7 @@ def contact_solver(contacts, S: np.ndarray, friction: Friction, welds: Sequence[
     **settings
         Law and others, as :class:`mic.contact.ContactSolver` takes them.
     """
+    settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
     if not contacts.watched.any():
         return ContactSolver(S, friction, **settings)
     reach, allowed = APART * np.sqrt(contacts.area), ~contacts.out(welds)
