@@ -48,6 +48,8 @@ __all__ = [
 # Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
 FINEST, COARSEST = 1e-5, 0.1
 
+#: Suffixes of CAD files, which are meshed when they are read.
+CAD = (".step", ".stp", ".iges", ".igs", ".brep")
 #: What a sheet is where neither the scene nor a mesh file tells it: drawn in its middle, of steel; MPa.
 USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
 
@@ -80,7 +82,8 @@ class Part(_Table):
     name: Name = Field(description="names the part in every other table")
     mesh: str | None = Field(
         None,
-        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …",
+        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …; "
+        "or a CAD file of its mid-surface, STEP, IGES",
     )
     set: str | Annotated[list[str], Field(min_length=1)] | None = Field(
         None,
@@ -96,7 +99,7 @@ class Part(_Table):
         "(k, 3, 3) at the corners of the triangles as a third; it is executed",
     )
     size: str | Positive | None = Field(
-        None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
+        None, description="with `geometry`: element size in mm, or a name from its `SIZES`; with a CAD file in mm"
     )
     accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
         None,
@@ -131,8 +134,10 @@ class Part(_Table):
             for key, usual in USUAL.items():  # nobody else will be asked for them
                 object.__setattr__(self, key, usual if getattr(self, key) is None else getattr(self, key))
         for key in ("size", "accuracy"):
-            if self.geometry is None and getattr(self, key) is not None:
+            if self.geometry is None and getattr(self, key) is not None and not (key == "size" and self._cad):
                 raise ValueError(f"{key} applies to geometry sources only: remove it, or give geometry instead of mesh")
+        if self._cad and not isinstance(self.size, float):
+            raise ValueError("a CAD file is meshed here and needs size, mm: add it")
         if self.geometry is not None and self.size is None and self.accuracy is None:
             raise ValueError(
                 "a geometry source needs size: an element size in mm, or one of the geometry's named sizes; or accuracy"
@@ -140,6 +145,10 @@ class Part(_Table):
         if self.size is not None and self.accuracy is not None:
             raise ValueError("give either size or accuracy, not both: accuracy finds the size")
         return self
+
+    @property
+    def _cad(self) -> bool:
+        return self.mesh is not None and self.mesh.lower().endswith(CAD)
 
     @property
     def sheet(self) -> tuple[float, float, float]:
