@@ -30,8 +30,10 @@ from mic.geometry.pairing import (
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
+from mic.model.placing import place
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
+from mic.product import one_thread
 from mic.scene import Scene
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -150,7 +152,8 @@ class Assembly:
     Attributes
     ----------
     scene : Scene
-        What its parts leave to their mesh files filled in.
+        What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
+        and directions are vectors, clamps single ones.
     parts : tuple of Part
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
@@ -170,6 +173,8 @@ class Assembly:
         Distance between the candidates of each zone, mm; None where a zone states its pairs.
     decks : dict of str to Deck
         What the mesh files of the parts tell beside the mesh.
+    placed : tuple of str
+        What was found for each node, set, hole and tong that the scene names.
     """
 
     scene: Scene
@@ -184,6 +189,7 @@ class Assembly:
     sizes: Mapping[str, float] = field(default_factory=dict)
     spacing: tuple[float | None, ...] = ()
     decks: Mapping[str, Deck] = field(default_factory=dict)
+    placed: tuple[str, ...] = ()
 
     @property
     def offsets(self) -> np.ndarray:
@@ -191,6 +197,7 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
+@one_thread
 def assemble(
     scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
 ) -> Assembly:
@@ -227,10 +234,12 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for one in loaded:
         surfaces[one.part.name] = one.surface
         inputs |= one.inputs
-    scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
+    if any(one.part is not part for one, part in zip(loaded, scene.parts)):
+        scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
     for fixture in scene.fixtures:
         fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
         inputs |= read
+    scene, placed = place(scene, surfaces, {one.part.name: one.deck for one in loaded})
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
@@ -278,6 +287,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         sizes,
         tuple(spacing),
         {one.part.name: one.deck for one in loaded if one.deck is not None},
+        placed,
     )
 
 
