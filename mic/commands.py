@@ -26,6 +26,7 @@ from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.geometry.normals import COARSE, Rule
+from mic.geometry.told import told
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
@@ -331,6 +332,7 @@ def check(
     assembly = assemble(asked, cache_folder(), progress=say)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
+    _print_told(console, asked, assembly)
     _print_normals(console, assembly)
     for sentence in assembly.placed:
         console.print(plain(sentence), highlight=False, soft_wrap=True)
@@ -400,6 +402,14 @@ def _print_parts(console, assembly):
             _coefficients(part),
         )
     console.print(table)
+
+
+def _print_told(console, asked, assembly):
+    """What the parts' mesh files were taken for."""
+    for part, source, filled in zip(assembly.parts, asked.parts, assembly.scene.parts):
+        deck = assembly.decks.get(part.name)
+        for sentence in told(source, filled, deck, part.surface) if deck is not None else ():
+            console.print(plain(sentence), highlight=False, soft_wrap=True)
 
 
 def _print_normals(console, assembly):
