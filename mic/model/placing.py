@@ -37,7 +37,9 @@ TOGETHER = 0.5  # cosine between a tong's direction and the normal from its firs
 LONGEST = 60  # letters of a name
 
 
-def place(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]) -> tuple[Scene, tuple[str, ...]]:
+def place(
+    scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]
+) -> tuple[Scene, tuple[str, ...]]:
     """Put a scene's items where it says.
 
     Parameters
@@ -183,8 +185,9 @@ class _Placing:
             nearest = points[np.argmin(np.linalg.norm(points - middle, axis=1))]
             raise _Misplaced(
                 f"{key}: the middle of the {len(points)} nodes of {name!r} lies {distance:.3g} mm off part {part!r} "
-                f"(at most {REACH:g} mm is allowed); give a set that lies closer together, the rim of a hole as hole, or a "
-                f"point: its node nearest to the middle is at {_words(nearest)}"
+                f"(at most {REACH:g} mm is allowed); give a set that lies closer together, the rim of a hole as "
+                "hole, or "
+                f"a point: its node nearest to the middle is at {_words(nearest)}"
             )
         self.sentences.append(
             f"{key} {name}: {_words(point)}, the middle of {len(points)} nodes"
