@@ -92,7 +92,7 @@ def test_the_first_run_leads_to_the_question_of_the_page(played):
     """The corner that it names has the least capability, by the numbers that it gives; nothing else is in doubt."""
     _, folder, _ = played
     found = capability(folder, "panel+channel")
-    name, six_sigma, cpk = re.search(r"`([\w-]+)`, a corner .*?6σ = ([\d.]+) mm.*?Cpk = ([\d.]+)", TEXT).groups()
+    name, six_sigma, cpk = re.search(r"`([\w-]+)`, a corner .*?6σ = (\d+\.\d+) mm.*?Cpk = (\d+\.\d+)", TEXT).groups()
     assert min(found, key=lambda one: found[one]["cpk"]) == name
     assert found[name]["six_sigma"] == pytest.approx(float(six_sigma), abs=0.01)
     assert found[name]["cpk"] == pytest.approx(float(cpk), abs=0.01) and float(cpk) < 1.33

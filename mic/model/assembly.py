@@ -33,6 +33,7 @@ from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
+from mic.product import one_thread
 from mic.scene import Scene
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -196,6 +197,7 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
+@one_thread
 def assemble(
     scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
 ) -> Assembly:
