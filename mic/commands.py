@@ -24,8 +24,9 @@ from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
-from mic.errors import RunError, Stopped
+from mic.errors import RunError, SceneError, Stopped
 from mic.geometry.normals import COARSE, Rule
+from mic.judgement import judge, refuse, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
@@ -85,6 +86,9 @@ LawOption = Annotated[
 ]
 
 
+StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
+
+
 def _on_first(command):
     """A command that takes one process; under ``mpirun`` the others leave it to the first."""
 
@@ -140,6 +144,7 @@ def run(
             "Without it, such a folder is refused.",
         ),
     ] = False,
+    strict: StrictOption = False,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
@@ -155,7 +160,7 @@ def run(
     folder = out or Path("results") / asked.name
     try:
         with hold(folder, _Listener(console)):
-            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace)
+            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace, strict)
             if outcome is not None:
                 _report(console, outcome)
     except (KeyboardInterrupt, Stopped) as stop:
@@ -312,8 +317,11 @@ def check(
             show_default=False,
         ),
     ] = None,
+    strict: StrictOption = False,
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
+
+    Errors stop. Warnings name what no workshop would build: the item, the number, what is usual, and the remedy.
 
     Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
     coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
@@ -328,12 +336,17 @@ def check(
             soft_wrap=True,
         )
     say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
-    assembly = assemble(asked, cache_folder(), progress=say)
+    try:
+        assembly = assemble(asked, cache_folder(), progress=say)
+        plans = plan_stages(asked, assembly.weld_size)
+    except SceneError:
+        _print_warnings(console, suspect(asked, cache_folder()))
+        raise
+    warnings = judge(asked, assembly)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_normals(console, assembly)
     _print_contacts(console, assembly)
-    plans = plan_stages(asked, assembly.weld_size)
     _print_process(console, assembly, plans)
     _print_doubts(console, assembly)
     _print_cost(console, assembly, plans)
@@ -349,7 +362,16 @@ def check(
             _keep_picture(console, "normals", draw_normals(surfaces), normals)
         if overlap is not None:
             _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
-    console.print("[green]The scene is valid.[/]")
+    _print_warnings(console, warnings)
+    if strict:
+        refuse(warnings)
+    count = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
+    console.print(f"[{'yellow' if warnings else 'green'}]The scene is valid{count}.[/]")
+
+
+def _print_warnings(console, warnings):
+    for warned in warnings:
+        console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
 
 
 def _keep_picture(console, what, picture, file):

@@ -13,7 +13,7 @@ from mic.errors import SceneError
 from mic.scene.checks import problems
 from mic.scene.schema import Scene
 
-__all__ = ["load_scene"]
+__all__ = ["load_scene", "read_table"]
 
 
 def load_scene(path) -> Scene:
@@ -45,6 +45,17 @@ def load_scene(path) -> Scene:
         ) from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
+    return read_table(table, path)
+
+
+def read_table(table: dict[str, Any], path: Path) -> Scene:
+    """The scene that a table states, as it would stand in the file `path`.
+
+    Raises
+    ------
+    SceneError
+        As :func:`load_scene`.
+    """
     if "folder" in table:
         raise SceneError(f"{path}: folder: unknown key; remove it")
     try:
@@ -107,8 +118,9 @@ def _name(table: dict[str, Any], keys: list[str | int]) -> str:
     if len(keys) < 2 or not isinstance(keys[1], int) or keys[2:] == ["name"]:
         return ""
     try:
-        name = table[str(keys[0])][keys[1]]["name"]
-    except (KeyError, IndexError, TypeError):
+        item = table[str(keys[0])][keys[1]]
+        name = item.get("name", item.get("kind") if keys[0] == "stages" else None)
+    except (AttributeError, KeyError, IndexError, TypeError):
         return ""
     return f" ({name})" if isinstance(name, str) else ""
 

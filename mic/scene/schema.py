@@ -278,6 +278,8 @@ class Zone(_Table):
             raise ValueError("give box or path, not both")
         if (self.path is None) != (self.within is None):
             raise ValueError("path and within (mm) belong together")
+        if any(start == end for start, end in zip(self.path or [], (self.path or [])[1:])):
+            raise ValueError("path stands still: two points that follow each other are one, remove one of them")
         if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
             raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):

@@ -1,0 +1,67 @@
+"""What no rule of the scene forbids and no workshop would build: warnings, each with the usual range and a remedy.
+
+Two tables say all of it (:mod:`mic.judgement.table`): what the scene file alone shows, and what needs the parts' meshes
+and the contact pairs. A rule says where it looks, what is usual and why, and what to do. Usual is what production of
+sheet-metal assemblies knows, with room on both sides: a scene of cars, cabins or white goods passes without a word. A
+warning changes nothing that is computed; who is strict takes it for an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+from mic.errors import SceneError
+from mic.geometry.load import part_surface
+from mic.judgement.rule import Rule, Warned
+from mic.judgement.table import FILE, MESHES, PARTS
+
+if TYPE_CHECKING:
+    from mic.model.assembly import Assembly
+    from mic.scene import Scene
+
+__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "refuse", "suspect"]
+
+
+def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
+    """The warnings of a scene, in the order of the rules.
+
+    Parameters
+    ----------
+    scene : Scene
+    assembly : Assembly, optional
+        The scene on its meshes; without it, what the file alone shows.
+    """
+    found = [warned for rule in FILE for warned in rule.judge(scene)]
+    if assembly is not None:
+        found += [warned for rule in PARTS for warned in rule.judge(assembly.parts)]
+        found += [warned for rule in MESHES for warned in rule.judge(assembly)]
+    return tuple(found)
+
+
+def suspect(scene: Scene, cache: Path) -> tuple[Warned, ...]:
+    """The warnings of a scene that could not be put on its meshes: what is unusual may be why.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path
+        Folder of generated meshes.
+    """
+    parts = []
+    for part in scene.parts:
+        try:
+            if part.accuracy is None:
+                surface = part_surface(part, scene.folder, cache)
+                parts.append(SimpleNamespace(name=part.name, thickness=part.thickness, surface=surface))
+        except SceneError:
+            continue  # it is told already
+    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+
+
+def refuse(warnings: Sequence[Warned]) -> None:
+    """Raise :class:`~mic.errors.SceneError` if there are any warnings, with one line for each."""
+    if warnings:
+        raise SceneError("\n".join(str(warned) for warned in warnings))
