@@ -24,9 +24,9 @@ from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
-from mic.errors import RunError, SceneError, Stopped
+from mic.errors import RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
-from mic.judgement import judge, refuse, suspect
+from mic.judgement import judge, refuse, surfaces_of, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
@@ -318,6 +318,14 @@ def check(
         ),
     ] = None,
     strict: StrictOption = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw the assembly and what is placed on it into this file. Default: "
+            "results/NAME-OF-SCENE/check.html, where a run writes its report.",
+            show_default=False,
+        ),
+    ] = None,
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
 
@@ -339,8 +347,10 @@ def check(
     try:
         assembly = assemble(asked, cache_folder(), progress=say)
         plans = plan_stages(asked, assembly.weld_size)
-    except SceneError:
-        _print_warnings(console, suspect(asked, cache_folder()))
+    except SceneError as error:
+        warnings = suspect(asked, cache_folder())
+        _print_warnings(console, warnings)
+        _draw_check(console, page, asked, surfaces_of(asked, cache_folder()), warnings, errors=str(error).splitlines())
         raise
     warnings = judge(asked, assembly)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
@@ -355,6 +365,7 @@ def check(
     if converge:
         _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
     surfaces = {part.name: part.surface for part in assembly.parts}
+    _draw_check(console, page, asked, surfaces, warnings, assembly.contacts, plans)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
@@ -372,6 +383,19 @@ def check(
 def _print_warnings(console, warnings):
     for warned in warnings:
         console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
+
+
+def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=()):
+    """The page of the check; where it cannot be written, that is all that is wrong."""
+    from mic.report.check_page import write_check  # drawing libraries are slow to import
+
+    page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
+    try:
+        write_check(page, scene, surfaces, warnings, contacts, plans, errors)
+    except (StorageError, OSError) as problem:
+        console.print(f"[yellow]no page:[/] {plain(problem)}; name another file with --page", soft_wrap=True)
+    else:
+        console.print(f"page: [bold]{plain(page)}[/]", soft_wrap=True)
 
 
 def _keep_picture(console, what, picture, file):

@@ -20,6 +20,12 @@ ROOT = Path(__file__).resolve().parents[1]
 LAP = ROOT / "meshes" / "lap_joint"
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A check writes its page where a run writes its results: below the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture
 def command(cache, tmp_path):
     def call(*arguments, check=True):

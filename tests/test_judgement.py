@@ -614,6 +614,12 @@ def test_a_warning_says_number_range_reason_and_remedy():
     refuse([])
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A check writes its page where a run writes its results: below the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
 def nonsense(tmp_path):
     """The lap joint of a soft metal, with a friction that there is not, in a folder of its own."""
     text = (MESHES_FOLDER / "lap_joint" / "scene.toml").read_text()
@@ -623,8 +629,7 @@ def nonsense(tmp_path):
     return str(tmp_path)
 
 
-def test_check_tells_all_warnings_counts_them_and_takes_them_for_errors_if_asked(cache, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_check_tells_all_warnings_counts_them_and_takes_them_for_errors_if_asked(cache, tmp_path):
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     done = CliRunner().invoke(app, ["check", nonsense(tmp_path)], env=environment)
     assert done.exit_code == 0 and done.output.rstrip().endswith("The scene is valid, 2 warnings.")
@@ -634,9 +639,8 @@ def test_check_tells_all_warnings_counts_them_and_takes_them_for_errors_if_asked
     assert "The scene is valid" not in strict.output
 
 
-def test_a_check_that_ends_in_an_error_tells_what_is_unusual_first(cache, tmp_path, monkeypatch):
+def test_a_check_that_ends_in_an_error_tells_what_is_unusual_first(cache, tmp_path):
     """It may be why: a sheet of 40 mm reaches through its neighbour."""
-    monkeypatch.chdir(tmp_path)
     scene = nonsense(tmp_path)
     path = tmp_path / "scene.toml"
     path.write_text(path.read_text().replace("thickness = 1\n", "thickness = 40\n", 1))
@@ -656,13 +660,14 @@ def test_a_strict_run_is_refused_before_long_work(tmp_path, monkeypatch, cache):
     assert not (out / "run.json").exists()
 
 
-def test_the_report_repeats_the_warnings(tmp_path, monkeypatch, cache):
-    monkeypatch.chdir(tmp_path)
+def test_the_report_repeats_the_warnings(tmp_path, cache):
     text = (MESHES_FOLDER / "lap_joint" / "scene.toml").read_text().replace("fields = true", "")
     text = text.replace("friction = 0.27", f"friction = 27\npairs = {FEW['lap']}", 1)
     (tmp_path / "scene.toml").write_text(text.replace('laws = ["coulomb", "associated", "frictionless"]', ""))
     (tmp_path / "geometry.py").write_text((MESHES_FOLDER / "lap_joint" / "geometry.py").read_text())
     said = "zone lap: friction = 27; usual is 0 to 1"
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "check.html").write_text("the page of a check, which a run leaves alone")
     arguments = ["run", str(tmp_path), "--samples", "12", "--law", "frictionless", "--out", "out"]
     done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
     assert done.exit_code == 0, done.output
@@ -670,3 +675,4 @@ def test_the_report_repeats_the_warnings(tmp_path, monkeypatch, cache):
     assert said in json.loads((tmp_path / "out" / "run.json").read_text())["warnings"][0]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "1 warning" in page and f"<li>{said}" in page
+    assert (tmp_path / "out" / "check.html").is_file()

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from mic.errors import SceneError
 from mic.geometry.load import part_surface
+from mic.geometry.surface import Surface
 from mic.judgement.rule import Rule, Warned
 from mic.judgement.table import FILE, MESHES, PARTS
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from mic.model.assembly import Assembly
     from mic.scene import Scene
 
-__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "refuse", "suspect"]
+__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "refuse", "surfaces_of", "suspect"]
 
 
 def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
@@ -50,15 +51,25 @@ def suspect(scene: Scene, cache: Path) -> tuple[Warned, ...]:
     cache : Path
         Folder of generated meshes.
     """
-    parts = []
+    surfaces = surfaces_of(scene, cache)
+    parts = [
+        SimpleNamespace(name=part.name, thickness=part.thickness, surface=surfaces[part.name])
+        for part in scene.parts
+        if part.name in surfaces
+    ]
+    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+
+
+def surfaces_of(scene: Scene, cache: Path) -> dict[str, Surface]:
+    """Surfaces of those parts of a scene that can be had, by name; a part whose size is to be found is none of them."""
+    found = {}
     for part in scene.parts:
         try:
             if part.accuracy is None:
-                surface = part_surface(part, scene.folder, cache)
-                parts.append(SimpleNamespace(name=part.name, thickness=part.thickness, surface=surface))
+                found[part.name] = part_surface(part, scene.folder, cache)
         except SceneError:
             continue  # it is told already
-    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+    return found
 
 
 def refuse(warnings: Sequence[Warned]) -> None:
