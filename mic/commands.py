@@ -346,7 +346,7 @@ def check(
     say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
     try:
         assembly = assemble(asked, cache_folder(), progress=say)
-        plans = plan_stages(asked, assembly.weld_size)
+        plans = plan_stages(assembly.scene, assembly.weld_size)
     except SceneError as error:
         warnings = suspect(asked, cache_folder())
         _print_warnings(console, warnings)
@@ -356,6 +356,8 @@ def check(
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_normals(console, assembly)
+    for sentence in assembly.placed:
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
     _print_doubts(console, assembly)
@@ -365,7 +367,7 @@ def check(
     if converge:
         _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
     surfaces = {part.name: part.surface for part in assembly.parts}
-    _draw_check(console, page, asked, surfaces, warnings, assembly.contacts, plans)
+    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
@@ -675,7 +677,7 @@ def _model(console, source):
     scene = load_scene(source)
     say = lambda line: console.print(f"{plain(line)} …", highlight=False)
     assembly = assemble(scene, cache_folder(), progress=say)
-    plan_stages(scene, assembly.weld_size)
+    plan_stages(assembly.scene, assembly.weld_size)
     coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
     return ReducedModel.build(assembly, coefficients)
 

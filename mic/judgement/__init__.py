@@ -33,9 +33,9 @@ def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
     ----------
     scene : Scene
     assembly : Assembly, optional
-        The scene on its meshes; without it, what the file alone shows.
+        The scene on its meshes; without it, what the file alone shows, of items that are not placed yet only numbers.
     """
-    found = [warned for rule in FILE for warned in rule.judge(scene)]
+    found = [warned for rule in FILE for warned in rule.judge(assembly.scene if assembly is not None else scene)]
     if assembly is not None:
         found += [warned for rule in PARTS for warned in rule.judge(assembly.parts)]
         found += [warned for rule in MESHES for warned in rule.judge(assembly)]

@@ -21,9 +21,11 @@ def held_twice(scene) -> Iterator[Seen]:
     """Locators, and clamps that hold a position, of one part, place and direction."""
     rows: list[_Held] = [("locators", item, 0.0) for item in scene.locators]
     rows += [("clamps", item, item.stroke) for item in scene.clamps if item.stroke is not None]
-    moved = {(item.moves, item.target): item.mean for item in scene.deviations if item.moves is not None}
+    moved = {
+        (item.moves, name): item.mean for item in scene.deviations if item.kind != "force" for name in _targets(item)
+    }
     for (one, a, at), (other, b, to) in itertools.combinations(rows, 2):
-        cosine = float(np.dot(a.direction, b.direction))
+        cosine = _cosine(a, b)
         if a.part == b.part and abs(cosine) > PARALLEL and _apart(a, b) < PINNED:
             at_a, at_b = at + moved.get((one, a.name), 0.0), to + moved.get((other, b.name), 0.0)
             off = abs(at_a - np.sign(cosine) * at_b)
@@ -39,7 +41,7 @@ def clamped_twice(scene) -> Iterator[Seen]:
     """Clamps with forces at one place of one part in one direction."""
     pushing = [clamp for clamp in scene.clamps if clamp.force is not None]
     for a, b in itertools.combinations(pushing, 2):
-        if a.part == b.part and np.dot(a.direction, b.direction) > PARALLEL and _apart(a, b) < PINNED:
+        if a.part == b.part and _cosine(a, b) > PARALLEL and _apart(a, b) < PINNED:
             if a.stage == b.stage:
                 yield of("clamps", a), f"stands where clamp {b.name} stands, and pushes the same way", a.point
 
@@ -49,7 +51,7 @@ def tongs_askew(scene) -> Iterator[Seen]:
     for a, b in itertools.combinations(scene.clamps, 2):
         if a.part == b.part or a.stage != b.stage or _apart(a, b) > a.radius + b.radius:
             continue
-        cosine, step = float(np.dot(a.direction, b.direction)), np.subtract(b.point, a.point)
+        cosine, step = _cosine(a, b), np.subtract(b.point, a.point)
         item, other = of("clamps", a), f"clamp {b.name} of part {b.part} opposite"
         if cosine > 0.5:
             yield item, f"pushes the same way as {other}: they press one side only", a.point
@@ -63,17 +65,17 @@ def clamps_that_may_pull(scene) -> Iterator[Seen]:
     """Clamps whose force changes sign within three standard deviations."""
     forces = {clamp.name: clamp.force for clamp in scene.clamps if clamp.force is not None}
     for item in scene.deviations:
-        if item.kind == "clamp" and item.target in forces:
-            least = forces[item.target] + item.mean - 3 * item.sigma
-            if forces[item.target] > 0 > least:
-                yield of("deviations", item), f"lets clamp {item.target} push with {least:.3g} N at three sigma", None
+        for name in _targets(item) if item.kind == "clamp" else ():
+            least = forces.get(name, 0.0) + item.mean - 3 * item.sigma
+            if forces.get(name, 0.0) > 0 > least:
+                yield of("deviations", item), f"lets clamp {name} push with {least:.3g} N at three sigma", None
 
 
 def moves_much(scene) -> Iterator[Seen]:
     """Deviations of position that no fixture has, and forces that shape no sheet."""
     strokes = {clamp.name for clamp in scene.clamps if clamp.stroke is not None}
     for item in scene.deviations:
-        position = item.kind == "locator" or (item.kind == "clamp" and item.target in strokes)
+        position = item.kind == "locator" or (item.kind == "clamp" and strokes & {*_targets(item)})
         high, unit = (MOVED, "mm") if position else (SHAPED, "N")
         for key in ("mean", "sigma"):
             value = getattr(item, key)
@@ -103,7 +105,7 @@ def force_on_a_locator(scene) -> Iterator[Seen]:
     """Corrective forces that a locator takes where they act: they shape nothing."""
     for item in scene.deviations:
         for locator in scene.locators if item.kind == "force" else ():
-            along = abs(np.dot(item.direction, locator.direction)) > PARALLEL
+            along = abs(_cosine(item, locator)) > PARALLEL
             if along and item.part == locator.part and _apart(item, locator) < PINNED:
                 if locator.stage == scene.stages[0].name:
                     yield of("deviations", item), f"pushes straight onto locator {locator.name}", item.point
@@ -115,9 +117,9 @@ def deviates_twice(scene) -> Iterator[Seen]:
         if a.kind != b.kind:
             continue
         if a.kind == "force":
-            same = a.part == b.part and _apart(a, b) < PINNED and abs(np.dot(a.direction, b.direction)) > PARALLEL
+            same = a.part == b.part and _apart(a, b) < PINNED and abs(_cosine(a, b)) > PARALLEL
         else:
-            same = a.target == b.target
+            same = bool({*_targets(a)} & {*_targets(b)})
         if same:
             yield of("deviations", b), f"does what deviation {a.name} does: their sigmas add in squares", None
 
@@ -149,7 +151,7 @@ def measured_at_a_locator(scene) -> Iterator[Seen]:
             kept &= set(stage.keep)
     for item in scene.measurements:
         for locator in scene.locators:
-            along = abs(np.dot(item.direction, locator.direction)) > PARALLEL
+            along = abs(_cosine(item, locator)) > PARALLEL
             if along and locator.name in kept and item.part == locator.part and _apart(item, locator) < PINNED:
                 yield of("measurements", item), f"reads where locator {locator.name} holds the part", item.point
 
@@ -157,7 +159,7 @@ def measured_at_a_locator(scene) -> Iterator[Seen]:
 def measured_twice(scene) -> Iterator[Seen]:
     """Two measurements of one place and direction."""
     for a, b in itertools.combinations(scene.measurements, 2):
-        if a.part == b.part and _apart(a, b) < 1e-6 and abs(np.dot(a.direction, b.direction)) > 1 - 1e-6:
+        if a.part == b.part and _apart(a, b) < 1e-6 and abs(_cosine(a, b)) > 1 - 1e-6:
             yield of("measurements", b), f"reads what measurement {a.name} reads", b.point
 
 
@@ -260,4 +262,17 @@ def welds_nothing(scene) -> Iterator[Seen]:
 
 
 def _apart(a, b) -> float:
-    return float(np.linalg.norm(np.subtract(a.point, b.point)))
+    """Distance between two items, mm; infinite while one is not placed."""
+    placed = a.point is not None and b.point is not None
+    return float(np.linalg.norm(np.subtract(a.point, b.point))) if placed else np.inf
+
+
+def _cosine(a, b) -> float:
+    """Cosine of the angle between two items' directions; 0 while one is not placed."""
+    placed = not isinstance(a.direction, str) and not isinstance(b.direction, str)
+    return float(np.dot(a.direction, b.direction)) if placed else 0.0
+
+
+def _targets(item) -> list[str]:
+    """The names of what a deviation moves."""
+    return [item.target] if isinstance(item.target, str) else list(item.target)

@@ -35,10 +35,12 @@ def _surfaces(assembly) -> dict[str, Surface]:
 
 
 def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
-    """Everything that stands at a point of a part: its table, the item, the part."""
+    """Everything that stands at a point of a part, not in a hole of it: its table, the item, the part."""
     parts = {part.name: part for part in assembly.parts}
     for table in PADS:
         for item in getattr(assembly.scene, table):
+            if getattr(item, "hole", None) is not None:
+                continue
             names = item.parts if table == "welds" else [item.part] if hasattr(item, "part") else []
             for name in names:
                 yield table, item, parts[name]

@@ -30,10 +30,12 @@ from mic.geometry.pairing import (
 from mic.geometry.surface import Surface
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
+from mic.model.placing import place
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
+from mic.product import one_thread
 from mic.scene import Scene
-from mic.scene.checks import place
+from mic.scene.checks import entry
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
@@ -151,6 +153,7 @@ class Assembly:
     Attributes
     ----------
     scene : Scene
+        Placed on its meshes (:mod:`mic.model.placing`): points and directions are vectors, clamps single ones.
     parts : tuple of Part
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
@@ -168,6 +171,8 @@ class Assembly:
         Element sizes, mm, of the parts that state an accuracy.
     spacing : tuple of float or None
         Distance between the candidates of each zone, mm; None where a zone states its pairs.
+    placed : tuple of str
+        What was found for each node, set, hole and tong that the scene names.
     """
 
     scene: Scene
@@ -181,6 +186,7 @@ class Assembly:
     inputs: dict[str, str | None]
     sizes: Mapping[str, float] = field(default_factory=dict)
     spacing: tuple[float | None, ...] = ()
+    placed: tuple[str, ...] = ()
 
     @property
     def offsets(self) -> np.ndarray:
@@ -188,6 +194,7 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
+@one_thread
 def assemble(
     scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
 ) -> Assembly:
@@ -225,12 +232,13 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         with problems:
             surfaces[part.name], read = load_part(part, scene.folder, cache, sizes.get(part.name))
             inputs |= read
-            _check_one_piece(place("parts", i, part), surfaces[part.name])
+            _check_one_piece(entry("parts", i, part), surfaces[part.name])
     for fixture in scene.fixtures:
         with problems:
             fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
             inputs |= read
     problems.tell()
+    scene, placed = place(scene, surfaces, dict.fromkeys(surfaces))
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
@@ -289,6 +297,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         inputs,
         sizes,
         tuple(spacing),
+        placed,
     )
 
 
@@ -371,7 +380,7 @@ def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[Cont
                 else:
                     found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
             except ValueError as error:
-                raise SceneError(f"{place('zones', i, zone)}: {error}") from None
+                raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
     return found
 
 
@@ -477,7 +486,7 @@ def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float], problems: Prob
         rule = joined_by(scene.zones, contacts.zone, contacts.point, weld)
         at = np.array([weld.point])
         with problems:
-            gaps[[i]] = closed(place("welds", i, weld), rule, gaps[[i]], _thinner(scene, weld), at)
+            gaps[[i]] = closed(entry("welds", i, weld), rule, gaps[[i]], _thinner(scene, weld), at)
     return gaps
 
 

@@ -18,7 +18,7 @@ from mic.model.assembly import Contacts
 from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
 from mic.report.style import MARK_COLOURS, number
-from mic.report.viewer import as_json, view
+from mic.report.viewer import as_json, drawable, view
 from mic.scene import Scene
 from mic.store import write_text
 
@@ -106,7 +106,7 @@ def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str
     for group in data["arrows"]:
         for arrow in group["items"]:
             arrow["label"] = labels[arrow["name"]]
-    forces = [item for item in scene.deviations if item.kind == "force"]
+    forces = [item for item in scene.deviations if item.kind == "force" and drawable(item)]
     if forces:
         data["arrows"].append(
             {
@@ -180,9 +180,10 @@ def _acts(item) -> str:
 def _varied(scene: Scene) -> dict[tuple[str, str], str]:
     """What deviations do to locators and clamps, by kind and name."""
     return {
-        (item.kind, item.target): f", {item.name}: {item.mean:g} ± {item.sigma:g}"
+        (item.kind, name): f", {item.name}: {item.mean:g} ± {item.sigma:g}"
         for item in scene.deviations
         if item.kind != "force"
+        for name in ([item.target] if isinstance(item.target, str) else item.target)
     }
 
 

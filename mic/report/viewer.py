@@ -18,7 +18,7 @@ from mic.report.style import MARK_COLOURS, part_colour, zone_colour
 from mic.results.outcome import Outcome
 from mic.scene import Scene
 
-__all__ = ["as_json", "view", "viewer_data"]
+__all__ = ["as_json", "drawable", "view", "viewer_data"]
 
 
 def viewer_data(outcome: Outcome, context: Context) -> str | None:
@@ -66,6 +66,11 @@ def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
     }
 
 
+def drawable(item: Any) -> bool:
+    """Whether it is known where an item stands, and which way it acts."""
+    return item.point is not None and not isinstance(getattr(item, "direction", None), str)
+
+
 def as_json(data: Mapping[str, Any]) -> str:
     """Data as a script element may hold it."""
     return json.dumps(data).replace("<", "\\u003c")
@@ -93,7 +98,8 @@ def _arrows(scene):
             "colour": MARK_COLOURS[kind],
             "items": [{"name": item.name, "head": item.point, "direction": item.direction} for item in items],
         }
-        for items, kind in ((scene.locators, "locator"), (scene.clamps, "clamp"))
+        for kind in ("locator", "clamp")
+        for items in [[item for item in getattr(scene, f"{kind}s") if drawable(item)]]
         if items
     ]
 
@@ -125,7 +131,8 @@ def _marks(scene):
             "points": [item.point for item in items],
             "labels": [item.name for item in items],
         }
-        for items, kind in ((scene.welds, "weld"), (scene.measurements, "measurement"))
+        for kind in ("weld", "measurement")
+        for items in [[item for item in getattr(scene, f"{kind}s") if item.point is not None]]
         if items
     ]
 

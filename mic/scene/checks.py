@@ -10,7 +10,7 @@ import numpy as np
 from mic.contact.laws import LAWS
 from mic.scene.stages import check_stages, known
 
-__all__ = ["place", "problems"]
+__all__ = ["entry", "problems"]
 
 NAMED = ("locators", "clamps", "welds", "zones", "deviations", "measurements", "stages")  # tables of items with names
 
@@ -65,11 +65,13 @@ def check_references(scene) -> None:
     found = []
     for key in ("locators", "clamps", "measurements", "deviations"):
         for i, item in enumerate(getattr(scene, key)):
-            if hasattr(item, "part"):
-                found += told(known, place(key, i, item, "part"), item.part, bodies, "part")
-    for key, allowed in (("welds", bodies), ("zones", every)):
+            if getattr(item, "part", None) is not None:
+                found += told(known, entry(key, i, item, "part"), item.part, bodies, "part")
+    for key, allowed in (("welds", bodies), ("clamps", bodies), ("zones", every)):
         for i, item in enumerate(getattr(scene, key)):
-            at = place(key, i, item, "parts")
+            if getattr(item, "parts", None) is None:
+                continue  # a clamp that is no tong
+            at = entry(key, i, item, "parts")
             found += [line for name in item.parts for line in told(known, at, name, allowed, "part")]
             if item.parts[0] == item.parts[1]:
                 found.append(f"{at}: a part cannot be joined to itself, name two different parts")
@@ -78,8 +80,9 @@ def check_references(scene) -> None:
     for i, item in enumerate(scene.deviations):
         if getattr(item, "moves", None) is not None:
             targets = {target.name for target in getattr(scene, item.moves)}
-            at = place("deviations", i, item, "target")
-            found += told(known, at, item.target, targets, item.moves.removesuffix("s"))
+            at = entry("deviations", i, item, "target")
+            for name in [item.target] if isinstance(item.target, str) else item.target:
+                found += told(known, at, name, targets, item.moves.removesuffix("s"))
     _raise(found)
 
 
@@ -94,7 +97,7 @@ def check_friction(scene) -> None:
     for i, zone in enumerate(scene.zones):
         for name in zone.friction if isinstance(zone.friction, dict) else ():
             if name != "default":
-                found += told(known, place("zones", i, zone, "friction"), name, stages, "stage")
+                found += told(known, entry("zones", i, zone, "friction"), name, stages, "stage")
     for law in scene.report.laws:
         keys = READ.get(LAWS[law].reads, ())
         if keys and all(getattr(zone, key) is None for zone in scene.zones for key in keys):
@@ -106,12 +109,17 @@ def check_friction(scene) -> None:
 
 
 def check_held(scene) -> None:
-    """Every part needs six independent locators when it is set down, before anything can be computed."""
+    """Every part needs six independent locators when it is set down, before anything can be computed.
+
+    Of a part whose locators are not placed yet nothing is said.
+    """
     found = []
     for i, part in enumerate(scene.parts):
         own = [
             locator for locator in scene.locators if locator.part == part.name and locator.stage == scene.stages[0].name
         ]
+        if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
+            continue  # told once the scene is placed on its meshes
         rank = 0
         if own:
             points = np.array([locator.point for locator in own])
@@ -126,7 +134,7 @@ def check_held(scene) -> None:
     _raise(found)
 
 
-def place(key: str, i: int, item, field: str = "") -> str:
+def entry(key: str, i: int, item, field: str = "") -> str:
     """Where an item stands in the scene, with its name: ``locators[3].part (A4)``."""
     return f"{key}[{i}]{field and '.' + field} ({item.name})"
 

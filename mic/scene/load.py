@@ -11,7 +11,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from mic.errors import SceneError
 from mic.scene.checks import problems
-from mic.scene.schema import Scene
+from mic.scene.schema import TABLES, Scene
+from mic.scene.tables import written_out
 
 __all__ = ["load_scene", "read_table"]
 
@@ -61,8 +62,13 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
     try:
         return Scene(**table, folder=path.parent.resolve())
     except ValidationError as error:
-        lines = [line for item in error.errors() for line in _explain(table, item)]
-    lines += [line for line in _between_tables(table) if line not in lines]
+        try:
+            table = written_out(table | {"folder": path.parent.resolve()}, TABLES)
+        except SceneError:  # which is what is told
+            lines = [line for item in error.errors() for line in _explain({}, item)]
+        else:
+            lines = [line for item in error.errors() for line in _explain(table, item)]
+            lines += [line for line in _between_tables(table) if line not in lines]
     raise SceneError("\n".join(f"{path}: {line}" for line in lines))
 
 
