@@ -26,6 +26,7 @@ __all__ = ["write_check"]
 
 RED = "#d00000"
 DRAWN = 0.01  # mm: an overlap that is less is what drawing and meshing leave, and shown as touching
+ALIKE = 0.01  # of the assembly: warnings that are nearer to each other share a ring
 LEAST = 0.05  # mm: the map of the gaps reaches so far at least
 
 
@@ -138,20 +139,30 @@ def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str
         maps = [_map(name, pairs, contacts, value) for name, pairs in own.items() if len(pairs)]
         maps[0]["first"] = True
         data["points"] = maps + data["points"]
-    places = [(i, warned) for i, warned in enumerate(warnings, 1) if warned.point is not None]
-    if places:
-        data["points"].append(
-            {
-                "name": "warnings",
-                "colour": RED,
-                "symbol": "circle-open",
-                "size": 14,
-                "points": [warned.point for _, warned in places],
-                "numbers": [str(i) for i, _ in places],
-                "labels": [f"{i}. {warned.item}" for i, warned in places],
-            }
-        )
+    if any(warned.point is not None for warned in warnings):
+        data["points"].append(_numbered(warnings, ALIKE * float(np.linalg.norm(np.ptp(data["range"], axis=1)))))
     return data
+
+
+def _numbered(warnings: Sequence[Warned], near: float) -> dict[str, Any]:
+    """Rings with the numbers of the warnings that have a place; those that are nearer to each other share one."""
+    rings: list[tuple[Any, list[int]]] = []
+    for i, warned in enumerate(warnings, 1):
+        if warned.point is not None:
+            at = next((own for point, own in rings if np.linalg.norm(np.subtract(point, warned.point)) <= near), None)
+            if at is None:
+                rings.append((warned.point, [i]))
+            else:
+                at.append(i)
+    return {
+        "name": "warnings",
+        "colour": RED,
+        "symbol": "circle-open",
+        "size": 14,
+        "points": [point for point, _ in rings],
+        "numbers": [f"<b>{', '.join(map(str, own))}</b><br>\N{NO-BREAK SPACE}" for _, own in rings],
+        "labels": ["<br>".join(f"{i}. {warnings[i - 1].item}" for i in own) for _, own in rings],
+    }
 
 
 def _map(zone: str, own, contacts: Contacts, value) -> dict[str, Any]:
