@@ -26,6 +26,7 @@ from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
 from mic.errors import RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
+from mic.geometry.told import told
 from mic.judgement import judge, refuse, surfaces_of, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
@@ -355,6 +356,7 @@ def check(
     warnings = judge(asked, assembly)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
+    _print_told(console, asked, assembly)
     _print_normals(console, assembly)
     for sentence in assembly.placed:
         console.print(plain(sentence), highlight=False, soft_wrap=True)
@@ -446,6 +448,14 @@ def _print_parts(console, assembly):
             _coefficients(part),
         )
     console.print(table)
+
+
+def _print_told(console, asked, assembly):
+    """What the parts' mesh files were taken for."""
+    for part, source, filled in zip(assembly.parts, asked.parts, assembly.scene.parts):
+        deck = assembly.decks.get(part.name)
+        for sentence in told(source, filled, deck, part.surface) if deck is not None else ():
+            console.print(plain(sentence), highlight=False, soft_wrap=True)
 
 
 def _print_normals(console, assembly):

@@ -112,6 +112,8 @@ NUMBERS = [
     ("parts.upper", "young", [210, 210e9, 0.21, 2.1e6, 0, -210e3, "210000", False]),
     ("parts.upper", "poisson", [0.4999999, 0.0, -0.9, 0.5, 3.0, True]),
     ("parts.upper", "size", [0.05, 500.0, -3.0, 0, True]),
+    ("parts.lower", "offset", [2.0, -1.5, 50.0, True]),
+    ("zones.lap", "gap", [12.0, 1000.0, -1.0, True]),
     ("locators.lower-A1", "radius", [500.0, 60.0, 0.05, -4.0, float("inf"), True]),
     ("clamps.C1-upper", "radius", [400.0, 0.01, -1.0]),
     ("clamps.C1-upper", "force", [1e9, 2e4, 1e-6, 0.0, -60.0, float("nan"), True, "60"]),
@@ -581,7 +583,7 @@ SHAPED = {
     "of two elements": (plates((100.0, 40.0, 40.0)), "coarse", "part lower"),
     "apart": (plates(height=2.8, max_gap=4.0), "weld-over-gap", "weld W"),
     "through each other": (plates(height=0.5, tilt=12.0, nominal_overlap="keep"), "parts-cross", "part upper"),
-    "deep in each other": (plates(height=0.2, nominal_overlap="keep"), "overlap-kept", "zone between"),
+    "deep in each other": (plates(height=0.4, nominal_overlap="keep"), "overlap-kept", "zone between"),
     "welded far from their zone": (
         plates((400.0, 40.0, 8.0), (400.0, 40.0, 8.0), box=[[200, 0, -1], [400, 40, 3]]),
         "weld-off-zone",

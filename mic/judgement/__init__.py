@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from mic.errors import SceneError
-from mic.geometry.load import part_surface
+from mic.geometry.load import LoadedPart, load_part
 from mic.geometry.surface import Surface
 from mic.judgement.rule import Rule, Warned
 from mic.judgement.table import FILE, MESHES, PARTS
@@ -51,22 +51,24 @@ def suspect(scene: Scene, cache: Path) -> tuple[Warned, ...]:
     cache : Path
         Folder of generated meshes.
     """
-    surfaces = surfaces_of(scene, cache)
     parts = [
-        SimpleNamespace(name=part.name, thickness=part.thickness, surface=surfaces[part.name])
-        for part in scene.parts
-        if part.name in surfaces
+        SimpleNamespace(name=one.part.name, thickness=one.part.thickness, surface=one.surface)
+        for one in _loaded(scene, cache)
     ]
     return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
 
 
 def surfaces_of(scene: Scene, cache: Path) -> dict[str, Surface]:
     """Surfaces of those parts of a scene that can be had, by name; a part whose size is to be found is none of them."""
-    found = {}
+    return {one.part.name: one.surface for one in _loaded(scene, cache)}
+
+
+def _loaded(scene: Scene, cache: Path) -> list[LoadedPart]:
+    found = []
     for part in scene.parts:
         try:
             if part.accuracy is None:
-                found[part.name] = part_surface(part, scene.folder, cache)
+                found.append(load_part(part, scene.folder, cache))
         except SceneError:
             continue  # it is told already
     return found

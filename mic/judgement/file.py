@@ -221,7 +221,7 @@ def pressure_odd(scene) -> Iterator[Seen]:
 
 def overlap_let_through(scene) -> Iterator[Seen]:
     """Limits of nominal overlap beyond the sheets' thickness."""
-    thickness = {part.name: part.thickness for part in scene.parts}
+    thickness = {part.name: part.thickness or np.inf for part in scene.parts}  # a mesh file may tell it
     for zone in scene.zones:
         thinner = min(thickness[name] for name in zone.parts if name in thickness)
         if isinstance(zone.nominal_overlap, float) and zone.nominal_overlap > thinner:

@@ -27,6 +27,14 @@ FILE: tuple[Rule, ...] = (
     ),
     number("parts.poisson", 0.2, 0.42, "", "metals have 0.25 to 0.35, laminates and plastics up to 0.42", "correct it"),
     number(
+        "parts.offset",
+        -0.5,
+        0.5,
+        "of the thickness",
+        "sheets are drawn in their middle or on a skin",
+        "give the share of the thickness",
+    ),
+    number(
         "parts.size",
         0.3,
         60.0,
@@ -96,6 +104,7 @@ FILE: tuple[Rule, ...] = (
         "what does not come within a few mm does not touch",
         "give mm between the facing surfaces",
     ),
+    number("zones.gap", 0.0, 3.0, "mm", "sheets that touch are drawn within a few mm", "give mm between the sheets"),
     number("zones.max_angle_deg", 5.0, 60.0, "°", "sheets that touch run alike", "give degrees"),
     number(
         "zones.pairs",

@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix
 
 from mic.compliance.part import Part
 from mic.contact.friction import Friction
 from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import Problems, SceneError
+from mic.geometry.deck import Deck
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.pairing import (
     ContactPair,
@@ -27,7 +27,7 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
-from mic.geometry.surface import Surface
+from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
@@ -153,7 +153,8 @@ class Assembly:
     Attributes
     ----------
     scene : Scene
-        Placed on its meshes (:mod:`mic.model.placing`): points and directions are vectors, clamps single ones.
+        What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
+        and directions are vectors, clamps single ones.
     parts : tuple of Part
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
@@ -171,6 +172,8 @@ class Assembly:
         Element sizes, mm, of the parts that state an accuracy.
     spacing : tuple of float or None
         Distance between the candidates of each zone, mm; None where a zone states its pairs.
+    decks : dict of str to Deck
+        What the mesh files of the parts tell beside the mesh.
     placed : tuple of str
         What was found for each node, set, hole and tong that the scene names.
     """
@@ -186,6 +189,7 @@ class Assembly:
     inputs: dict[str, str | None]
     sizes: Mapping[str, float] = field(default_factory=dict)
     spacing: tuple[float | None, ...] = ()
+    decks: Mapping[str, Deck] = field(default_factory=dict)
     placed: tuple[str, ...] = ()
 
     @property
@@ -226,19 +230,21 @@ def assemble(
 
 def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, float]) -> Assembly:
     inputs: dict[str, str | None] = {}
-    surfaces, fixtures = {}, {}
-    problems = Problems()
-    for i, part in enumerate(scene.parts):
+    fixtures = {}
+    problems, loaded = Problems(), []
+    for part in scene.parts:
         with problems:
-            surfaces[part.name], read = load_part(part, scene.folder, cache, sizes.get(part.name))
-            inputs |= read
-            _check_one_piece(entry("parts", i, part), surfaces[part.name])
+            loaded.append(load_part(part, scene.folder, cache, sizes.get(part.name)))
     for fixture in scene.fixtures:
         with problems:
             fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
             inputs |= read
     problems.tell()
-    scene, placed = place(scene, surfaces, dict.fromkeys(surfaces))
+    read = {name: kept for one in loaded for name, kept in one.inputs.items()}
+    surfaces, inputs = {one.part.name: one.surface for one in loaded}, read | inputs
+    if any(one.part is not part for one, part in zip(loaded, scene.parts)):
+        scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
+    scene, placed = place(scene, surfaces, {one.part.name: one.deck for one in loaded})
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
@@ -271,9 +277,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         Part(
             part.name,
             surfaces[part.name],
-            part.thickness,
-            part.young,
-            part.poisson,
+            *part.sheet,
             scene.element,
             rows.functionals(part.name),
         )
@@ -297,24 +301,9 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         inputs,
         sizes,
         tuple(spacing),
+        {one.part.name: one.deck for one in loaded if one.deck is not None},
         placed,
     )
-
-
-def _check_one_piece(key: str, surface: Surface) -> None:
-    """Raise :class:`SceneError` for a mesh in pieces that share no point: each would be free to move by itself."""
-    links = surface.triangles[:, [0, 1, 2]], surface.triangles[:, [1, 2, 0]]
-    size = len(surface.points)
-    graph = coo_matrix((np.ones(surface.triangles.size), tuple(map(np.ravel, links))), shape=(size, size))
-    piece = connected_components(graph, directed=False)[1][surface.triangles[:, 0]]
-    count = np.unique(piece, return_counts=True)[1]
-    if len(count) > 1:
-        small = np.flatnonzero(piece == np.unique(piece)[np.argmin(count)])
-        x, y, z = surface.corners[small].mean(axis=(0, 1))
-        raise SceneError(
-            f"{key}: its mesh is {len(count)} pieces that nothing holds together, the smallest of {len(small)} "
-            f"triangles about ({x:.1f}, {y:.1f}, {z:.1f}); merge the points where they meet, or make each a part"
-        )
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
@@ -381,6 +370,7 @@ def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[Cont
                     found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
             except ValueError as error:
                 raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
+            refuse_untold(entry("zones", i, zone), zone.parts, found[-1], a, b)
     return found
 
 
@@ -408,7 +398,9 @@ def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     at = np.array([one.point for one in points]).reshape(-1, 3)
     zone_of, gap = np.array(zones, dtype=np.int64), np.array([one.gap for one in points])
     for i, zone in enumerate(scene.zones):
-        if zone.nominal_overlap != "keep":
+        if zone.gap is not None:
+            gap[zone_of == i] = zone.gap
+        elif zone.nominal_overlap != "keep":
             gap[zone_of == i] = np.maximum(gap[zone_of == i], 0.0)
     return Between(zone_of, gap, np.array([one.nugget for one in points], dtype=np.int64), at)
 
@@ -443,9 +435,13 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node, problems: Proble
     zone_of = np.array(zones, dtype=np.int64)
     area = np.array([pair.area for pair in pairs])
     gap = np.array([pair.gap for pair in pairs])
+    drawn = np.array([[pair.overlap, pair.overlapping * pair.area] for pair in pairs]).reshape(-1, 2)
     point = np.array([pair.point for pair in pairs]).reshape(-1, 3)
     for i, zone in enumerate(scene.zones):
         own = zone_of == i
+        if zone.gap is not None:
+            gap[own], drawn[own] = zone.gap, 0.0
+            continue
         key = f"zones[{i}] ({zone.name}): nominal_overlap"
         with problems:
             gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
@@ -466,8 +462,8 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node, problems: Proble
         _pressure_pieces(scene, zone_of, bearing),
         np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
         gap,
-        np.array([p.overlap for p in pairs]),
-        np.array([p.overlapping for p in pairs]) * area,
+        drawn[:, 0],
+        drawn[:, 1],
         area,
         watched,
         np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
@@ -483,8 +479,11 @@ def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float], problems: Prob
     """(w,) gaps of the welds, overlap closed as at the pairs about them."""
     gaps = np.array(drawn)
     for i, weld in enumerate(scene.welds):
-        rule = joined_by(scene.zones, contacts.zone, contacts.point, weld)
-        at = np.array([weld.point])
+        zone = joined_by(scene.zones, contacts.zone, contacts.point, weld)
+        if zone is not None and zone.gap is not None:
+            gaps[i] = zone.gap
+            continue
+        rule, at = "close" if zone is None else zone.nominal_overlap, np.array([weld.point])
         with problems:
             gaps[[i]] = closed(entry("welds", i, weld), rule, gaps[[i]], _thinner(scene, weld), at)
     return gaps

@@ -50,6 +50,11 @@ __all__ = [
 # Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
 FINEST, COARSEST = 1e-5, 0.1
 
+#: Suffixes of CAD files, which are meshed when they are read.
+CAD = (".step", ".stp", ".iges", ".igs", ".brep")
+#: What a sheet is where neither the scene nor a mesh file tells it: drawn in its middle, of steel; MPa.
+USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
+
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
@@ -143,7 +148,16 @@ class Part(_Table):
     name: Name = Field(description="names the part in every other table")
     mesh: str | None = Field(
         None,
-        description="mesh file of the mid-surface, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …",
+        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …; "
+        "or a CAD file of its mid-surface, STEP, IGES",
+    )
+    set: str | Annotated[list[str], Field(min_length=1)] | None = Field(
+        None,
+        description="with `mesh`: the element sets, properties or physical groups of the file that are this part; "
+        "left out, all of it",
+    )
+    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = Field(
+        "mm", description="with `mesh`: of length in the file; its stresses are in the unit that goes with it"
     )
     geometry: str | None = Field(
         None,
@@ -151,24 +165,45 @@ class Part(_Table):
         "(k, 3, 3) at the corners of the triangles as a third; it is executed",
     )
     size: str | Positive | None = Field(
-        None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
+        None, description="with `geometry`: element size in mm, or a name from its `SIZES`; with a CAD file in mm"
     )
     accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
         None,
         description="or the share by which influence coefficients may be off, such as 0.01: the size is then found by "
         "solving the part on finer and finer meshes",
     )
-    thickness: Positive = Field(description="of the sheet, mm")
-    young: Positive = Field(210e3, description="Young's modulus, MPa")
-    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] = Field(0.3, description="Poisson's ratio, −1 < ν < ½")
+    thickness: Positive | None = Field(
+        None, description="of the sheet, mm; may be left out where the mesh file tells it"
+    )
+    offset: Annotated[FiniteFloat, Field(ge=-5, le=5)] | None = Field(
+        None,
+        description="from the surface as drawn to the middle of the sheet, as a share of the thickness, positive along "
+        "the normals of the mesh: ±0.5 where it is drawn on a skin; left out, what the mesh file tells, else 0",
+    )
+    young: Positive | None = Field(
+        None, description="Young's modulus, MPa; left out, what the mesh file tells, else 210 000"
+    )
+    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
+        None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
+    )
 
     @model_validator(mode="after")
     def _one_source(self):
         if (self.mesh is None) == (self.geometry is None):
             raise ValueError('give either mesh = "file" or geometry = "file.py", not both and not neither')
+        for key in ("set", "unit"):
+            if self.mesh is None and getattr(self, key) not in (None, "mm"):
+                raise ValueError(f"{key} applies to mesh files only: remove it, or give mesh instead of geometry")
+        if self.geometry is not None:
+            if self.thickness is None:
+                raise ValueError("a geometry source needs thickness, mm: add it")
+            for key, usual in USUAL.items():  # nobody else will be asked for them
+                object.__setattr__(self, key, usual if getattr(self, key) is None else getattr(self, key))
         for key in ("size", "accuracy"):
-            if self.geometry is None and getattr(self, key) is not None:
+            if self.geometry is None and getattr(self, key) is not None and not (key == "size" and self._cad):
                 raise ValueError(f"{key} applies to geometry sources only: remove it, or give geometry instead of mesh")
+        if self._cad and not isinstance(self.size, float):
+            raise ValueError("a CAD file is meshed here and needs size, mm: add it")
         if self.geometry is not None and self.size is None and self.accuracy is None:
             raise ValueError(
                 "a geometry source needs size: an element size in mm, or one of the geometry's named sizes; or accuracy"
@@ -176,6 +211,17 @@ class Part(_Table):
         if self.size is not None and self.accuracy is not None:
             raise ValueError("give either size or accuracy, not both: accuracy finds the size")
         return self
+
+    @property
+    def _cad(self) -> bool:
+        return self.mesh is not None and self.mesh.lower().endswith(CAD)
+
+    @property
+    def sheet(self) -> tuple[float, float, float]:
+        """Thickness, mm, Young's modulus, MPa, and Poisson's ratio, once what the mesh file tells is filled in."""
+        if self.thickness is None or self.young is None or self.poisson is None:
+            raise ValueError(f"part {self.name}: its mesh file has not been asked for thickness and material")
+        return self.thickness, self.young, self.poisson
 
 
 class Fixture(_Table):
@@ -333,6 +379,9 @@ class Zone(_Table):
         None, description="or the contact points themselves, mm, and no others"
     )
     max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
+    gap: NonNegative | None = Field(
+        None, description="nominal gap between the facing surfaces, mm, in place of the one that the meshes have"
+    )
     max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
         30.0, description="largest angle between the two surfaces"
     )
