@@ -80,7 +80,7 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
 
     cache = cache or cache_folder()
     assembly = assemble(scene, cache)
-    plan_stages(scene, assembly.weld_size)  # a process that cannot be is refused before anything is factorised
+    plan_stages(assembly.scene, assembly.weld_size)  # a process that cannot be is refused before anything is factorised
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
 
 

@@ -349,8 +349,10 @@ def check(
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_normals(console, assembly)
+    for sentence in assembly.placed:
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
-    plans = plan_stages(asked, assembly.weld_size)
+    plans = plan_stages(assembly.scene, assembly.weld_size)
     _print_process(console, assembly, plans)
     _print_doubts(console, assembly)
     _print_cost(console, assembly, plans)
@@ -646,7 +648,7 @@ def _model(console, source):
     scene = load_scene(source)
     say = lambda line: console.print(f"{plain(line)} …", highlight=False)
     assembly = assemble(scene, cache_folder(), progress=say)
-    plan_stages(scene, assembly.weld_size)
+    plan_stages(assembly.scene, assembly.weld_size)
     coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
     return ReducedModel.build(assembly, coefficients)
 

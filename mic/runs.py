@@ -12,7 +12,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mic.compliance.cache import influence_coefficients
 from mic.model.accuracy import estimate_accuracy
@@ -106,9 +105,8 @@ def run(
             with clock("accuracy of the meshes"):
                 on_first(world, lambda: write_accuracy(folder, estimate_accuracy(assembly, cache, say)))
         with clock("reduced model"):
-            with threadpool_limits(limits=1, user_api="blas"):  # the same bits on every process, for any number of them
-                model = ReducedModel.build(assembly, influence)
-                notes = model.process().redundant + frozen_gaps(model)
+            model = ReducedModel.build(assembly, influence)
+            notes = model.process().redundant + frozen_gaps(model)
             for sentence in notes:
                 listener.say(f"note: {sentence}")
         with clock("Monte Carlo"):

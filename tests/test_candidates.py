@@ -323,3 +323,14 @@ def test_a_part_is_not_held_by_rows_that_read_rounding_of_its_motions():
     """Moments of a nugget that read strain alone read nothing of a motion, exactly or but for rounding."""
     held = np.vstack([np.eye(6), np.full((3, 6), 1e-17)])
     np.testing.assert_array_equal(statically_determinate(held[::-1], np.ones(6)), np.arange(3, 9))
+
+
+def test_a_part_is_held_by_moments_of_a_nugget_only_where_nothing_else_does():
+    """Of a patch that is not quite round, moments that should read strain read a little of a rotation."""
+    means = np.hstack([np.eye(3), [[0, 0, 0], [0, 0, -10], [0, 10, 0]]])  # of a nugget 10 mm from the middle
+    other = np.hstack([np.eye(3), [[0, 0, 0], [0, 0, 10], [0, -10, 0]]])
+    moments = np.zeros((2, 6))
+    moments[0, 5], moments[1, 3] = 1e-5, 0.5
+    rows = np.vstack([moments, means, other])
+    chosen = statically_determinate(rows, np.array([1, 1, 1, 10, 10, 10.0]))
+    assert 0 not in chosen and 1 in chosen

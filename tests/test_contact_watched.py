@@ -105,3 +105,24 @@ def test_where_nothing_touches_nothing_is_solved(problem):
     found = followed(watched(problem), apart, Followed())
     assert found.converged.all() and not found.force.any() and (found.trace.share[:, :, OPEN] == 1).all()
     np.testing.assert_array_equal(found.displacement, apart[:, 1])
+
+
+@pytest.mark.parametrize("noise", [0, 1, 2])
+def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
+    """Six places, at each two candidates that read the same: one holds up both, the first of them."""
+    apart = np.abs(np.subtract.outer(np.arange(6.0), np.arange(6.0)))
+    twins = np.kron(np.exp(-apart / 2), np.ones((2, 2))) + 1e-6 * np.eye(12)
+    S = np.kron(twins, np.diag([1.0, 0.6, 0.6]))
+    b = np.zeros((1, 2, 36))
+    b[0, 1] = np.tile([-0.02, 0.01, 0.004], 12)
+    point = np.column_stack([np.repeat(np.arange(6.0), 2), np.zeros((12, 2))])
+    given = Friction.of(0.3, 12), point, np.full(12, 0.5), np.zeros(12, bool), np.ones(12, bool)
+
+    def end(b):
+        solver = WatchedSolver(S, *given, laws.find("coulomb"), tol=1e-10)
+        return solver.follow(b, np.zeros((1, 36)), np.zeros((1, 12, 2)), Followed()).force[0, ::3]
+
+    plain = end(b)
+    rounded = end(b * (1 + 1e-14 * np.random.default_rng(noise).standard_normal(b.shape)))
+    assert plain[::2].min() > 0 and not plain[1::2].any()
+    np.testing.assert_allclose(rounded, plain, rtol=0, atol=1e-9 * plain.max())

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
 
+from mic.contact.watched import PENETRATION
 from mic.model.assembly import assemble
 from mic.process.stage import FLOOR
 
@@ -60,16 +61,18 @@ def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, watched, se
 
 @pytest.mark.slow
 @pytest.mark.fem
+@pytest.mark.parametrize("watched", [False, True], ids=["any", "watched"])
 @pytest.mark.parametrize("change", SAME)
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_the_same_scene_has_the_same_measurements(change, seed, tmp_path_factory):
-    case = random_case(seed)
+def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_path_factory):
+    case = random_case(seed, watched=watched)
     other, _, unit = SAME[change](case, seed)
     for law in ("coulomb", "frictionless"):
         given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # a length too, though no scene states it
+            patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # lengths too, though no scene states them
+            patch.setattr("mic.contact.watched.PENETRATION", PENETRATION / unit)
             changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())
 

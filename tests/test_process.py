@@ -1,9 +1,11 @@
 """The process: what must hold whatever the contact solution is, and friction's memory."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import mic
 from mic.contact import ContactSolver
@@ -12,6 +14,8 @@ from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.process.stage import FLOOR
 from mic.sampling.draw import draw
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def with_stages(scene, kinds, **changes):
@@ -189,6 +193,19 @@ def test_a_sample_has_the_same_bits_in_any_batch_order_and_number_of_threads(hat
         for threads in (1, 2):
             found = everything(hat_model.process(law, threads=threads).evaluate(deviations[own]))
             assert [name for name in whole if not np.array_equal(found[name], whole[name][own], equal_nan=True)] == []
+
+
+def test_the_number_of_blas_threads_moves_no_bit(cache):
+    """The lap joint as it is shipped, with its candidates: products large enough that threads would share them."""
+    scene = mic.load_scene(ROOT / "meshes" / "lap_joint")
+    deviations = draw(scene, 5, 0, 3)
+
+    def outcome(threads):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            return everything(mic.reduce(scene, cache).evaluate(deviations))
+
+    one, two = outcome(1), outcome(2)
+    assert [name for name in one if not np.array_equal(one[name], two[name], equal_nan=True)] == []
 
 
 def everything(evaluation):

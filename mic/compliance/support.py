@@ -12,17 +12,24 @@ EQUAL = 1e-7  # rows that read as much to within this share read alike
 
 SILENT = 1e-9  # of the largest reading: what reads less of all motions, as strain does, reads rounding
 
+#: What the strongest row that reads no translation counts beside one that does. Rotations, and first moments of a
+#: nugget, hold a part by a lever of a few mm, and those that read strain by next to nothing: supported on them it
+#: yields so much that what other rows leave is lost in rounding.
+SHORT = 0.1
+
 
 def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Choose as many rows as there are rigid motions, so that they hold them best.
 
     Row by row the one that reads most of what those chosen leave free, as QR with pivoting does; the first of several
-    that read as much. The choice does not depend on how the scene is turned, nor on its units.
+    that read as much. Rows that read no translation come last. The choice does not depend on how the scene is turned,
+    nor on its units.
 
     Parameters
     ----------
     reading : (b, r) array
-        What each row reads of each of the r rigid motions, ``rows @ G``.
+        What each row reads of each of the r rigid motions, ``rows @ G``: of each part three translations, then three
+        rotations.
     size : (r,) array
         How large the readings of each motion are in general, so that lengths and angles count alike.
 
@@ -39,8 +46,11 @@ def statically_determinate(reading: np.ndarray, size: np.ndarray) -> np.ndarray:
     b, r = reading.shape
     reading = reading / np.where(size > 0, size, 1)
     length = np.linalg.norm(reading, axis=1)
-    heard = length > SILENT * length.max(initial=0.0)
-    reading = reading / np.where(heard, length, 1)[:, None]
+    silent = SILENT * length.max(initial=0.0)
+    heard = length > silent
+    moved = np.linalg.norm(reading[:, np.arange(r) % 6 < 3], axis=1) > silent
+    short = length[heard & ~moved].max(initial=0.0) / SHORT
+    reading = reading / np.where(heard, np.where(moved, length, short), 1)[:, None]
     rank = np.linalg.matrix_rank(reading, tol=1e-6) if b else 0
     if rank < r:
         raise FreeMotion(np.linalg.svd(reading, full_matrices=True)[2][rank:].T if b else np.eye(r))

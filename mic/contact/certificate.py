@@ -22,7 +22,8 @@ error elsewhere.  Hence
 - ``r`` does not change with the units of force or length;
 - the zero force has ``r = 1`` wherever anything overlaps, and ``r = 0``, by definition of 0/0, in an open scene;
 - forces that grow without bound and move nothing, the answer of an iteration to an infeasible problem, do not make
-  ``r`` small, as they would if ``‖D⁻¹ f‖`` were the scale.
+  ``r`` small, as they would if ``‖D⁻¹ f‖`` were the scale; nor do they by rounding: ``‖D⁻¹ F(f)‖`` counts as
+  ``ε ‖D⁻¹ f‖`` at least, ε the rounding of a double.
 
 Where the coefficient depends on the normal force, ``K_k`` is the cone with the coefficient that belongs to ``f_k``: a
 force obeys such a law exactly if it obeys Coulomb's with these coefficients.  Where a spring stands in series with the
@@ -32,15 +33,17 @@ stands for ``S`` in ``ρ`` and in the energy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
+from mic.contact.units import beyond, unit
 from mic.product import product
 
-__all__ = ["Certificate", "certify", "contact_stiffness", "series_compliance"]
+__all__ = ["Certificate", "certify", "contact_stiffness", "in_units", "series_compliance"]
 
 
 @dataclass(frozen=True)
@@ -122,12 +125,25 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     friction = Friction.of(mu if law.frictional else 0.0, m)
     series = series_compliance(law, friction, dimension)
     S = S + np.diag(series)
-    stiffness = contact_stiffness(S, law, dimension)
     rows, forces, parameters = np.atleast_2d(b), np.atleast_2d(force), law.parameters(friction)
+    length, compliance = np.ones(len(rows)), 1.0
+    if (beyond(rows) | beyond(S.ravel())).any() and not law.reads:
+        length, compliance = unit(rows), float(unit(S.ravel()))
+    S, rows, forces = S / compliance, rows / length[:, None], forces * (compliance / length)[:, None]
+    stiffness = contact_stiffness(S, law, dimension)
     certificate, _ = measure(S, rows, parameters, forces, law, stiffness, dimension, series)
+    certificate = replace(certificate, **in_units(certificate, length, length / compliance))
     if b.ndim == 2:
         return certificate
     return Certificate(**{name: float(values[0]) for name, values in vars(certificate).items()})
+
+
+def in_units(found: Any, length: np.ndarray, force: np.ndarray) -> dict[str, np.ndarray]:
+    """What was measured (n,) in units of these lengths and forces (n,), in those that the caller has."""
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # both together may be too large for any number
+        work = length * force
+        units = {"penetration": length, "cone_violation": force, "complementarity": work, "slip_error": work}
+        return {name: getattr(found, name) * each for name, each in units.items()}
 
 
 def series_compliance(law: Law, friction: Friction, dimension: int = 3) -> np.ndarray:
@@ -160,7 +176,8 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
         return np.sqrt(np.einsum("nki,nki,k->n", f, f, 1.0 / stiffness))
 
     with np.errstate(invalid="ignore", over="ignore"):
-        error = energy_norm(natural_map(f, u, mu))
+        # Beside forces so large that rounding swallows ρ û, the map would vanish whatever the displacements are.
+        error = np.maximum(energy_norm(natural_map(f, u, mu)), np.finfo(float).eps * energy_norm(f))
         # Redundant contacts may carry large forces that store nothing: keep their rounding out of the energy.
         energy = np.einsum("ni,ni->n", force, displacement - b)
         energy -= 4.0 * S.shape[0] * np.finfo(float).eps * energy_norm(f) ** 2

@@ -16,6 +16,7 @@ class Status(str, Enum):  # noqa: UP042  (StrEnum would change how a status prin
     CONVERGED = "converged"
     NOT_CONVERGED = "not converged"
     INFEASIBLE = "infeasible"
+    OUT_OF_RANGE = "out of range"
 
     @property
     def advice(self) -> str:
@@ -33,6 +34,10 @@ _ADVICE = {
     Status.INFEASIBLE: (
         "No admissible force balances this load, because some combination of contacts that cannot be separated by any "
         "force overlaps: correct the gaps or free the part, then solve again."
+    ),
+    Status.OUT_OF_RANGE: (
+        "The forces are too large or too small to be told, or the law has units of its own, in which S or b lie beyond "
+        "1e-60 or 1e60: state the problem in units of its own size, then solve again."
     ),
 }
 

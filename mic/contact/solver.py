@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mic.contact.backends import BACKENDS
-from mic.contact.certificate import contact_stiffness, measure, series_compliance
+from mic.contact.certificate import contact_stiffness, in_units, measure, series_compliance
 from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
+from mic.contact.units import beyond, unit
+from mic.product import one_thread
 
 __all__ = ["ContactSolver", "solve"]
 
 #: Relative asymmetry ``max|S - Sᵀ| / max|S|`` beyond rounding, symmetrised with a warning; and beyond which S is
 #: refused.
 ASYMMETRY_WARNED, ASYMMETRY_REFUSED = 1e-10, 1e-2
+#: A negative eigenvalue beyond this share of the largest diagonal entry is an error of sign, not of rounding.
+INDEFINITE = 1e-8
+#: Doubles below have fewer digits than others.
+SMALLEST = np.finfo(float).tiny / np.finfo(float).eps
 #: The search for a solution ends this far below the tolerance, so that rounding cannot undo the verdict.
 SAFETY = 0.5
 
@@ -50,6 +57,8 @@ class ContactSolver:
         Threads over the samples of a batch (native backend).
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs a law without friction.
+    semidefinite : bool
+        Whether S is known to be positive semidefinite, by the way it was made: looking takes a Cholesky factorisation.
 
     Attributes
     ----------
@@ -65,6 +74,7 @@ class ContactSolver:
         If the backend is not installed.
     """
 
+    @one_thread
     def __init__(
         self,
         S: np.ndarray,
@@ -74,6 +84,7 @@ class ContactSolver:
         tol: float = 1e-10,
         threads: int = 1,
         dimension: int = 3,
+        semidefinite: bool = False,
     ):
         self.law = find(law)
         if backend not in BACKENDS:
@@ -89,7 +100,7 @@ class ContactSolver:
         if not (isinstance(threads, (int, np.integer)) and threads >= 1):
             raise ValueError(f"threads must be a positive integer; got {threads!r}")
         self.dimension, self.tol = dimension, float(tol)
-        self.S = _checked_compliance(S, dimension)
+        self.S = _checked_compliance(S, dimension, semidefinite)
         self.contacts = len(self.S) // dimension
         friction = Friction.of(mu, self.contacts)
         if not self.law.frictional:
@@ -99,12 +110,14 @@ class ContactSolver:
         # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series)
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
-        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+        self._settings = backend, self.tol, int(threads), dimension, True
+        self.backend = BACKENDS[backend](self._sliding, friction, self.law, *self._settings[1:4])
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
         return self.law.bound(normal, self._parameters)
 
+    @one_thread
     def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
 
@@ -128,18 +141,61 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        force, iterations, rung = self.backend.solve(rows, guess)
+        strange = beyond(rows) | beyond(self.S.ravel())
+        if not strange.any():
+            solution = self._solve(rows, guess)
+        else:
+            pick = lambda own: (rows[own], None if guess is None else guess[own])
+            solution = self._solve_strange(*pick(strange))
+            if not strange.all():
+                solution = _together(strange, solution, self._solve(*pick(~strange)))
+        return solution if b.ndim == 2 else _only(solution)
+
+    def _solve(self, rows, guess) -> ContactSolution:
+        """Numbers within range."""
+        if self.S.any():
+            force, iterations, rung = self.backend.solve(rows, guess)
+        else:  # nothing moves, whatever the forces: either none are needed or none help
+            force, iterations = np.zeros_like(rows), np.zeros(len(rows), dtype=np.int64)
+            rung = np.full(len(rows), "rigid", dtype=object)
         solution = self.certified(rows, force, iterations, rung)
         unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
             infeasible = np.zeros(len(rows), dtype=bool)
             for sample in unsolved:
-                infeasible[sample] = self.backend.infeasible(rows[sample])
-                if not infeasible[sample]:
+                infeasible[sample] = not self.S.any() or self.backend.infeasible(rows[sample])
+                if infeasible[sample]:
+                    force[sample] = 0.0
+                else:
                     self._persist(sample, rows, force, iterations, rung)
             solution = self.certified(rows, force, iterations, rung, infeasible)
-        return solution if b.ndim == 2 else _only(solution)
+        return solution
 
+    def _solve_strange(self, rows, guess) -> ContactSolution:
+        """Numbers out of range: in units of their own where the law knows none, else refused."""
+        if self.law.reads:
+            n, zero = len(rows), np.zeros_like(rows)
+            found = self.certified(rows, zero, np.zeros(n, dtype=np.int64), np.full(n, "none", dtype=object))
+            return _refused(found, np.ones(n, dtype=bool))
+        compliance, length = unit(self.S.ravel()), unit(rows)
+        own = ContactSolver(self.S / compliance, self.mu, self.law, *self._settings)
+        with np.errstate(over="ignore", invalid="ignore"):
+            force = length / compliance
+            scaled = None if guess is None else guess / force[:, None]
+            found = own._solve(rows / length[:, None], scaled)
+            moved = found.force.any(axis=1)
+            found = replace(
+                found,
+                force=found.force * force[:, None],
+                displacement=found.displacement * length[:, None],
+                **in_units(found, length, force),
+            )
+            # A force that no double has all digits of was found in vain.
+            largest = np.abs(found.force).max(axis=1, initial=0.0)
+            lost = ~np.isfinite(largest) | (found.force.any(axis=1) != moved) | ((largest < SMALLEST) & (largest > 0.0))
+            return _refused(found, lost)
+
+    @one_thread
     def certified(
         self,
         b: np.ndarray,
@@ -177,6 +233,7 @@ class ContactSolver:
             **vars(certificate),
         )
 
+    @one_thread
     def follow(
         self,
         b: np.ndarray,
@@ -246,7 +303,29 @@ def _only(solution: ContactSolution) -> ContactSolution:
     return ContactSolution(**values)
 
 
-def _checked_compliance(S, dimension):
+def _refused(solution: ContactSolution, lost) -> ContactSolution:
+    """The solution but for the lost samples (n,), which have no force and no residual."""
+    status = solution.status.copy()
+    status[lost] = Status.OUT_OF_RANGE
+    return replace(
+        solution,
+        force=np.where(lost[:, None], 0.0, solution.force),
+        residual=np.where(lost, np.inf, solution.residual),
+        converged=solution.converged & ~lost,
+        status=status,
+    )
+
+
+def _together(chosen, ours: ContactSolution, others: ContactSolution) -> ContactSolution:
+    """One batch: its chosen samples, and the others."""
+    values = {}
+    for name, own in vars(ours).items():
+        values[name] = np.empty((len(chosen), *own.shape[1:]), dtype=own.dtype)
+        values[name][chosen], values[name][~chosen] = own, getattr(others, name)
+    return ContactSolution(**values)
+
+
+def _checked_compliance(S, dimension, semidefinite):
     S = finite("S", S)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or len(S) % dimension:
         rows = "m" if dimension == 1 else "3m"
@@ -264,7 +343,21 @@ def _checked_compliance(S, dimension):
         warnings.warn(
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
-    return 0.5 * (S + S.T)
+    S = 0.5 * S + 0.5 * S.T
+    if largest > 0.0 and not semidefinite and not _semidefinite(S / largest):
+        raise ValueError(
+            f"S must be positive semidefinite; it has an eigenvalue below -{INDEFINITE:g} of its largest entry, so "
+            "that some forces would do work for nothing; check the signs of its rows"
+        )
+    return S
+
+
+def _semidefinite(S) -> bool:
+    try:
+        np.linalg.cholesky(S + INDEFINITE * np.eye(len(S)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _checked_rows(name, value, size):

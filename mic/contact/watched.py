@@ -32,6 +32,7 @@ from mic.product import product
 __all__ = ["PENETRATION", "WatchedSolver"]
 
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
+EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
 
 
@@ -102,7 +103,7 @@ class WatchedSolver:
         n, m, d = len(b), len(self._start), self._d
         force = np.where(np.repeat(self._allowed, d), force, 0.0)
         normal = force.reshape(n, m, d)[:, :, 0]
-        working = self._start | self._allowed & (normal > LOADED * normal.max(axis=1, keepdims=True, initial=0.0))
+        working = self._start | self._allowed & _loaded(normal)
         found = self._open(n, m)
         todo, iterations = np.arange(n), np.zeros(n, dtype=np.int64)
         for _ in range(ROUNDS):
@@ -119,7 +120,7 @@ class WatchedSolver:
                 working[sample, self._deepest(depth)] = True
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
-        self.carried |= (found.force[found.converged].reshape(-1, m, d)[:, :, 0] > 0).any(axis=0)
+        self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         return replace(found, iterations=iterations)
 
     def _solved(self, own, b, force, anchor, path) -> PathSolution:
@@ -191,13 +192,17 @@ class WatchedSolver:
         return np.where(working | ~self._allowed, 0.0, depth)
 
     def _deepest(self, depth) -> list[int]:
-        """The deepest candidate of each neighbourhood."""
-        chosen, free = [], depth > PENETRATION
-        for k in np.argsort(-depth, kind="stable")[: int(free.sum())]:
-            if free[k]:
-                chosen.append(int(k))
-                free[self._neighbours[k]] = False
+        """The deepest candidate of each neighbourhood; the first of those that are as deep but for rounding."""
+        chosen, left = [], np.where(depth > PENETRATION, depth, 0.0)
+        while left.any():
+            chosen.append(int(np.argmax(left >= (1 - EQUAL) * left.max())))
+            left[self._neighbours[chosen[-1]]] = 0.0
         return chosen
+
+
+def _loaded(normal: np.ndarray) -> np.ndarray:
+    """Which contacts carry normal force (n, m), rounding apart."""
+    return normal > LOADED * normal.max(axis=1, keepdims=True, initial=0.0)
 
 
 def _alike(working: np.ndarray, todo: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

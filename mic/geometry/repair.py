@@ -27,7 +27,7 @@ ON_EDGE = 1e-4  # a point nearer to an edge than this share of its length lies o
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What `repair` found. Counts, except `point_map` and `corner_map`.
+    """What `repair` found. Counts, except the maps.
 
     Attributes
     ----------
@@ -47,6 +47,10 @@ class MeshReport:
     corner_map : (k, 3) int array
         For each corner of the new triangles, which of the original elements' it was: 3 i + c of triangle i, after all
         triangles 4 i + c of quadrilateral i; -1 for those that splitting made.
+    element_map : (k,) int array
+        For each new triangle, which of the original elements it is of: triangle i, after all triangles quadrilateral i.
+    turned : (k,) bool array
+        Which of the new triangles run the other way round than the original elements.
     """
 
     quadrilaterals_split: int
@@ -60,6 +64,8 @@ class MeshReport:
     pieces: int
     point_map: np.ndarray
     corner_map: np.ndarray
+    element_map: np.ndarray
+    turned: np.ndarray
 
     @property
     def repaired(self) -> bool:
@@ -118,7 +124,8 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         raise ValueError(
             f"point {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} has a coordinate that is not finite"
         )
-    split, origin = 0, np.arange(triangles.size).reshape(-1, 3)
+    # where the corners of each triangle come from, and in the last column the triangle itself
+    split, origin = 0, np.column_stack([np.arange(triangles.size).reshape(-1, 3), np.arange(len(triangles))])
     if quadrilaterals is not None:
         quadrilaterals = np.array(quadrilaterals, dtype=np.int64)
         _check_numbers(quadrilaterals, len(points))
@@ -127,7 +134,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         split = len(quadrilaterals)
         halves = np.tile(quadrilaterals, (2, 1))[:, None, :] == triangles[-2 * split :, :, None]
         corner = triangles.size - 6 * split + 4 * np.tile(np.arange(split), 2)[:, None] + halves.argmax(axis=2)
-        origin = np.concatenate([origin, corner])
+        origin = np.concatenate([origin, np.column_stack([corner, len(origin) + np.tile(np.arange(split), 2)])])
     if len(triangles) == 0:
         raise ValueError("the mesh has no triangles")
     _check_numbers(triangles, len(points))
@@ -142,7 +149,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         raise ValueError("no triangle of the mesh has an area")
     triangles, origin, divided = _split_at_points_on_edges(points, triangles, origin)
     turn = _turned(points, triangles)
-    triangles[turn], origin[turn] = triangles[turn][:, ::-1], origin[turn][:, ::-1]
+    triangles[turn], origin[turn, :3] = triangles[turn][:, ::-1], origin[turn, 2::-1]
 
     used = np.unique(triangles)
     number = np.full(len(points), -1)
@@ -160,7 +167,9 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         junction_edges=int((edges.count > 2).sum()),
         pieces=edges.pieces(),
         point_map=number[representative],
-        corner_map=origin,
+        corner_map=origin[:, :3],
+        element_map=origin[:, 3],
+        turned=turn,
     )
     return points[used], number[triangles], report
 
@@ -274,8 +283,9 @@ def _split_at_points_on_edges(points, triangles, origin):
             apex = triangles[triangle, turn[2]]
             chain = np.concatenate([[a], candidates[around][on_edge][np.argsort(along[on_edge])], [b]])
             fans.append(np.column_stack([chain[:-1], chain[1:], np.full(len(chain) - 1, apex)]))
-            of_fan = np.full((len(chain) - 1, 3), -1)
+            of_fan = np.full((len(chain) - 1, 4), -1)
             of_fan[0, 0], of_fan[-1, 1], of_fan[:, 2] = origin[triangle, turn]
+            of_fan[:, 3] = origin[triangle, 3]
             origins.append(of_fan)
         if not done:
             return triangles, origin, divided

@@ -28,8 +28,10 @@ from mic.geometry.pairing import (
 )
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
+from mic.model.placing import place
 from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
+from mic.product import one_thread
 from mic.scene import Scene
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -148,6 +150,7 @@ class Assembly:
     Attributes
     ----------
     scene : Scene
+        Placed on its meshes (:mod:`mic.model.placing`): points and directions are vectors, clamps single ones.
     parts : tuple of Part
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
@@ -165,6 +168,8 @@ class Assembly:
         Element sizes, mm, of the parts that state an accuracy.
     spacing : tuple of float or None
         Distance between the candidates of each zone, mm; None where a zone states its pairs.
+    placed : tuple of str
+        What was found for each node, set, hole and tong that the scene names.
     """
 
     scene: Scene
@@ -178,6 +183,7 @@ class Assembly:
     inputs: dict[str, str | None]
     sizes: Mapping[str, float] = field(default_factory=dict)
     spacing: tuple[float | None, ...] = ()
+    placed: tuple[str, ...] = ()
 
     @property
     def offsets(self) -> np.ndarray:
@@ -185,6 +191,7 @@ class Assembly:
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
 
 
+@one_thread
 def assemble(
     scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
 ) -> Assembly:
@@ -223,6 +230,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for fixture in scene.fixtures:
         fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
         inputs |= read
+    scene, placed = place(scene, surfaces, dict.fromkeys(surfaces))
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
@@ -271,6 +279,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         inputs,
         sizes,
         tuple(spacing),
+        placed,
     )
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import floor, log10, sqrt
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -116,19 +116,26 @@ def chosen_sizes(
 
 def _graded(scene: Scene, part: str, size: float) -> GradedSize:
     """The size, no larger than a disc's radius where the scene has discs on a part."""
-    discs = [(item.point, item.radius) for item in scene.welds if part in item.parts]
     forces = [item for item in scene.deviations if isinstance(item, ForceDeviation)]
-    for table in (scene.locators, scene.clamps, forces, scene.measurements):
-        discs += [(item.point, item.radius) for item in table if item.part == part]
+    items: list[Any] = [item for item in scene.welds if part in item.parts]
+    items += [item for item in scene.clamps if part in item.owners]
+    items += [item for table in (scene.locators, forces, scene.measurements) for item in table if item.part == part]
+    discs = [(_near(item), item.radius) for item in items if _near(item) is not None]
     places, radii = zip(*[(point, radius) for point, radius in discs if radius > 0] or [((0.0, 0.0, 0.0), size)])
     return GradedSize(size, places, radii)
 
 
 def _extent(scene: Scene, part: str) -> float:
     """Diagonal of the box about the scene's points on a part, mm."""
-    tables = (scene.locators, scene.clamps, scene.measurements)
-    points = np.array([item.point for table in tables for item in table if item.part == part])
+    items: list[Any] = [item for table in (scene.locators, scene.measurements) for item in table if item.part == part]
+    items += [item for item in scene.clamps if part in item.owners]
+    points = np.array([_near(item) for item in items if _near(item) is not None])
     return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _near(item: Any) -> Any:
+    """Where an item stands, about: a part that is meshed by its geometry has holes, but no node numbers."""
+    return item.point or getattr(item, "hole", None)
 
 
 def _rounded(size: float) -> float:

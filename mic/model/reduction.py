@@ -19,6 +19,7 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.model.assembly import Assembly, Between, Contacts
 from mic.model.shape import shape_readings
+from mic.product import one_thread
 from mic.scene import Scene
 
 __all__ = ["Reduction"]
@@ -59,6 +60,7 @@ class Reduction:
     inputs: dict[str, str | None]
 
     @classmethod
+    @one_thread
     def build(cls, assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> Self:
         """Put the parts' influence coefficients together.
 

@@ -15,6 +15,7 @@ from scipy.sparse import csr_matrix
 
 from mic.compliance.functional import Functionals
 from mic.errors import SceneError
+from mic.geometry.holes import find_holes
 from mic.geometry.surface import Patch, Surface
 
 __all__ = ["AXES", "KINDS", "REACH", "Rows"]
@@ -86,15 +87,20 @@ class Rows:
         key : str
             Where the item stands in the scene, for messages.
         item
-            With ``name``, ``part``, ``point``, ``direction`` and ``radius``.
+            With ``name``, ``part``, ``point``, ``direction``, ``radius`` and ``hole``: with the latter, over the rim of
+            the hole whose centre it is.
 
         Raises
         ------
         SceneError
             If the point lies off the part.
         """
-        self.on_part(key, item.point, item.part)
-        patch = self.patch(item.part, self.surfaces[item.part].patch(item.point, item.radius))
+        surface = self.surfaces[item.part]
+        if item.hole is not None:
+            patch = self.patch(item.part, _rim(surface, item.hole))
+        else:
+            self.on_part(key, item.point, item.part)
+            patch = self.patch(item.part, surface.patch(item.point, item.radius))
         functional = self.functional(item.part, patch, item.direction, f"{kind} {item.name}")
         self.add(kind, item.name, (item.part, functional, 1.0))
 
@@ -116,6 +122,11 @@ class Rows:
         lengths = [len(own.patch) for own in self._retained.values()]
         start = dict(zip(self._retained, np.concatenate([[0], np.cumsum(lengths)])))
         return {kind: _matrix(terms, start, sum(lengths)) for kind, terms in self._terms.items()}
+
+
+def _rim(surface: Surface, centre) -> Patch:
+    """The rim of the hole that has this centre."""
+    return min(find_holes(surface), key=lambda hole: float(np.linalg.norm(hole.centre - np.array(centre)))).rim
 
 
 def _matrix(entries: Sequence, start, width: int) -> csr_matrix:

@@ -14,6 +14,7 @@ from mic.process.evaluation import Evaluation
 from mic.process.plan import Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
+from mic.product import one_thread
 
 __all__ = ["ReducedModel"]
 
@@ -30,11 +31,13 @@ class ReducedModel(Reduction):
         return Joints(tuple(self.weld_size))
 
     @cached_property
+    @one_thread
     def eliminations(self) -> dict[str, list[EliminatedStep]]:
         """The steps of every stage with their bilateral rows eliminated, once for all contact laws."""
         return eliminate_steps(self, plan_stages(self.scene, self.weld_size))
 
     @cached_property
+    @one_thread
     def likely(self) -> dict[tuple[str, Step], np.ndarray]:
         """Candidates (m,) that are likely to carry force, by stage and step, for all contact laws alike."""
         return Process.look_ahead(self)

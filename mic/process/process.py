@@ -16,7 +16,7 @@ from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import Step, plan_stages
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
-from mic.product import product
+from mic.product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
 
@@ -46,6 +46,7 @@ def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, star
     **settings
         Law and others, as :class:`mic.contact.ContactSolver` takes them.
     """
+    settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
     stops = stops_of(contacts, step)
     S, friction = stops.compliance(S), stops.friction(friction)
     if not contacts.watched.any():
@@ -95,6 +96,7 @@ class Process:
         If a stage leaves a part free to move.
     """
 
+    @one_thread
     def __init__(
         self,
         model,
@@ -184,6 +186,7 @@ class Process:
             )
         ]
 
+    @one_thread
     def evaluate(self, deviations: np.ndarray) -> Evaluation:
         """Take a batch through all stages.
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from mic.contact.laws import LAWS
 from mic.contact.path import Increments
@@ -147,11 +146,10 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
     deviations = np.column_stack(
         [np.zeros((len(numbers), 0)), *(outcome.deviation(law, name, numbers) for name in model.parameters)]
     )
-    with threadpool_limits(limits=1, user_api="blas"):
-        process = Process(model, law, backend=backend, threads=threads)
-        for stage in process.stages:
-            stage.path = tighter(stage.path)
-        evaluation = process.attempt(deviations)
+    process = Process(model, law, backend=backend, threads=threads)
+    for stage in process.stages:
+        stage.path = tighter(stage.path)
+    evaluation = process.attempt(deviations)
     again = tables(model, evaluation)
     converged = ~evaluation.failed
     last = process.stages[-1].plan.name

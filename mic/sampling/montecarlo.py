@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 
-from threadpoolctl import threadpool_limits
-
 from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
 from mic.sampling.ranks import communicator, on_first, wait
@@ -87,16 +85,14 @@ def monte_carlo(
             if advance is not None:
                 advance(law, count)
     threads = max(1, len(os.sched_getaffinity(0)) // size)
-    # A fixed number of BLAS threads keeps results the same from run to run, and small products fast.
-    with threadpool_limits(limits=1, user_api="blas"):
-        processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
-        for i in range(0, len(missing), size):
-            together = missing[i : i + size]  # what the processes evaluate side by side
-            if rank < len(together):
-                law, first, count = together[rank]
-                sink(law, first, processes[law].attempt(draw(model.scene, seed, first, count)))
-            if advance is not None:
-                for law, _, count in together:
-                    advance(law, count)
+    processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
+    for i in range(0, len(missing), size):
+        together = missing[i : i + size]  # what the processes evaluate side by side
+        if rank < len(together):
+            law, first, count = together[rank]
+            sink(law, first, processes[law].attempt(draw(model.scene, seed, first, count)))
+        if advance is not None:
+            for law, _, count in together:
+                advance(law, count)
     wait(world)
     return reused

@@ -25,10 +25,15 @@ def check_references(scene) -> None:
     _unique("stages", scene.stages)
     for key in ("locators", "clamps", "measurements", "deviations"):
         for i, item in enumerate(getattr(scene, key)):
-            if "part" in type(item).model_fields:
+            if getattr(item, "part", None) is not None:
                 known(f"{key}[{i}].part", item.part, bodies, "part")
-    for key, allowed in (("welds", bodies), ("zones", part_names)):
-        for i, item in enumerate(getattr(scene, key)):
+    tongs = [(i, clamp) for i, clamp in enumerate(scene.clamps) if clamp.parts is not None]
+    for key, allowed, items in (
+        ("welds", bodies, enumerate(scene.welds)),
+        ("clamps", bodies, tongs),
+        ("zones", part_names, enumerate(scene.zones)),
+    ):
+        for i, item in items:
             for name in item.parts:
                 known(f"{key}[{i}].parts", name, allowed, "part")
             if item.parts[0] == item.parts[1]:
@@ -38,7 +43,8 @@ def check_references(scene) -> None:
     for i, item in enumerate(scene.deviations):
         if item.moves is not None:
             targets = {target.name for target in getattr(scene, item.moves)}
-            known(f"deviations[{i}].target", item.target, targets, item.moves.removesuffix("s"))
+            for name in [item.target] if isinstance(item.target, str) else item.target:
+                known(f"deviations[{i}].target", name, targets, item.moves.removesuffix("s"))
     check_stages(scene)
     _check_friction(scene)
 
@@ -66,6 +72,8 @@ def _check_friction(scene) -> None:
 def check_held(scene) -> None:
     """Every part needs six independent locators when it is set down, before anything can be computed.
 
+    Of a part whose locators are not placed yet nothing is said.
+
     Raises
     ------
     ValueError
@@ -75,6 +83,8 @@ def check_held(scene) -> None:
         own = [
             locator for locator in scene.locators if locator.part == part.name and locator.stage == scene.stages[0].name
         ]
+        if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
+            continue  # told once the scene is placed on its meshes
         points = np.array([locator.point for locator in own]).reshape(-1, 3)
         scale = max(1.0, float(np.ptp(points, axis=0).max(initial=0.0)))
         arms = (points - points.mean(0)) / scale if len(own) else points

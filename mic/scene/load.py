@@ -66,6 +66,8 @@ def _explain(path, item) -> str:
         "value_error": message,
     }
     text = remedy.get(item["type"], f"{message}; got {given!r}, correct it")
+    if not key:
+        return "\n".join(f"{path}: {line}" for line in text.splitlines())
     return f"{path}: {key}: {text}" if key else f"{path}: {text}"
 
 

@@ -19,7 +19,23 @@ OPENING = """# Scene reference
 
 A scene is one TOML file, or a folder that holds `scene.toml`. mm, N, MPa. Unknown keys are errors. File names are
 relative to the scene. `mic check SCENE` validates it and shows what will be modelled. Directions may have any length
-but zero.
+but zero. `mic init MESH…` writes a first scene for meshes of your own.
+
+**Many in one table.** A table of `[[locators]]`, `[[clamps]]`, `[[welds]]` or `[[measurements]]` with
+`file = "NAME.csv"` stands for one item a row of that file. Its other keys hold for every row:
+
+```toml
+[[welds]]
+file = "welds.csv"
+parts = ["inner", "outer"]
+radius = 3
+```
+
+Columns are keys, and what a row says comes before what the table says; `x`, `y` and `z` together are `point`; members
+of a list stand in one cell with blanks between them (`inner outer`, `0 0 1`); an empty cell leaves the key out. Commas,
+semicolons or tabs separate the cells. Without a column `name`, rows are called after the table's `name`, or the file,
+and numbered. A table of `[[welds]]` with `points = [[x, y, z], …]` stands for a weld at each, called `NAME-1`,
+`NAME-2`, ….
 """
 SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry`
 (its named size), `pairs` of zones that give neither `pairs`, `spacing` nor `points`, how the `path` of stages is

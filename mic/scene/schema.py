@@ -6,6 +6,7 @@ descriptions here are the scene reference: the documentation is generated from t
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -17,6 +18,7 @@ from pydantic import (
     Field,
     FiniteFloat,
     Tag,
+    WrapValidator,
     field_validator,
     model_validator,
 )
@@ -25,6 +27,7 @@ from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.path import Followed
 from mic.scene.checks import check_held, check_references
 from mic.scene.settings import fill_in
+from mic.scene.tables import written_out
 
 __all__ = [
     "Clamp",
@@ -69,6 +72,66 @@ def _unit(value: Vector | None) -> Vector | None:
         return value
     x, y, z = value
     return x / length, y / length, z / length
+
+
+#: The directions that a surface gives, in words; `mic.model.placing` says which vector each is.
+WORDS = re.compile(r"-?(normal|in-plane [xyz])")
+
+
+def _if_given(value: Any, handler: Any) -> Any:
+    return None if value is None else handler(value)
+
+
+def _vector_or_words(value: Any, handler: Any) -> Any:
+    if not isinstance(value, str):
+        return _unit(handler(value))
+    words = " ".join(value.split())
+    if not WORDS.fullmatch(words):
+        raise ValueError(
+            f'{value!r} is no direction; give [x, y, z], or "normal", "-normal", "in-plane x", "-in-plane x", … y, … z'
+        )
+    return words
+
+
+#: A point, a part, a direction: typed as what they are once `mic.model.placing` has placed the scene on its meshes,
+#: which everything comes after that reads them. In a scene as it is written a point or a part may be None, and a
+#: direction words.
+Place = Annotated[Vector, WrapValidator(_if_given)]
+Owner = Annotated[Name, WrapValidator(_if_given)]
+Direction = Annotated[Vector, WrapValidator(_vector_or_words)]
+UNPLACED: Any = None
+NORMAL: Any = "normal"
+TOWARDS = "`[x, y, z]`; or `normal` or `in-plane x`, y, z (the axis laid into the sheet), with a minus the other way"
+
+
+class _OnSheet(_Table):
+    """What stands on a part, at a point that its coordinates, a node or a set of nodes tell."""
+
+    name: Name = Field(description="names it")
+    point: Place = Field(UNPLACED, description="where, mm, at most 5 mm off the part")
+    node: int | None = Field(None, description="or a node by its number in the part's mesh file")
+    set: Annotated[str, Field(min_length=1)] | None = Field(
+        None, description="or a set of nodes by its name in the part's mesh file: their middle"
+    )
+
+    @model_validator(mode="after")
+    def _one_place(self):
+        keys = [key for key in ("point", "node", "set", "hole") if key in type(self).model_fields]
+        given = [key for key in keys if getattr(self, key) is not None]
+        if not given:
+            raise ValueError(f"give point = [x, y, z], or {' or '.join(keys[1:])}, where it stands")
+        placed = given == ["point", "hole"] and self.point == self.hole  # which rows find the rim by
+        if len(given) > 1 and not placed:
+            raise ValueError(f"{' and '.join(given)} each say where it stands: give one of them")
+        return self
+
+
+class _OnPart(_OnSheet):
+    """What stands on a part, or in a hole of it."""
+
+    hole: Vector | None = Field(
+        None, description="or a point near the centre of a hole: its rim is read, as a pin does, at its own centre"
+    )
 
 
 class Part(_Table):
@@ -131,7 +194,7 @@ class Fixture(_Table):
         return self
 
 
-class Locator(_Table):
+class Locator(_OnPart):
     """A bilateral support of a part in one direction, over a pad of the given radius.
 
     It engages in the named stage: those of the locate stage place the part (a 3-2-1 scheme), further ones of an N-2-1
@@ -140,24 +203,27 @@ class Locator(_Table):
 
     name: Name = Field(description="names the locator in `keep` and in deviations")
     part: Name = Field(description="the part that it supports")
-    point: Vector = Field(description="mm, at most 5 mm off the part")
-    direction: Vector = Field(description="of the support, of any length but zero")
+    direction: Direction = Field(NORMAL, description=f"of the support: {TOWARDS}")
     radius: NonNegative = Field(4.0, description="of the pad, mm; 0 is nodal")
     stage: Name = Field(
         "locate",
         description="the stage in which it engages; those of the locate stage must hold all six motions of their part",
     )
 
-    _direction = field_validator("direction")(_unit)
 
+class Clamp(_OnPart):
+    """A clamp pushes a part along `direction`, by a force or to a position.
 
-class Clamp(_Table):
-    """A clamp pushes a part along `direction`, by a force or to a position."""
+    With `parts` it is a tong: one jaw pushes the first part towards the second, the other the second towards the first.
+    Its jaws are called `NAME-PART`; `order`, `keep` and deviations may name it as a whole.
+    """
 
     name: Name = Field(description="names the clamp in deviations")
-    part: Name = Field(description="the part that it pushes")
-    point: Vector = Field(description="mm, at most 5 mm off the part")
-    direction: Vector = Field(description="into which it pushes")
+    part: Owner = Field(UNPLACED, description="the part that it pushes")
+    parts: tuple[Name, Name] | None = Field(None, description="or the two parts that it presses together, as a tong")
+    direction: Direction = Field(
+        NORMAL, description=f"into which it pushes, a tong its first part: {TOWARDS}; of a tong: together"
+    )
     force: FiniteFloat | None = Field(None, description="N along `direction`")
     stroke: FiniteFloat | None = Field(
         None, description="or the position that it enforces along `direction`, mm from nominal"
@@ -170,8 +236,6 @@ class Clamp(_Table):
     radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
     stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
-    _direction = field_validator("direction")(_unit)
-
     @model_validator(mode="after")
     def _force_or_stroke(self):
         if (self.force is None) == (self.stroke is None):
@@ -180,13 +244,27 @@ class Clamp(_Table):
             raise ValueError("limit goes with stroke; a clamp with a force pushes with just that: remove limit")
         return self
 
+    @model_validator(mode="after")
+    def _one_or_two(self):
+        if (self.part is None) == (self.parts is None):
+            raise ValueError("give either part, which it pushes, or parts = [a, b], which it presses together")
+        if self.parts is not None and (isinstance(self.direction, str) and self.direction != "normal"):
+            raise ValueError("a tong presses its parts together: leave direction out, or give [x, y, z] for parts[0]")
+        if self.parts is not None and self.hole is not None:
+            raise ValueError("a tong presses on sheets, and there is none in a hole: give point, node or set")
+        return self
 
-class Weld(_Table):
+    @property
+    def owners(self) -> tuple[Name, ...]:
+        """The parts that it pushes."""
+        return self.parts or (self.part,)
+
+
+class Weld(_OnSheet):
     """A spot weld; it freezes the relative position that it finds, or closes the gap first."""
 
     name: Name = Field(description="names the weld in results")
-    parts: tuple[Name, Name] = Field(description="the two parts that it joins")
-    point: Vector = Field(description="mm")
+    parts: tuple[Name, Name] = Field(description="the two parts that it joins; nodes and sets are those of the first")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
     close: bool = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
     gun: Positive | None = Field(
@@ -419,19 +497,17 @@ class _Deviation(_Table):
     moves: ClassVar[str | None] = None
 
 
-class ForceDeviation(_Deviation):
+class ForceDeviation(_OnPart, _Deviation):
     """``kind = "force"``: shapes a part as a corrective force would.
 
     The part is held meanwhile on a statically determinate choice of the locators that it is set down on.
     """
 
     kind: Literal["force"] = Field(description='`"force"`')
+    name: Name = Field(description="names the deviation in results and in `model.evaluate`")
     part: Name = Field(description="the part that it shapes")
-    point: Vector = Field(description="where the force acts, mm")
-    direction: Vector = Field(description="into which the force acts")
+    direction: Direction = Field(NORMAL, description=f"into which the force acts: {TOWARDS}")
     radius: NonNegative = Field(8.0, description="of the disc that it is spread over, mm")
-
-    _direction = field_validator("direction")(_unit)
 
 
 class LocatorDeviation(_Deviation):
@@ -446,25 +522,24 @@ class ClampDeviation(_Deviation):
     """``kind = "clamp"``: moves a clamp along its direction, mm; for a clamp with a force, adds to it, N."""
 
     kind: Literal["clamp"] = Field(description='`"clamp"`')
-    target: Name = Field(description="the clamp that moves")
+    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
+        description="the clamp that moves, a tong with both its jaws; or several that move alike"
+    )
     moves: ClassVar[str | None] = "clamps"
 
 
 Deviation = Annotated[ForceDeviation | LocatorDeviation | ClampDeviation, Field(discriminator="kind")]
 
 
-class Measurement(_Table):
+class Measurement(_OnPart):
     """A key characteristic: the deviation of a point from nominal along a direction, mm."""
 
     name: Name = Field(description="names the key characteristic in results")
     part: Name = Field(description="the part that is measured")
-    point: Vector = Field(description="mm, at most 5 mm off the part")
-    direction: Vector = Field(description="in which the deviation counts positive")
+    direction: Direction = Field(NORMAL, description=f"in which the deviation counts positive: {TOWARDS}")
     radius: NonNegative = Field(2.5, description="of the probe, mm; 0 is nodal")
     lower: FiniteFloat = Field(description="lower limit of the tolerance, mm from nominal")
     upper: FiniteFloat = Field(description="upper limit of the tolerance, mm from nominal")
-
-    _direction = field_validator("direction")(_unit)
 
     @model_validator(mode="after")
     def _ordered(self):
@@ -553,10 +628,19 @@ class Scene(_Table):
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, table: Any):
-        return fill_in(table)
+        return fill_in(written_out(table, TABLES))
 
     @model_validator(mode="after")
     def _check(self):
         check_references(self)
         check_held(self)
         return self
+
+
+#: Tables that may be written out in a CSV file, or that stand for several.
+TABLES: dict[str, type[BaseModel]] = {
+    "locators": Locator,
+    "clamps": Clamp,
+    "welds": Weld,
+    "measurements": Measurement,
+}

@@ -126,17 +126,7 @@ def run(context):
     left = context.team.map(path_left, followed)
     paths = pd.DataFrame(left, columns=["slip", "key characteristics"], index=[order.name for order in followed])
 
-    figure, axes = panels(2, width=6.0)
-    for axis, kind in zip(axes, ("mean", "6σ")):
-        for z, zone in enumerate(scene.zones):
-            y = np.arange(len(table)) + 0.2 * (z - 1)
-            r, low, high = (table[f"{zone.name} {kind}{end}"] for end in ("", " from", " to"))
-            axis.errorbar(r, y, xerr=[r - low, high - r], fmt="o", ms=4, capsize=2, label=zone.name)
-        axis.axvline(1.0, color="0.4", ls=":")
-        axis.set(xlabel=f"{kind} of the zone's tangential displacement, friction / none", yticks=range(len(table)))
-        axis.set_yticklabels(table.index if kind == "mean" else [])
-        axis.invert_yaxis()
-    axes[1].legend()
+    figure, _ = picture(table, [zone.name for zone in scene.zones])
     numbers = judge(table, settled)
     moved = table["key characteristics: mean"].drop(STATED)
     return [
@@ -159,6 +149,22 @@ def run(context):
         ),
         Finding("path-measured", float(paths["key characteristics"].max())),
     ]
+
+
+def picture(table, zones):
+    """The zones' ratios with their intervals, one line for each order; the figure and its two axes, mean and 6σ."""
+    figure, axes = panels(2, width=6.0)
+    for axis, kind in zip(axes, ("mean", "6σ")):
+        for z, zone in enumerate(zones):
+            y = np.arange(len(table)) + 0.2 * (z - 1)
+            r, low, high = (table[f"{zone} {kind}{end}"] for end in ("", " from", " to"))
+            axis.errorbar(r, y, xerr=[r - low, high - r], fmt="o", ms=4, capsize=2, color=f"C{z}", label=zone)
+        axis.axvline(1.0, color="0.4", ls=":")
+        axis.set(xlabel=f"{kind} of the zone's tangential displacement, friction / none", yticks=range(len(table)))
+        axis.set_yticklabels(table.index if kind == "mean" else [])
+        axis.invert_yaxis()
+    axes[1].legend()
+    return figure, axes
 
 
 STUDY = Study(

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from mic.contact import ladder
 from mic.contact.friction import Friction
@@ -20,8 +19,6 @@ __all__ = ["NativeSolver"]
 
 #: Tasks for each thread: few, because handing them out costs as much as an easy sample, and enough to level the load.
 TASKS = 8
-
-_THREADPOOLS = ThreadpoolController()
 
 
 class NativeSolver:
@@ -75,13 +72,12 @@ class NativeSolver:
         rungs = [rung for rung in ladder.BATCH if rung.applies(law) and (rung.name != "guess" or Y.any())]
         errors, iterations = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
         found = np.full(n, rungs[0].name, dtype=object)
-        with _THREADPOOLS.limit(limits=1):
-            for rung in rungs if Q.size else ():
-                unsolved = np.flatnonzero(errors > tol)
-                if not unsolved.size:
-                    break
-                self._share(batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations)
-                found[unsolved] = rung.name
+        for rung in rungs if Q.size else ():
+            unsolved = np.flatnonzero(errors > tol)
+            if not unsolved.size:
+                break
+            self._share(batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations)
+            found[unsolved] = rung.name
         force = np.zeros_like(b)
         force[:, :: self._stride] = Y * self.scaling
         return force, iterations, found
@@ -93,18 +89,17 @@ class NativeSolver:
         """
         search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
         budget = ladder.BUDGET * (1.0 + 1000.0 / len(self.problem.parameters))
-        with _THREADPOOLS.limit(limits=self.threads):
-            for rung in ladder.PATIENT:
-                if not rung.applies(self.problem.law):
-                    continue
-                for y, iterations, work in patience.METHODS[rung.name](search, rung):
-                    search.renew(y)
-                    candidate = np.zeros_like(b)
-                    candidate[:: self._stride] = y * self.scaling
-                    yield candidate, iterations, rung.name
-                    budget -= work
-                    if budget < 0.0:
-                        return
+        for rung in ladder.PATIENT:
+            if not rung.applies(self.problem.law):
+                continue
+            for y, iterations, work in patience.METHODS[rung.name](search, rung):
+                search.renew(y)
+                candidate = np.zeros_like(b)
+                candidate[:: self._stride] = y * self.scaling
+                yield candidate, iterations, rung.name
+                budget -= work
+                if budget < 0.0:
+                    return
 
     def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
         """All samples from one load to the next; see :meth:`mic.contact.backends.Backend.follow`."""
@@ -137,8 +132,7 @@ class NativeSolver:
                 *(a[own] for a in (Q, slip, length, work, share, estimate, counts)),
             )
 
-        with _THREADPOOLS.limit(limits=1):
-            self._each(chunk, n)
+        self._each(chunk, n)
         return Leg(
             force=Y * D,
             b=Q / D,

@@ -3,26 +3,29 @@
 A reader takes a path and returns a `RawMesh`. It refuses nothing and repairs nothing: what all formats share (files
 that are missing, damaged, without sheets, with solids) is checked here once, and repaired in `mic.geometry.repair`.
 
-All formats but Nastran's are read by meshlane, the maintained descendant of meshio. meshio itself is given up by its
-author and fails with numpy 2.2 and later. Of what else there is, meshio++ reads more dialects, but it is 64 MB of
-compiled code that went through eight major versions in four months; pyvista brings all of VTK; pyNastran refuses numpy
-2. meshlane is 2.4 MB of Python, imports in 0.15 s, and read the same files alike with numpy 1.24 and 2.4.
+Decks of Nastran and Abaqus are read here, for all that they tell beside the mesh. The other formats are read by
+meshlane, the maintained descendant of meshio. meshio itself is given up by its author and fails with numpy 2.2 and
+later. Of what else there is, meshio++ reads more dialects, but it is 64 MB of compiled code that went through eight
+major versions in four months; pyvista brings all of VTK. meshlane is 2.4 MB of Python, imports in 0.15 s, and read the
+same files alike with numpy 1.24 and 2.4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mic.errors import FormatError
+from mic.geometry.deck import UNITS, Deck, Sheet
 from mic.geometry.readers import abaqus, exchange, gmsh, graphics, nastran, vtk, vtu
 from mic.geometry.readers.raw import RawMesh
 from mic.geometry.repair import MeshReport, repair
 from mic.geometry.surface import Surface
 
-__all__ = ["READERS", "RawMesh", "read_mesh"]
+__all__ = ["READERS", "UNITS", "Deck", "RawMesh", "Sheet", "read_mesh", "read_raw"]
 
 READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".bdf": nastran.read,
@@ -45,16 +48,64 @@ READERS: dict[str, Callable[[Path], RawMesh]] = {
 }
 
 
-def read_mesh(path: Path | str) -> tuple[Surface, MeshReport]:
-    """The repaired surface of a mesh file in any of the formats in `READERS`, and what the repair took.
+def read_mesh(path: Path | str, sets: Iterable[str] = (), unit: str = "mm") -> tuple[Surface, Deck]:
+    """The repaired surface of a mesh file in any of the formats in `READERS`, and what else the file tells.
 
-    Of elements with mid-side nodes the corners are taken; beams and points are passed over. Normals that a deck tells
-    (Abaqus ``*NORMAL``, Nastran ``SNORM``) are those of the surface's corners.
+    Of elements with mid-side nodes the corners are taken; beams, masses and rigid elements are passed over, and
+    counted. Normals that a deck tells (Abaqus ``*NORMAL``, Nastran ``SNORM``) are those of the surface's corners.
+
+    Parameters
+    ----------
+    path : Path or str
+    sets : iterable of str
+        Take the elements of these sets alone, such as one part of several, before anything is repaired.
+    unit : str
+        Of length in the file, one of `UNITS`. Surface and deck are in mm and MPa.
+
+    Returns
+    -------
+    surface : Surface
+    deck : mic.geometry.deck.Deck
+        Empty where the file tells nothing beside the mesh, but for its `repair`.
 
     Raises
     ------
     FormatError
-        If the file is missing or cannot be read, holds no surface elements or solid elements, or `repair` refuses them.
+        If the file is missing or cannot be read, holds no surface elements or solid elements, or `repair` refuses them;
+        if a set is not there.
+    """
+    path = Path(path)
+    mesh = read_raw(path)
+    try:
+        if sets:
+            mesh = mesh.selected(sets)
+        if mesh.solids:
+            raise FormatError(
+                f"this mesh file holds solid elements ({', '.join(mesh.solids)}); give the mid-surface"
+                + (", or the sets that are sheets" if mesh.element_sets else "")
+            )
+        if any(kind.startswith("polygon") for kind in mesh.others):
+            raise FormatError("this mesh file holds polygons of more than four corners; split them into triangles")
+        if not len(mesh.triangles) and not len(mesh.quadrilaterals):
+            raise FormatError(
+                f"this mesh file holds no triangles or quadrilaterals, only {', '.join(mesh.others) or 'points'}; "
+                "export the shell elements too"
+            )
+        points, triangles, report = repair(
+            mesh.points * UNITS[unit][0], mesh.triangles, mesh.quadrilaterals if len(mesh.quadrilaterals) else None
+        )
+        return Surface(points, triangles, _normals(mesh, report)), _deck(mesh, report, unit)
+    except ValueError as problem:
+        raise FormatError(f"{path}: {problem}") from problem
+
+
+def read_raw(path: Path | str) -> RawMesh:
+    """All that a mesh file holds, before anything is chosen or repaired: which sets there are, which of them are parts.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing or cannot be read.
     """
     path = Path(path)
     if not path.is_file():
@@ -66,35 +117,56 @@ def read_mesh(path: Path | str) -> tuple[Surface, MeshReport]:
             f"save the mesh as one of {', '.join(READERS)}"
         )
     try:
-        mesh = reader(path)
+        return reader(path)
     except ImportError as problem:
         raise FormatError(
             f"{path}: reading {path.suffix} files needs the package {problem.name}; install it (pip install "
             f"{problem.name}), or save the mesh in another format"
         ) from problem
+    except FormatError as problem:
+        raise FormatError(f"{path}: {problem}") from problem
     except (Exception, SystemExit) as problem:  # libraries raise whatever their parsing trips over, some exit
         raise FormatError(
             f"{path}: this mesh file cannot be read: it is cut short, damaged or not what its suffix says "
             f"({_words(problem)}); export it again, or in another format"
         ) from problem
-    if mesh.solids:
-        raise FormatError(
-            f"{path}: this mesh file holds solid elements ({', '.join(mesh.solids)}); give the mid-surface"
+
+
+def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
+    """What a file tells, in terms of the repaired points and triangles."""
+    length, stress = UNITS[unit]
+    number = lambda points: np.unique(report.point_map[points][report.point_map[points] >= 0])
+    kept = report.point_map >= 0
+    sheets = [
+        replace(
+            sheet,
+            thickness=None if sheet.thickness is None else sheet.thickness * length,
+            young=None if sheet.young is None else sheet.young * stress,
         )
-    if any(kind.startswith("polygon") for kind in mesh.others):
-        raise FormatError(f"{path}: this mesh file holds polygons of more than four corners; split them into triangles")
-    if not len(mesh.triangles) and not len(mesh.quadrilaterals):
-        raise FormatError(
-            f"{path}: this mesh file holds no triangles or quadrilaterals, only {', '.join(mesh.others) or 'points'}; "
-            "export the shell elements too"
-        )
-    try:
-        points, triangles, report = repair(
-            mesh.points, mesh.triangles, mesh.quadrilaterals if len(mesh.quadrilaterals) else None
-        )
-        return Surface(points, triangles, _normals(mesh, report)), report
-    except ValueError as problem:
-        raise FormatError(f"{path}: {problem}") from problem
+        for sheet in mesh.sheets
+    ]
+    sheet_of = np.full(len(report.element_map), -1) if mesh.sheet_of is None else mesh.sheet_of[report.element_map]
+    for triangle in np.flatnonzero(report.turned & (sheet_of >= 0)):
+        sheet = sheets[sheet_of[triangle]]
+        if sheet.offset:  # the other side of a triangle that was turned
+            other = replace(sheet, offset=-sheet.offset)
+            sheets += [] if other in sheets else [other]
+            sheet_of[triangle] = sheets.index(other)
+    node_sets = {name: number(points) for name, points in mesh.node_sets.items()}
+    within = {name: np.isin(report.element_map, elements) for name, elements in mesh.element_sets.items()}
+    element_sets = {name: np.flatnonzero(triangles) for name, triangles in within.items() if triangles.any()}
+    return Deck(
+        np.zeros(0, dtype=np.int64) if mesh.nodes is None else mesh.nodes[kept],
+        np.zeros(0, dtype=np.int64) if mesh.nodes is None else report.point_map[kept],
+        {name: points for name, points in node_sets.items() if len(points)},
+        element_sets,
+        tuple(name for name in mesh.parts if name in element_sets),
+        tuple(sheets),
+        sheet_of,
+        report,
+        mesh.others,
+        mesh.midside_nodes,
+    )
 
 
 def _normals(mesh: RawMesh, report: MeshReport) -> np.ndarray | None:
@@ -116,7 +188,5 @@ def _normals(mesh: RawMesh, report: MeshReport) -> np.ndarray | None:
 def _words(problem: BaseException) -> str:
     """What a reader said, on one line; with the kind of error where its words alone would be none, such as ``17``."""
     words = " ".join(str(problem).split())
-    if isinstance(problem, FormatError):
-        return words
     kind = "exit" if isinstance(problem, SystemExit) else type(problem).__name__
     return f"{kind}: {words}" if words else kind

@@ -3,23 +3,94 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import meshlane
+import numpy as np
 
 from mic.geometry.readers.raw import RawMesh, from_meshlane
 
 __all__ = ["read"]
 
-# Geometry and physical groups. Nothing here needs them, and meshlane refuses a file in which some elements are in a
-# group.
+# Geometry and physical groups: meshlane refuses a file in which some elements are in a group.
 GROUPS = re.compile(rb"\$(Entities|PhysicalNames)\s.*?\$End\1\s*\n", re.DOTALL)
+NAME = re.compile(r'(\d+)\s+(\d+)\s+"([^"]*)"')
+SHEETS = ("triangle", "quad")
 
 
 def read(path: Path) -> RawMesh:
-    """All elements of a gmsh file, in physical groups or not."""
+    """All elements of a gmsh file, in physical groups or not, and the groups."""
+    content = path.read_bytes()
     with TemporaryDirectory() as folder:  # meshlane reads this format from files only
         bare = Path(folder) / "mesh.msh"
-        bare.write_bytes(GROUPS.sub(b"", path.read_bytes()))
-        return from_meshlane(meshlane.gmsh.read(bare))
+        bare.write_bytes(GROUPS.sub(b"", content))
+        mesh = meshlane.gmsh.read(bare)
+    raw = from_meshlane(mesh)
+    named = _section(content, "PhysicalNames").decode("utf-8", errors="replace")
+    names = {int(tag): name for dimension, tag, name in NAME.findall(named) if dimension == "2"}
+    groups = _groups_of_surfaces(content) if b"$Entities" in content else None
+    tags = mesh.cell_data.get("gmsh:physical" if groups is None else "gmsh:geometrical")
+    if tags is None:
+        return raw
+    of_elements = [
+        np.asarray(of) for kind in SHEETS for block, of in zip(mesh.cells, tags) if block.type.startswith(kind)
+    ]
+    tag = np.concatenate([*of_elements, np.zeros(0, dtype=int)]).astype(np.int64)
+    held: dict[int, list[np.ndarray]] = {}
+    for value in np.unique(tag):
+        for group in [int(value)] if groups is None else groups.get(int(value), []):
+            if group:
+                held.setdefault(group, []).append(np.flatnonzero(tag == value))
+    sets = {names.get(group, f"PID {group}"): np.sort(np.concatenate(of)) for group, of in held.items()}
+    return replace(raw, element_sets=sets, parts=tuple(sets))
+
+
+def _section(content: bytes, name: str) -> bytes:
+    found = re.search(rb"\$%s[ \r]*\n(.*?)\$End%s" % (name.encode(), name.encode()), content, re.DOTALL)
+    return found[1] if found else b""
+
+
+def _groups_of_surfaces(content: bytes) -> dict[int, list[int]]:
+    """Physical groups of each surface of a file of version 4."""
+    head = _section(content, "MeshFormat").split()
+    old, binary = head[0] == b"4", head[1] != b"0"
+    old = old or head[0] == b"4.0"
+    read = _Numbers(_section(content, "Entities"), binary)
+    groups: dict[int, list[int]] = {}
+    counts = read.sizes(4)
+    for dimension, count in enumerate(counts[:3]):
+        for _ in range(count):
+            (tag,) = read.ints(1)
+            read.reals(6 if dimension or old else 3)
+            physical = read.ints(read.sizes(1)[0])
+            if dimension:
+                read.ints(read.sizes(1)[0])
+            if dimension == 2:
+                groups[tag] = [abs(number) for number in physical]
+    return groups
+
+
+class _Numbers:
+    """Numbers one after the other, as text or as bytes."""
+
+    def __init__(self, content: bytes, binary: bool):
+        self.content, self.binary, self.at = content if binary else content.split(), binary, 0
+
+    def ints(self, count: int) -> list[int]:
+        return [int(number) for number in self._take(count, np.dtype(np.int32))]
+
+    def sizes(self, count: int) -> list[int]:
+        return [int(number) for number in self._take(count, np.dtype(np.uint64))]
+
+    def reals(self, count: int) -> list[float]:
+        return [float(number) for number in self._take(count, np.dtype(float))]
+
+    def _take(self, count: int, kind: np.dtype):
+        start = self.at
+        self.at += count * (kind.itemsize if self.binary else 1)
+        if self.at > len(self.content):
+            raise ValueError("the section of entities ends early")
+        piece = self.content[start : self.at]
+        return np.frombuffer(piece, kind) if isinstance(piece, bytes) else piece

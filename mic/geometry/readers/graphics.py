@@ -21,7 +21,7 @@ def read_stl(path: Path) -> RawMesh:
 def read_ply(path: Path) -> RawMesh:
     """PLY, text or binary."""
     if b"end_header" not in path.read_bytes():  # meshlane would look for it without end
-        raise FormatError("the header has no end")
+        raise FormatError("the header has no end: the file is cut short; export it again")
     return from_meshlane(meshlane.ply.read(path))
 
 
@@ -36,5 +36,5 @@ def read_off(path: Path) -> RawMesh:
     """Object file format, triangles only."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     if sum(bool(line.split("#")[0].strip()) for line in lines) < 2:  # meshlane would look for the rest without end
-        raise FormatError("it ends with its header")
+        raise FormatError("it ends with its header, and holds no mesh; export it again")
     return from_meshlane(meshlane.off.read(path))

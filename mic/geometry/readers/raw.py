@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
+from mic.errors import FormatError
+from mic.geometry.deck import Sheet
 
 __all__ = ["RawMesh", "from_meshlane"]
 
@@ -16,45 +20,148 @@ SOLIDS = ("tetra", "hexa", "wedge", "pyramid", "polyhedron")  # beginnings of me
 class RawMesh:
     """Content of a mesh file.
 
+    Elements are numbered from zero, all triangles first, then the quadrilaterals.
+
     Attributes
     ----------
     points : (n, 3) array
-        mm.
+        In the unit of the file.
     triangles : (k, 3) int array
         Point numbers from zero; of elements with mid-side nodes the corners.
     quadrilaterals : (q, 4) int array
         As for triangles.
     solids : tuple of str
         Kinds of solid elements that the file holds.
-    others : tuple of str
-        Kinds of further elements that were passed over, such as beams.
+    others : dict of str to int
+        Kinds of further elements that were passed over, such as beams, and how many.
     triangle_normals, quadrilateral_normals : (k, 3, 3) and (q, 4, 3) array, optional
         Normals of the sheet at the elements' corners, where the file tells them; NaN where it does not.
+    nodes : (n,) int array, optional
+        Numbers of the points in the file.
+    node_sets, element_sets : dict of str to int array
+        Points and elements by the names of their sets.
+    others_of_sets : dict of str to tuple of str
+        Kinds of elements other than sheets, solids too, by the names of the sets that hold them.
+    parts : tuple of str
+        Those of the element sets that are parts, see :class:`mic.geometry.deck.Deck`.
+    sheets : tuple of Sheet
+        In the unit of the file.
+    sheet_of : (k + q,) int array, optional
+        Sheet of each element, -1 for none.
+    midside_nodes : int
+        How many were dropped.
     """
 
     points: np.ndarray
     triangles: np.ndarray
     quadrilaterals: np.ndarray
     solids: tuple[str, ...] = field(default=())
-    others: tuple[str, ...] = field(default=())
+    others: dict[str, int] = field(default_factory=dict)
     triangle_normals: np.ndarray | None = None
     quadrilateral_normals: np.ndarray | None = None
+    nodes: np.ndarray | None = None
+    node_sets: dict[str, np.ndarray] = field(default_factory=dict)
+    element_sets: dict[str, np.ndarray] = field(default_factory=dict)
+    others_of_sets: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    parts: tuple[str, ...] = ()
+    sheets: tuple[Sheet, ...] = ()
+    sheet_of: np.ndarray | None = None
+    midside_nodes: int = 0
+
+    def called(self, name: str) -> str:
+        """The element set of a name, in any case of its letters; a property by its number alone.
+
+        Raises
+        ------
+        FormatError
+            If there is none, or several.
+        """
+        known = [*self.element_sets, *(other for other in self.others_of_sets if other not in self.element_sets)]
+        for wanted in (name, f"PID {name}"):
+            if wanted in known:
+                return wanted
+            alike = [other for other in known if other.upper() == wanted.upper()]
+            if len(alike) == 1:
+                return alike[0]
+        listed = ", ".join(repr(other) for other in known[:20]) + (", …" if len(known) > 20 else "")
+        raise FormatError(
+            f"there is no element set {name!r}; "
+            + (f"it holds {listed}" if known else "it holds no sets: leave `set` out")
+        )
+
+    def selected(self, sets: Iterable[str]) -> RawMesh:
+        """The elements of some sets alone; all points and sets are kept.
+
+        Raises
+        ------
+        FormatError
+            If a set is not there, or holds solid elements or no sheets.
+        """
+        chosen = np.zeros(len(self.triangles) + len(self.quadrilaterals), dtype=bool)
+        for name in map(self.called, sets):
+            solids = sorted(set(self.others_of_sets.get(name, ())).intersection(self.solids))
+            if solids:
+                raise FormatError(f"the set {name!r} holds solid elements ({', '.join(solids)}); give the mid-surface")
+            elements = self.element_sets.get(name, np.zeros(0, dtype=np.int64))
+            if not len(elements):
+                kinds = ", ".join(self.others_of_sets.get(name, ())) or "nothing"
+                raise FormatError(f"the set {name!r} holds no triangles or quadrilaterals, only {kinds}")
+            chosen[elements] = True
+        number = np.where(chosen, np.cumsum(chosen) - 1, -1)
+        in_sets = {name: number[elements] for name, elements in self.element_sets.items()}
+        of_triangles, of_quadrilaterals = np.split(chosen, [len(self.triangles)])
+        return replace(
+            self,
+            triangles=self.triangles[of_triangles],
+            quadrilaterals=self.quadrilaterals[of_quadrilaterals],
+            triangle_normals=None if self.triangle_normals is None else self.triangle_normals[of_triangles],
+            quadrilateral_normals=(
+                None if self.quadrilateral_normals is None else self.quadrilateral_normals[of_quadrilaterals]
+            ),
+            solids=(),
+            element_sets={name: elements[elements >= 0] for name, elements in in_sets.items()},
+            sheet_of=None if self.sheet_of is None else self.sheet_of[chosen],
+        )
 
 
 def from_meshlane(mesh: Any) -> RawMesh:
-    """The sheet elements of a ``meshlane.Mesh``."""
-    kinds = sorted({block.type for block in mesh.cells})
+    """The sheet elements of a ``meshlane.Mesh``, and its sets."""
+    blocks = [(block.type, np.asarray(block.data)) for block in mesh.cells]
     points = np.zeros((len(mesh.points), 3))
     if len(mesh.points):
         points[:, : mesh.points.shape[1]] = mesh.points
-    corners = lambda kind, count: np.concatenate(
-        [np.zeros((0, count), dtype=np.int64)]
-        + [np.asarray(block.data)[:, :count] for block in mesh.cells if block.type.startswith(kind)]
-    )
+    first: dict[int, int] = {}  # element number of the first of each block of sheets
+    corners: dict[str, np.ndarray] = {}
+    for kind, count in (("triangle", 3), ("quad", 4)):
+        found = [np.zeros((0, count), dtype=np.int64)]
+        for number, (name, data) in enumerate(blocks):
+            if name.startswith(kind):
+                first[number] = sum(len(of) for of in (*corners.values(), *found))
+                found.append(data[:, :count])
+        corners[kind] = np.concatenate(found)
+    others: dict[str, int] = {}
+    for name, data in blocks:
+        if not name.startswith((*SOLIDS, "triangle", "quad")):
+            others[name] = others.get(name, 0) + len(data)
+    element_sets, others_of_sets = {}, {}
+    for name, of_blocks in mesh.cell_sets.items():
+        rows = [np.asarray([] if of is None else of, dtype=np.int64) for of in of_blocks]
+        held = [first[number] + of for number, of in enumerate(rows) if number in first]
+        kinds = tuple(sorted({blocks[number][0] for number, of in enumerate(rows) if len(of) and number not in first}))
+        if any(len(of) for of in held):
+            element_sets[name] = np.concatenate(held)
+        if kinds:
+            others_of_sets[name] = kinds
+    midside = [data[:, (3 if name.startswith("triangle") else 4) :] for name, data in blocks]
+    midside = [nodes for (name, _), nodes in zip(blocks, midside) if name.startswith(("triangle", "quad"))]
     return RawMesh(
         points,
-        corners("triangle", 3),
-        corners("quad", 4),
-        tuple(kind for kind in kinds if kind.startswith(SOLIDS)),
-        tuple(kind for kind in kinds if not kind.startswith((*SOLIDS, "triangle", "quad"))),
+        corners["triangle"],
+        corners["quad"],
+        tuple(sorted({name for name, _ in blocks if name.startswith(SOLIDS)})),
+        others,
+        node_sets={name: np.asarray(of, dtype=np.int64) for name, of in mesh.point_sets.items()},
+        element_sets=element_sets,
+        others_of_sets=others_of_sets,
+        midside_nodes=len(np.unique(np.concatenate([nodes.ravel() for nodes in midside]))) if midside else 0,
     )

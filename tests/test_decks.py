@@ -1,0 +1,268 @@
+"""What decks tell beside the mesh: node numbers, sets, sheets; instances, coordinate systems; what is passed over."""
+
+import numpy as np
+import pytest
+
+from mic.errors import FormatError
+from mic.geometry.readers import Sheet, read_mesh, read_raw
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.0]])
+# A quadrilateral 1 and a triangle 2 beside it; nodes 1, 2, 3, 4 and 10.
+ABAQUS = """*Heading
+*Node, nset=all
+ 1, 0., 0., 0.
+ 2, 1., 0., 0.
+ 3, 1., 1., 0.
+ 4, 0., 1., 0.
+ 10, 2., 0., 0.
+*Element, type=S4R, elset=left plate
+1, 1, 2, 3, 4
+*Element, type=S3, elset=right
+2, 2, 10, 3
+*Nset, nset=row, generate
+1, 3, 2
+*Elset, elset=both
+left plate, 2
+*Material, name=DC04
+*Elastic
+210000., 0.29
+*Shell Section, elset=LEFT PLATE, material=dc04, offset=SPOS
+1.5, 5
+*Shell Section, elset=right,
+ material=other, offset=-0.2
+0.8, 5
+"""
+NASTRAN = """$HMNAME COMP                   1"left plate"
+$ANSA_NAME_COMMENT;2;PSHELL;right;;NO;NO;NO;NO;
+SOL 101
+SET 4 = 1 THRU 3,
+  10
+CEND
+$HMSET        4        1 "row"
+BEGIN BULK
+MAT1,7,210000.,,0.29
+MAT1,8,2.1+5,8.0+4
+PSHELL,1,7,1.5,7,,7
+PSHELL,2,8,0.8
+GRID,1,,0.,0.,0.
+GRID,2,,1.,0.,0.
+GRID,3,,1.,1.,0.
+GRID,4,,0.,1.,0.
+GRID,10,,2.,0.,0.
+CQUAD4,1,1,1,2,3,4,30.,-.75
+CTRIA3,2,2,2,10,3,,0.16
+ENDDATA
+"""
+LEFT = Sheet(1.5, -0.5, 210e3, 0.29, "dc04")
+RIGHT = Sheet(0.8, 0.2, None, None, "other")
+
+
+def written(tmp_path, text, name="deck.inp"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    "name, text, sheets",
+    [
+        ("deck.inp", ABAQUS, (LEFT, RIGHT)),
+        ("deck.bdf", NASTRAN, (Sheet(1.5, -0.5, 210e3, 0.29, "7"), Sheet(0.8, 0.2, 210e3, 0.3125, "8"))),
+    ],
+)
+def test_a_deck_tells_its_sets_and_the_sheet_of_each(tmp_path, name, text, sheets):
+    surface, deck = read_mesh(written(tmp_path, text, name))
+    assert deck.parts == ("left plate", "right")
+    for part, sheet, area in zip(("left plate", "right"), sheets, (1, 0.5)):
+        triangles = deck.element_sets[part]
+        assert surface.areas[triangles].sum() == pytest.approx(area)
+        (told,) = deck.told(triangles)
+        assert (told.thickness, told.material) == (sheet.thickness, sheet.material)
+        for key in ("offset", "young", "poisson"):
+            assert getattr(told, key) == pytest.approx(getattr(sheet, key)) or getattr(sheet, key) is None
+    assert len(deck.told()) == 2
+
+
+def test_node_numbers_and_sets_are_those_of_the_deck(tmp_path):
+    surface, deck = read_mesh(written(tmp_path, ABAQUS))
+    for node, place in zip((1, 2, 3, 4, 10), POINTS):
+        assert surface.points[deck.points_of(node)] == pytest.approx(place[None])
+    assert len(deck.points_of(7)) == 0
+    assert surface.points[deck.node_sets["row"]] == pytest.approx(POINTS[[0, 2]])
+    assert len(deck.node_sets["all"]) == 5 and len(deck.element_sets["both"]) == 3
+    _, deck = read_mesh(written(tmp_path, NASTRAN, "a.bdf"))
+    assert len(deck.node_sets["row"]) == 4 and "row" not in deck.element_sets and len(deck.element_sets["PID 1"]) == 2
+
+
+def test_one_part_is_taken_out_of_a_deck_by_the_name_of_its_set(tmp_path):
+    for name, text, sets in (("a.inp", ABAQUS, ["RIGHT"]), ("a.bdf", NASTRAN, ["2"]), ("a.bdf", NASTRAN, ["right"])):
+        surface, deck = read_mesh(written(tmp_path, text, name), sets)
+        assert surface.areas.tolist() == pytest.approx([0.5]) and len(surface.points) == 3
+        assert len(deck.points_of(1)) == 0 and len(deck.points_of(10)) == 1
+        assert [sheet.thickness for sheet in deck.told()] == [0.8] and "left plate" not in deck.element_sets
+    _, deck = read_mesh(tmp_path / "a.inp", ["left plate"])
+    assert len(deck.element_sets["left plate"]) == len(deck.element_sets["both"]) == 2 and deck.parts == ("left plate",)
+    with pytest.raises(FormatError, match="there is no element set 'middle'; it holds 'left plate', 'right'"):
+        read_mesh(tmp_path / "a.inp", ["middle"])
+
+
+def test_parts_of_one_deck_that_touch_are_not_merged(tmp_path):
+    """Two sheets drawn onto each other, on nodes of their own."""
+    other = ABAQUS.replace("*Material", "*Node\n21, 0., 0., 0.\n22, 1., 0., 0.\n23, 1., 1., 0.\n24, 0., 1., 0.\n"
+                           "*Element, type=S4R, elset=upper\n21, 21, 22, 23, 24\n*Material")  # fmt: skip
+    path = written(tmp_path, other)
+    assert read_mesh(path)[1].repair.triangles_repeated == 2
+    for name in ("left plate", "upper"):
+        surface, deck = read_mesh(path, [name])
+        assert surface.areas.sum() == pytest.approx(1) and not deck.repair.repaired or deck.repair.points_dropped
+
+
+def test_a_deck_in_another_unit_is_in_mm_and_mpa(tmp_path):
+    surface, deck = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "2.1e11")), ["left plate"], "m")
+    (sheet,) = deck.told()
+    assert surface.areas.sum() == pytest.approx(1e6) and sheet.thickness == pytest.approx(1500)
+    assert sheet.young == pytest.approx(210e3) and sheet.offset == -0.5
+    (sheet,) = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "3.0e7")), ["left plate"], "in")[1].told()
+    assert sheet.young == pytest.approx(206843, rel=1e-5) and sheet.thickness == pytest.approx(38.1)
+
+
+def test_the_offset_of_a_triangle_that_is_turned_is_turned(tmp_path):
+    turned = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 2")
+    _, deck = read_mesh(written(tmp_path, turned))
+    assert deck.repair.triangles_turned == 1
+    assert [deck.told(deck.element_sets[name])[0].offset for name in ("left plate", "right")] == [-0.5, -0.2]
+
+
+def test_instances_are_placed_and_their_sets_are_theirs(tmp_path):
+    head, _, sections = ABAQUS.partition("*Material")
+    parts = head.replace("*Heading\n", "*Part, name=P\n")
+    parts += "*Shell Section, elset=both, material=DC04\n1.5\n*End Part\n"
+    assembly = """*Assembly, name=A
+*Instance, name=first, part=p
+*End Instance
+*Instance, name=second, part=P
+ 0., 0., 7.
+ 0., 0., 0., 0., 1., 0., 90.
+*End Instance
+*Nset, nset=pins, instance=second
+ 10
+*Nset, nset=corner
+ first.4, second.row
+*End Assembly
+"""
+    surface, deck = read_mesh(written(tmp_path, parts + assembly + "*Material" + sections.split("*Shell")[0]))
+    assert deck.parts == ("first", "second") and deck.repair.pieces == 2
+    assert [sheet.young for sheet in deck.told()] == [210e3]
+    # shifted along z, then turned about y: z goes to x, x to −z
+    assert surface.points[deck.node_sets["pins"]] == pytest.approx(np.array([[7, 0, -2.0]]))
+    assert len(deck.points_of(10)) == 2 and len(deck.node_sets["corner"]) == 3
+    assert len(deck.element_sets["both"]) == 6 and len(deck.element_sets["second.both"]) == 3
+    surface, _ = read_mesh(tmp_path / "deck.inp", ["second"])
+    assert np.ptp(surface.points[:, 0]) == pytest.approx(0) and surface.areas.sum() == pytest.approx(1.5)
+
+
+def test_what_is_no_sheet_is_passed_over_and_counted(tmp_path):
+    more = """*Element, type=M3D4R, elset=skin
+5, 1, 2, 3, 4
+*Element, type=MASS, elset=m
+6, 1
+7, 2
+*Element, type=CONN3D2
+8, 1, 3
+*Element, type=R3D3, elset=rigid
+9, 1, 2, 3
+"""
+    surface, deck = read_mesh(written(tmp_path, ABAQUS + more))
+    assert deck.passed_over == {"M3D4R": 1, "MASS": 2, "CONN3D2": 1, "R3D3": 1} and not deck.repair.triangles_repeated
+    assert any("passed over, no sheet: 1 CONN3D2" in note for note in deck.notes())
+    with pytest.raises(FormatError, match="the set 'm' holds no triangles or quadrilaterals, only MASS"):
+        read_mesh(tmp_path / "deck.inp", ["m"])
+    more = "RBE2,90,1,123,2,3\nCONM2,91,1,,1.0\nCBUSH,92,1,1,2\nCELAS2,93,1.,1,1,2,1\nENDDATA"
+    _, deck = read_mesh(written(tmp_path, NASTRAN.replace("ENDDATA", more), "a.bdf"))
+    assert deck.passed_over == {"RBE2": 1, "CONM2": 1, "CBUSH": 1, "CELAS2": 1}
+
+
+def test_midside_nodes_are_dropped_and_counted(tmp_path):
+    second = "*Node\n" + "".join(
+        f"{n}, {x}, {y}, 0.\n" for n, (x, y) in zip((31, 32, 33, 34), ((0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)))
+    )
+    text = ABAQUS.replace("*Element, type=S4R", second + "*Element, type=S8R").replace(
+        "1, 1, 2, 3, 4", "1, 1, 2, 3, 4,\n 31, 32, 33, 34"
+    )
+    surface, deck = read_mesh(written(tmp_path, text))
+    assert deck.midside_nodes == 4 and "4 midside nodes dropped" in deck.notes() and len(surface.points) == 5
+
+
+def test_raw_content_names_the_parts_before_anything_is_repaired(tmp_path):
+    raw = read_raw(written(tmp_path, ABAQUS))
+    assert raw.parts == ("left plate", "right") and raw.element_sets["right"].tolist() == [0]
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_physical_groups_of_gmsh_are_sets(tmp_path, version, binary):
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        sheets = [gmsh.model.occ.addRectangle(x, 0, 0, 3, 2) for x in (0, 3, 6)]
+        gmsh.model.occ.fragment([(2, sheets[0])], [(2, sheet) for sheet in sheets[1:]])
+        gmsh.model.occ.synchronize()
+        gmsh.model.mesh.setRecombine(2, sheets[1])
+        gmsh.model.mesh.generate(2)
+        gmsh.model.addPhysicalGroup(2, sheets[:1], 5, name="left part")
+        gmsh.model.addPhysicalGroup(2, sheets[1:], 6)
+        for option, value in (("MshFileVersion", version), ("Binary", binary)):
+            gmsh.option.setNumber(f"Mesh.{option}", value)
+        gmsh.write(str(tmp_path / "sheet.msh"))
+    finally:
+        gmsh.finalize()
+    surface, deck = read_mesh(tmp_path / "sheet.msh")
+    assert deck.parts == ("left part", "PID 6")
+    assert surface.areas[deck.element_sets["left part"]].sum() == pytest.approx(6)
+    assert surface.areas[deck.element_sets["PID 6"]].sum() == pytest.approx(12)
+    assert read_mesh(tmp_path / "sheet.msh", ["6"])[0].areas.sum() == pytest.approx(12)
+
+
+#: The point (1, 2, 3) in systems at (1, 1, 1) whose z axis is the basic x axis, and whose x axis is the basic y axis.
+SYSTEMS = {
+    "CORD2R": (1.0, 2.0, 0.0),
+    "CORD2C": (5**0.5, np.degrees(np.arctan2(2, 1)), 0.0),
+    "CORD2S": (5**0.5, 90.0, np.degrees(np.arctan2(2, 1))),
+}
+
+
+@pytest.mark.parametrize("kind", SYSTEMS)
+@pytest.mark.parametrize("how", ["GRID", "GRDSET", "CORD1", "chain"])
+def test_points_in_coordinate_systems_of_nastran_stand_where_they_should(tmp_path, kind, how):
+    a, b, c = SYSTEMS[kind]
+    axes = ((1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 2.0, 1.0))  # origin, on z, in xz
+    flat = ",".join(f"{value}" for value in np.ravel(axes)[:6])
+    rest = ",".join(f"{value}" for value in np.ravel(axes)[6:])
+    system = f"{kind},7,0,{flat}\n,{rest}\n"
+    cp = "" if how == "GRDSET" else "7"
+    if how == "GRDSET":
+        system += "GRDSET,,7\n"
+    elif how == "CORD1":
+        system = "".join(f"GRID,{90 + i},0,{x},{y},{z}\n" for i, (x, y, z) in enumerate(axes))
+        system += f"{kind.replace('2', '1')},7,90,91,92\n"
+    elif how == "chain":  # the same system given in another one, which is shifted
+        moved = np.ravel(axes) - 3.0
+        system = f"{kind},7,8," + ",".join(map(str, moved[:6])) + "\n," + ",".join(map(str, moved[6:])) + "\n"
+        system += "CORD2R,8,0,3.,3.,3.,3.,3.,4.\n,4.,3.,3.\n"
+    grids = f"GRID,1,{cp},{a},{b},{c}\nGRID,2,0,0.,0.,0.\nGRID,3,0,1.,0.,0.\nCTRIA3,1,1,1,2,3\n"
+    surface, deck = read_mesh(written(tmp_path, system + grids, "a.bdf"))
+    assert surface.points[deck.points_of(1)] == pytest.approx(np.array([[1, 2, 3.0]]))
+
+
+def test_included_files_are_read(tmp_path):
+    (tmp_path / "sub").mkdir()
+    nodes, _, rest = ABAQUS.partition("*Element, type=S4R")
+    (tmp_path / "sub" / "nodes.inp").write_text(nodes)
+    text = "*Include, input=sub/nodes.inp\n*Element, type=S4R" + rest
+    assert read_mesh(written(tmp_path, text))[0].areas.sum() == pytest.approx(1.5)
+    grids, _, rest = NASTRAN.partition("CQUAD4")
+    (tmp_path / "sub" / "rest.bdf").write_text("CQUAD4" + rest.replace("ENDDATA\n", ""))
+    path = written(tmp_path, grids + "INCLUDE 'sub/\nrest.bdf'\n", "a.bdf")  # and ENDDATA is missing
+    assert read_mesh(path)[0].areas.sum() == pytest.approx(1.5)

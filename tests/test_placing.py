@@ -1,0 +1,306 @@
+"""Points by node, set and hole, directions in words, tongs: what a scene means once its parts are meshed."""
+
+import numpy as np
+import pytest
+from support.decks import annulus, extruded, grid, write_deck
+
+import mic
+from mic.geometry.holes import find_holes
+from mic.geometry.readers import read_mesh
+from mic.model.assembly import assemble
+from mic.scene import Scene, load_scene
+
+RING, RIM, PAD = (30.0, 30.0, 1.0), 8.0, [12.0, 30.0, 1.0]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A plate, and above it a ring with a hole, 1 mm thick each, their mid-surfaces 1 mm apart."""
+    folder = tmp_path_factory.mktemp("placing")
+    write_deck(folder / "plate.inp", {"PLATE": grid(60, 60, 5)}, first=1)
+    ring = annulus(RING, RIM, 28)
+    write_deck(folder / "ring.inp", {"RING": ring}, {"LOC": [1001, 1002, 1003], "RIMS": [1001, 1013]}, first=1001)
+    return folder
+
+
+def located(part, z, **first):
+    rows = [([10, 20, z], [0, 0, 1]), ([50, 20, z], [0, 0, 1]), ([30, 50, z], [0, 0, 1])]
+    rows += [([10, 20, z], [0, 1, 0]), ([50, 20, z], [0, 1, 0]), ([10, 20, z], [1, 0, 0])]
+    items = [{"name": f"{part}-{i}", "part": part, "point": p, "direction": d} for i, (p, d) in enumerate(rows)]
+    return items
+
+
+def table(**changes):
+    parts = [{"name": n, "mesh": f"{n}.inp", "thickness": 1.0} for n in ("plate", "ring")]
+    return {
+        "name": "placing",
+        "parts": parts,
+        "locators": located("plate", 0) + located("ring", 1),
+        "zones": [{"name": "ring", "parts": ["plate", "ring"], "friction": 0.2}],
+        "stages": [{"kind": kind} for kind in ("locate", "clamp", "weld", "release", "measure")],
+        "measurements": [
+            {"name": "M", "part": "ring", "point": [30, 56, 1], "direction": [0, 0, 1], "lower": -1, "upper": 1}
+        ],
+    } | changes
+
+
+def placed(folder, **changes):
+    return assemble(Scene(**table(**changes), folder=folder), folder / "cache").scene
+
+
+def measured(folder, **keys):
+    """The measurement of a scene that says it so."""
+    item = {"name": "M", "part": "ring", "lower": -1, "upper": 1} | keys
+    return placed(folder, measurements=[item]).measurements[0]
+
+
+def test_a_hole_is_where_the_sheet_lies_around_a_rim(folder):
+    """The ring has one, of its inner diameter; its own outline is none, and the plate has none."""
+    (hole,) = find_holes(read_mesh(folder / "ring.inp")[0])
+    assert hole.centre == pytest.approx(RING)
+    assert hole.size == pytest.approx((2 * RIM, 2 * RIM)) and hole.round
+    assert abs(hole.normal[2]) == pytest.approx(1)
+    assert find_holes(read_mesh(folder / "plate.inp")[0]) == []
+
+
+def test_an_oblong_hole_tells_its_length_and_its_width(tmp_path):
+    points, quads = annulus((0, 0, 0), 4, 20)
+    points[:, 0] += np.sign(points[:, 0].round(9)) * 3
+    (hole,) = find_holes(read_mesh(write_deck(tmp_path / "slot.inp", {"SLOT": (points, quads)}))[0])
+    assert hole.size == pytest.approx((14, 8)) and not hole.round
+    assert hole.centre == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+def test_a_pin_reads_the_mean_of_the_rim(folder):
+    """Under any rigid motion it reads that of the hole's centre, though no sheet is there."""
+    told = measured(folder, hole=[31, 29, 3], direction=[1, 0, 0])
+    assert told.point == pytest.approx(RING)
+    scene = Scene(**table(measurements=[told.model_dump()]), folder=folder)
+    part = assemble(scene, folder / "cache").parts[1]
+    surface, functionals = part.surface, part.functionals
+    own = functionals.label.index("measurement M")
+    patch = functionals.patches[functionals.patch[own]]
+    turn = np.array([0.1, -0.2, 0.3])
+    at = surface.at(patch.triangle, patch.barycentric)
+    read = patch.weight @ np.cross(turn, at - np.array([5.0, 6.0, 7.0]))
+    assert read == pytest.approx(np.cross(turn, np.array(RING) - [5.0, 6.0, 7.0]))
+    assert np.linalg.norm(at - RING, axis=1).min() > 0.95 * RIM
+
+
+def test_normal_is_that_of_the_sheet_and_a_minus_turns_it(folder):
+    n = np.array(measured(folder, point=PAD).direction)
+    assert n == pytest.approx([0, 0, n[2]]) and abs(n[2]) == pytest.approx(1)
+    assert measured(folder, point=PAD, direction="-normal").direction == pytest.approx(-n)
+    assert measured(folder, hole=RING).direction == pytest.approx(n)
+
+
+def test_an_axis_is_laid_into_a_sheet_that_stands_askew(tmp_path):
+    """A sheet that rises by 3 in 4: x laid into it points up the slope, y lies in it, z points up the slope too."""
+    sheet = extruded([(0, 0), (80, 60)], 0, 40, 5)
+    write_deck(tmp_path / "slope.inp", {"S": sheet})
+    rows = [([8, 5, 6], "normal"), ([72, 5, 54], "normal"), ([40, 35, 30], "-normal")]
+    rows += [([8, 5, 6], "in-plane y"), ([72, 5, 54], "in-plane y"), ([40, 20, 30], "-in-plane x")]
+    scene = Scene(
+        name="slope",
+        parts=[{"name": "slope", "mesh": "slope.inp", "thickness": 1}],
+        locators=[{"name": f"L{i}", "part": "slope", "point": p, "direction": d} for i, (p, d) in enumerate(rows)],
+        measurements=[
+            {"name": "M", "part": "slope", "point": [40, 20, 30], "direction": "in-plane z", "lower": -1, "upper": 1}
+        ],
+        stages=[{"kind": "locate"}, {"kind": "measure"}],
+        folder=tmp_path,
+    )
+    found = assemble(scene, tmp_path / "cache").scene
+    a, b, c, d, e, f = (np.array(item.direction) for item in found.locators)
+    assert abs(a @ [-0.6, 0, 0.8]) == pytest.approx(1) and a == pytest.approx(b) and c == pytest.approx(-a)
+    assert d == pytest.approx([0, 1, 0]) and e == pytest.approx([0, 1, 0])
+    assert f == pytest.approx([-0.8, 0, -0.6])
+    assert found.measurements[0].direction == pytest.approx([0.8, 0, 0.6])
+
+
+def test_a_tong_is_two_jaws_that_push_its_parts_together(folder):
+    tong = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
+    scene = placed(folder, clamps=[tong])
+    below, above = scene.clamps
+    assert (below.name, below.part, below.direction) == ("T-plate", "plate", pytest.approx((0, 0, 1)))
+    assert (above.name, above.part, above.direction) == ("T-ring", "ring", pytest.approx((0, 0, -1)))
+    turned = placed(folder, clamps=[tong | {"parts": ["ring", "plate"], "direction": [0, 0.3, -1]}])
+    assert turned.clamps[0].direction == pytest.approx(np.array([0, 0.3, -1]) / np.hypot(0.3, 1))
+    assert turned.clamps[0].part == "ring"
+
+
+def test_order_keep_and_deviations_may_name_a_tong(folder):
+    tong = {"parts": ["plate", "ring"], "force": 50}
+    stages = table()["stages"]
+    stages[1] = {"kind": "clamp", "order": [["B"], ["A"]]}
+    stages[3] = {"kind": "release", "keep": ["B", *(f"plate-{i}" for i in range(6)), *(f"ring-{i}" for i in range(6))]}
+    scene = placed(
+        folder,
+        clamps=[tong | {"name": "A", "point": PAD}, tong | {"name": "B", "point": [48, 30, 1]}],
+        stages=stages,
+        deviations=[{"name": "D", "kind": "clamp", "target": "A", "sigma": 5}],
+    )
+    assert scene.stages[1].order == [["B-plate", "B-ring"], ["A-plate", "A-ring"]]
+    assert scene.stages[3].keep[:2] == ["B-plate", "B-ring"]
+    assert scene.deviations[0].target == ["A-plate", "A-ring"]
+
+
+def test_a_placed_scene_is_what_its_dump_says_and_is_placed_already(folder):
+    keys = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
+    measurement = {"name": "M", "part": "ring", "hole": list(RING), "lower": -1, "upper": 1}
+    scene = placed(folder, clamps=[keys], measurements=[measurement])
+    again = Scene(**scene.model_dump(), folder=folder)
+    assert again == scene
+    assert assemble(again, folder / "cache").scene is again
+
+
+WRONG = {
+    "no hole there": (
+        {"measurements": [{"hole": [50, 50, 1]}]},
+        ["measurements[0] (X).hole", "near (50, 50, 1)", "16 mm across", "(30, 30, 1)"],
+    ),
+    "no hole at all": ({"measurements": [{"part": "plate", "hole": [30, 30, 0]}]}, ["'plate' has no hole"]),
+    "axis across the sheet": (
+        {"measurements": [{"point": PAD, "direction": "in-plane z"}]},
+        ["measurements[0] (X).direction", "z stands across the sheet", '"in-plane x" or "in-plane y"'],
+    ),
+    "tong where nothing faces": (
+        {"clamps": [{"parts": ["plate", "ring"], "point": [3, 3, 0.5], "force": 5}]},
+        ["clamps[0] (X).point", "off part 'ring'", "nearest point on it is"],
+    ),
+    "tong that pulls apart": (
+        {"clamps": [{"parts": ["plate", "ring"], "point": PAD, "direction": [0, 0, -1], "force": 5}]},
+        ["clamps[0] (X).direction", "does not push 'plate' towards 'ring'", "(0, 0, 1)"],
+    ),
+}
+
+
+def wrong(changes):
+    blank = {"measurements": {"part": "ring", "lower": -1, "upper": 1}, "clamps": {}}
+    return {key: [blank[key] | {"name": "X"} | item for item in items] for key, items in changes.items()}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_placed_is_told_with_the_nearest_that_can(folder, case):
+    changes, words = WRONG[case]
+    with pytest.raises(mic.SceneError) as told:
+        placed(folder, **wrong(changes))
+    for word in words:
+        assert word in str(told.value)
+
+
+def test_all_that_cannot_be_placed_is_told_at_once(folder):
+    cases = [wrong(changes) for changes, _ in WRONG.values()]
+    changes = {key: [item for case in cases for item in case.get(key, [])] for key in ("measurements", "clamps")}
+    for items in changes.values():
+        for i, item in enumerate(items):
+            item["name"] = f"X{i}"
+    with pytest.raises(mic.SceneError) as told:
+        placed(folder, **changes)
+    assert len(str(told.value).splitlines()) == len(WRONG)
+
+
+def test_locators_placed_by_words_must_hold_their_part(folder):
+    """Six rows all along the normal hold three motions; that is told once the mesh is there."""
+    locators = located("plate", 0)
+    for item in locators:
+        item["direction"] = "normal"
+    with pytest.raises(mic.SceneError, match="plate.*hold 3 of its 6"):
+        placed(folder, locators=locators + located("ring", 1))
+
+
+REFUSED = {
+    "no place": ({"measurements": [{}]}, "give point = [x, y, z], or node or set or hole"),
+    "two places": ({"measurements": [{"point": PAD, "node": 3}]}, "point and node each say where it stands"),
+    "a word that is none": ({"measurements": [{"point": PAD, "direction": "up"}]}, "'up' is no direction"),
+    "a tong with a part": (
+        {"clamps": [{"part": "ring", "parts": ["plate", "ring"], "point": PAD, "force": 1}]},
+        "give either part, which it pushes, or parts",
+    ),
+    "a tong of one part": (
+        {"clamps": [{"parts": ["ring", "ring"], "point": PAD, "force": 1}]},
+        "name two different parts",
+    ),
+    "a tong with a word": (
+        {"clamps": [{"parts": ["plate", "ring"], "point": PAD, "force": 1, "direction": "-normal"}]},
+        "a tong presses its parts together",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_place_that_makes_no_sense_is_refused_before_any_mesh_is_read(folder, case):
+    changes, words = REFUSED[case]
+    with pytest.raises(ValueError, match=words.replace("[", r"\[").replace("]", r"\]")):
+        Scene(**table(**wrong(changes)), folder=folder / "nowhere")
+
+
+CSV = """name; x; y; z; parts; radius
+W1; 12; 30; 0.5; plate ring; 3
+W2; 48; 30; 0.5; plate ring;
+"""
+
+
+def test_rows_of_a_csv_are_items_and_columns_come_before_the_table(folder, tmp_path):
+    (tmp_path / "welds.csv").write_text(CSV)
+    scene = Scene(**table(welds=[{"file": "welds.csv", "radius": 2, "moment": False}]), folder=tmp_path)
+    first, second = scene.welds
+    assert (first.name, first.point, first.radius, first.moment) == ("W1", (12, 30, 0.5), 3, False)
+    assert (second.name, second.parts, second.radius) == ("W2", ("plate", "ring"), 2)
+
+
+def test_rows_without_a_name_are_numbered(tmp_path):
+    (tmp_path / "kc.csv").write_text("part,x,y,z,direction\nring,12,30,1,normal\nring,12,30,1,0 0 -2\n")
+    scene = Scene(**table(measurements=[{"file": "kc.csv", "lower": -1, "upper": 1}]), folder=tmp_path)
+    assert [(item.name, item.direction) for item in scene.measurements] == [("kc-1", "normal"), ("kc-2", (0, 0, -1))]
+
+
+def test_a_weld_with_points_is_a_weld_at_each():
+    weld = {"name": "W", "parts": ["plate", "ring"], "points": [[12, 30, 0.5], [48, 30, 0.5]], "radius": 3}
+    scene = Scene(**table(welds=[weld]))
+    assert [(item.name, item.point, item.radius) for item in scene.welds] == [
+        ("W-1", (12, 30, 0.5), 3),
+        ("W-2", (48, 30, 0.5), 3),
+    ]
+
+
+def test_every_bad_cell_is_told_with_file_row_and_column(folder, tmp_path):
+    rows = ["name,x,y,z,parts,radius,moment", "W1,12,30,0.5,plate ring,3,true", "W 2,12,thirty,0.5,plate ring,-3,true"]
+    rows += ["", "W4,12,30,,plate rng,3,perhaps"]
+    (tmp_path / "welds.csv").write_text("\n".join(rows))
+    with pytest.raises(ValueError) as told:
+        Scene(**table(welds=[{"file": "welds.csv"}]), folder=tmp_path)
+    where = f"{tmp_path / 'welds.csv'}: row "
+    for place in ("3, column name", "3, column y", "3, column radius", "5, column z", "5, column moment"):
+        assert f"{where}{place}: " in str(told.value)
+    assert f"{where}5, column parts: there is no part 'rng'; known: plate, ring" in str(told.value)
+    assert str(told.value).count(where) == 6
+
+
+BAD_FILES = {
+    "missing": (None, "there is no file"),
+    "column": ("name,x,y,z,raduis\nW,1,2,3,4\n", "row 1: there is no column 'raduis'"),
+    "two coordinates": ("name,x,y\nW,1,2\n", "there is only x and y"),
+    "ragged": ("name,x,y,z\nW,1,2,3,4,5\n", "this is no table"),
+    "empty": ("", "this is no table"),
+    "header only": ("name,x,y,z\n", "no row below the header"),
+    "binary": (b"\xff\xfe\x00\x01", "cannot be read as text"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_file_that_is_no_table_ends_in_one_sentence(tmp_path, case):
+    content, words = BAD_FILES[case]
+    if content is not None:
+        (tmp_path / "welds.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match=words):
+        Scene(**table(welds=[{"file": "welds.csv", "parts": ["plate", "ring"]}]), folder=tmp_path)
+
+
+def test_the_scene_file_is_named_in_every_line(tmp_path):
+    (tmp_path / "welds.csv").write_text("name,x,y,z\nW,a,b,3\n")
+    (tmp_path / "scene.toml").write_text('name = "x"\n[[welds]]\nfile = "welds.csv"\n')
+    with pytest.raises(mic.SceneError) as told:
+        load_scene(tmp_path)
+    lines = str(told.value).splitlines()
+    assert len(lines) >= 2 and all(line.startswith(str(tmp_path / "scene.toml")) for line in lines)
