@@ -24,11 +24,7 @@ from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
-<<<<<<< HEAD
-from mic.errors import RunError, SceneError, Stopped
-=======
 from mic.errors import RunError, SceneError, Stopped, StorageError
->>>>>>> judge6
 from mic.geometry.normals import COARSE, Rule
 from mic.geometry.told import told
 from mic.judgement import judge, refuse, surfaces_of, suspect
@@ -259,8 +255,25 @@ def _print_zones(console, outcome):
             f"rescued by plain increments {law['rescued']}{_hanging(law)}",
             soft_wrap=True,
         )
+        _print_limits(console, law)
         if law["unseen_penetration"]:
             console.print(_unseen_words(law["unseen_penetration"]), highlight=False, soft_wrap=True)
+
+
+def _print_limits(console, law):
+    """How many assemblies are not built, and which clamps and guns fall short of their position."""
+    from mic.report.style import number
+
+    if law["not_built"]:
+        console.print(f"  not built: {law['not_built']} of {law['samples']} samples", style="yellow")
+    for row in law["limits"]:
+        if row["short"]:
+            console.print(
+                f"  {plain(row['name'])} falls short of its position in {row['short']} samples (stage "
+                f"{plain(row['stage'])}): by up to {number(row['max_left'], 3)} mm; that would take up to "
+                f"{number(row['max_needed'], 3)} N, and it has {number(row['limit'], 3)} N",
+                soft_wrap=True,
+            )
 
 
 def _unseen_words(unseen) -> str:
