@@ -307,6 +307,17 @@ def test_a_weld_of_three_sheets_is_two(tmp_path):
     ] or [set(weld.parts) for weld in load_scene(folder).welds] == [{"s1", "s2"}, {"s0", "s1"}]
 
 
+def test_sheets_with_another_between_them_have_no_zone(tmp_path):
+    """However they are drawn: apart by their thicknesses, or all three upon each other."""
+    for name, rise in (("apart", 1.0), ("upon", 0.0)):
+        (tmp_path / name).mkdir()
+        sheets = [grid(80 - 10 * i, 50, 7, z=rise * i) for i in range(3)]
+        files = [write_deck(tmp_path / name / f"s{i}.inp", {"S": sheet}) for i, sheet in enumerate(sheets)]
+        folder, _ = write_scene(files, tmp_path / name / "scene", {None: 1.0})
+        zones = [set(zone.parts) for zone in load_scene(folder).zones]
+        assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
+
+
 def test_a_small_hole_of_a_plate_is_no_outline(tmp_path):
     """What is measured stands on the outer edge."""
     file = write_deck(tmp_path / "ring.inp", {"R": annulus((0, 0, 0), 8, 40)})
