@@ -177,6 +177,18 @@ def test_sheets_drawn_into_each_other_say_how_deep(tmp_path):
     assert load_scene(folder).zones[0].nominal_overlap == pytest.approx(0.45)
 
 
+def test_a_flat_sheet_is_held_by_three_two_and_one(tmp_path):
+    """Three across the sheet, two across its length, far apart, one along it."""
+    folder, _ = proposed("in metres", tmp_path)
+    own = [one for one in assemble(load_scene(folder), tmp_path / "cache").scene.locators if one.part == "a"]
+    assert [one.name for one in own][:6] == [f"a-{label}" for label in ("A1", "A2", "A3", "B1", "B2", "C1")]
+    assert np.abs([one.direction for one in own[:6]]) == pytest.approx(
+        np.array([[0, 0, 1]] * 3 + [[0, 1, 0]] * 2 + [[1, 0, 0]])
+    )
+    assert abs(own[3].point[0] - own[4].point[0]) > 25
+    assert all(one.stage == "clamp" and np.abs(one.direction) == pytest.approx([0, 0, 1]) for one in own[6:])
+
+
 def test_pins_go_through_holes(tmp_path):
     """One both ways, the other across the line between them; they read the rims."""
     folder, _ = proposed("holes", tmp_path)
