@@ -24,9 +24,10 @@ from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
-from mic.errors import RunError, SceneError, Stopped
+from mic.errors import RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
 from mic.geometry.told import told
+from mic.judgement import judge, refuse, surfaces_of, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
@@ -87,6 +88,9 @@ LawOption = Annotated[
 ]
 
 
+StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
+
+
 def _on_first(command):
     """A command that takes one process; under ``mpirun`` the others leave it to the first."""
 
@@ -142,6 +146,7 @@ def run(
             "Without it, such a folder is refused.",
         ),
     ] = False,
+    strict: StrictOption = False,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
@@ -157,7 +162,7 @@ def run(
     folder = out or Path("results") / asked.name
     try:
         with hold(folder, _Listener(console)):
-            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace)
+            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace, strict)
             if outcome is not None:
                 _report(console, outcome)
     except (KeyboardInterrupt, Stopped) as stop:
@@ -250,8 +255,25 @@ def _print_zones(console, outcome):
             f"rescued by plain increments {law['rescued']}{_hanging(law)}",
             soft_wrap=True,
         )
+        _print_limits(console, law)
         if law["unseen_penetration"]:
             console.print(_unseen_words(law["unseen_penetration"]), highlight=False, soft_wrap=True)
+
+
+def _print_limits(console, law):
+    """How many assemblies are not built, and which clamps and guns fall short of their position."""
+    from mic.report.style import number
+
+    if law["not_built"]:
+        console.print(f"  not built: {law['not_built']} of {law['samples']} samples", style="yellow")
+    for row in law["limits"]:
+        if row["short"]:
+            console.print(
+                f"  {plain(row['name'])} falls short of its position in {row['short']} samples (stage "
+                f"{plain(row['stage'])}): by up to {number(row['max_left'], 3)} mm; that would take up to "
+                f"{number(row['max_needed'], 3)} N, and it has {number(row['limit'], 3)} N",
+                soft_wrap=True,
+            )
 
 
 def _unseen_words(unseen) -> str:
@@ -314,8 +336,19 @@ def check(
             show_default=False,
         ),
     ] = None,
+    strict: StrictOption = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw the assembly and what is placed on it into this file. Default: "
+            "results/NAME-OF-SCENE/check.html, where a run writes its report.",
+            show_default=False,
+        ),
+    ] = None,
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
+
+    Errors stop. Warnings name what no workshop would build: the item, the number, what is usual, and the remedy.
 
     Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
     coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
@@ -330,7 +363,15 @@ def check(
             soft_wrap=True,
         )
     say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
-    assembly = assemble(asked, cache_folder(), progress=say)
+    try:
+        assembly = assemble(asked, cache_folder(), progress=say)
+        plans = plan_stages(assembly.scene, assembly.weld_size)
+    except SceneError as error:
+        warnings = suspect(asked, cache_folder())
+        _print_warnings(console, warnings)
+        _draw_check(console, page, asked, surfaces_of(asked, cache_folder()), warnings, errors=str(error).splitlines())
+        raise
+    warnings = judge(asked, assembly)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_told(console, asked, assembly)
@@ -338,7 +379,6 @@ def check(
     for sentence in assembly.placed:
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
-    plans = plan_stages(assembly.scene, assembly.weld_size)
     _print_process(console, assembly, plans)
     _print_doubts(console, assembly)
     _print_cost(console, assembly, plans)
@@ -347,6 +387,7 @@ def check(
     if converge:
         _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
     surfaces = {part.name: part.surface for part in assembly.parts}
+    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
@@ -354,7 +395,29 @@ def check(
             _keep_picture(console, "normals", draw_normals(surfaces), normals)
         if overlap is not None:
             _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
-    console.print("[green]The scene is valid.[/]")
+    _print_warnings(console, warnings)
+    if strict:
+        refuse(warnings)
+    count = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
+    console.print(f"[{'yellow' if warnings else 'green'}]The scene is valid{count}.[/]")
+
+
+def _print_warnings(console, warnings):
+    for warned in warnings:
+        console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
+
+
+def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=()):
+    """The page of the check; where it cannot be written, that is all that is wrong."""
+    from mic.report.check_page import write_check  # drawing libraries are slow to import
+
+    page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
+    try:
+        write_check(page, scene, surfaces, warnings, contacts, plans, errors)
+    except (StorageError, OSError) as problem:
+        console.print(f"[yellow]no page:[/] {plain(problem)}; name another file with --page", soft_wrap=True)
+    else:
+        console.print(f"page: [bold]{plain(page)}[/]", soft_wrap=True)
 
 
 def _keep_picture(console, what, picture, file):

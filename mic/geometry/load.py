@@ -108,7 +108,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
         )
     if part.mesh is not None:
         sets = [part.set] if isinstance(part.set, str) else part.set or ()
-        surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit)
+        surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
         part = _filled(part, deck)
         _one_piece(part, surface)
         return LoadedPart(part, _middle(part, surface), inputs, deck)
@@ -266,12 +266,12 @@ def _middle(part, surface):
         raise SceneError(f"part {part.name!r}: offset: {problem}") from problem
 
 
-def _read(owner, path, name, sets=(), unit="mm"):
+def _read(owner, path, name, sets=(), unit="mm", size=None):
     from mic.geometry.readers import read_mesh  # the libraries behind it are slow to import; scripts do not need them
 
     try:
         with opened_files() as heard:  # a mesh file may include others
-            surface, deck = read_mesh(path, sets, unit)
+            surface, deck = read_mesh(path, sets, unit, size)
         read = Dependencies.of(path, [path.name], heard)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem

@@ -27,7 +27,7 @@ from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
 from mic.model.rows import REACH
 from mic.scene import Scene
-from mic.scene.checks import check_held, check_references
+from mic.scene.checks import problems
 from mic.scene.schema import ClampDeviation
 
 __all__ = ["place"]
@@ -79,11 +79,9 @@ def place(
         moved = changes.get("deviations", scene.deviations)
         changes["deviations"] = [work.deviation(item) for item in moved]
     placed = scene.model_copy(update=changes)
-    try:
-        check_references(placed)
-        check_held(placed)
-    except ValueError as error:
-        raise SceneError(str(error)) from None
+    wrong = problems(placed)
+    if wrong:
+        raise SceneError("\n".join(wrong))
     return placed, tuple(work.sentences)
 
 

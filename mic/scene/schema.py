@@ -16,7 +16,6 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
-    FiniteFloat,
     Tag,
     WrapValidator,
     field_validator,
@@ -25,7 +24,7 @@ from pydantic import (
 
 from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.path import Followed
-from mic.scene.checks import check_held, check_references
+from mic.scene.checks import problems
 from mic.scene.settings import fill_in
 from mic.scene.tables import written_out
 
@@ -51,6 +50,8 @@ __all__ = [
 # Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
 FINEST, COARSEST = 1e-5, 0.1
 
+#: Suffixes of CAD files, which are meshed when they are read.
+CAD = (".step", ".stp", ".iges", ".igs", ".brep")
 #: What a sheet is where neither the scene nor a mesh file tells it: drawn in its middle, of steel; MPa.
 USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
 
@@ -59,6 +60,10 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
 
 
+# A number is a number: neither true, which Python takes for 1, nor the text of one.
+FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Count = Annotated[int, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.+-]+$")]
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
@@ -112,7 +117,7 @@ class _OnSheet(_Table):
 
     name: Name = Field(description="names it")
     point: Place = Field(UNPLACED, description="where, mm, at most 5 mm off the part")
-    node: int | None = Field(None, description="or a node by its number in the part's mesh file")
+    node: Count | None = Field(None, description="or a node by its number in the part's mesh file")
     set: Annotated[str, Field(min_length=1)] | None = Field(
         None, description="or a set of nodes by its name in the part's mesh file: their middle"
     )
@@ -143,7 +148,8 @@ class Part(_Table):
     name: Name = Field(description="names the part in every other table")
     mesh: str | None = Field(
         None,
-        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …",
+        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …; "
+        "or a CAD file of its mid-surface, STEP, IGES",
     )
     set: str | Annotated[list[str], Field(min_length=1)] | None = Field(
         None,
@@ -159,7 +165,7 @@ class Part(_Table):
         "(k, 3, 3) at the corners of the triangles as a third; it is executed",
     )
     size: str | Positive | None = Field(
-        None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
+        None, description="with `geometry`: element size in mm, or a name from its `SIZES`; with a CAD file in mm"
     )
     accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
         None,
@@ -194,8 +200,10 @@ class Part(_Table):
             for key, usual in USUAL.items():  # nobody else will be asked for them
                 object.__setattr__(self, key, usual if getattr(self, key) is None else getattr(self, key))
         for key in ("size", "accuracy"):
-            if self.geometry is None and getattr(self, key) is not None:
+            if self.geometry is None and getattr(self, key) is not None and not (key == "size" and self._cad):
                 raise ValueError(f"{key} applies to geometry sources only: remove it, or give geometry instead of mesh")
+        if self._cad and not isinstance(self.size, float):
+            raise ValueError("a CAD file is meshed here and needs size, mm: add it")
         if self.geometry is not None and self.size is None and self.accuracy is None:
             raise ValueError(
                 "a geometry source needs size: an element size in mm, or one of the geometry's named sizes; or accuracy"
@@ -203,6 +211,10 @@ class Part(_Table):
         if self.size is not None and self.accuracy is not None:
             raise ValueError("give either size or accuracy, not both: accuracy finds the size")
         return self
+
+    @property
+    def _cad(self) -> bool:
+        return self.mesh is not None and self.mesh.lower().endswith(CAD)
 
     @property
     def sheet(self) -> tuple[float, float, float]:
@@ -265,6 +277,11 @@ class Clamp(_OnPart):
     stroke: FiniteFloat | None = Field(
         None, description="or the position that it enforces along `direction`, mm from nominal"
     )
+    limit: Positive | None = Field(
+        None,
+        description="with `stroke`: the most that it pushes with, N; where its position takes more, it stops short of "
+        "it and pushes with its limit, the assembly counts as not built, and the force that it would need is told",
+    )
     radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
     stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
@@ -272,6 +289,8 @@ class Clamp(_OnPart):
     def _force_or_stroke(self):
         if (self.force is None) == (self.stroke is None):
             raise ValueError("give either force (N) or stroke (mm from the nominal position), not both and not neither")
+        if self.limit is not None and self.stroke is None:
+            raise ValueError("limit goes with stroke; a clamp with a force pushes with just that: remove limit")
         return self
 
     @model_validator(mode="after")
@@ -296,14 +315,26 @@ class Weld(_OnSheet):
     name: Name = Field(description="names the weld in results")
     parts: tuple[Name, Name] = Field(description="the two parts that it joins; nodes and sets are those of the first")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
-    close: bool = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
-    moment: bool = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
-    fused: bool = Field(
+    close: Flag = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
+    gun: Positive | None = Field(
+        None,
+        description="force with which the gun presses the two parts together while the weld is made, N; it opens "
+        "after. Where it leaves a gap, the weld keeps it, the assembly counts as not built, and the force that the gun "
+        "would need is told",
+    )
+    moment: Flag = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
+    fused: Flag = Field(
         True,
         description="whether all of the nugget is one piece; `false` ties its mean displacement and rotation, which is "
         "softer",
     )
     stage: Name = Field("weld", description="the weld stage that makes it")
+
+    @model_validator(mode="after")
+    def _one_way_to_close(self):
+        if self.close and self.gun is not None:
+            raise ValueError("close closes the gap whatever that takes, a gun with its force: remove one of them")
+        return self
 
 
 class PressurePower(_Table):
@@ -360,7 +391,7 @@ class Zone(_Table):
         description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
         "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii",
     )
-    pairs: Annotated[int, Field(gt=0)] | None = Field(
+    pairs: Annotated[Count, Field(gt=0)] | None = Field(
         None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
     )
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
@@ -382,7 +413,7 @@ class Zone(_Table):
     patch: Literal["tributary"] | NonNegative = Field(
         "tributary", description="area that a pair averages over: its tributary area, or a disc of this radius, mm"
     )
-    mid_surface: bool = Field(
+    mid_surface: Flag = Field(
         False,
         description="read the mid-surfaces instead of the facing surfaces: stuck sheets then do not act as one",
     )
@@ -393,6 +424,8 @@ class Zone(_Table):
             raise ValueError("give box or path, not both")
         if (self.path is None) != (self.within is None):
             raise ValueError("path and within (mm) belong together")
+        if any(start == end for start, end in zip(self.path or [], (self.path or [])[1:])):
+            raise ValueError("path stands still: two points that follow each other are one, remove one of them")
         if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
             raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
@@ -459,8 +492,8 @@ class Stage(_Table):
         "together. Left out, further locators close first and together, then clamps as the file has them, neighbours "
         "that press two parts together as one; welds are made together; a release opens last what closed first",
     )
-    sequence: bool = Field(False, description="weld only: one weld after the other, in the order of the file")
-    settle: bool = Field(
+    sequence: Flag = Field(False, description="weld only: one weld after the other, in the order of the file")
+    settle: Flag = Field(
         True,
         description="locate only: parts that overlap where they were set down come to rest on each other before "
         "anything closes; `false`: while the first thing closes",
@@ -471,7 +504,7 @@ class Stage(_Table):
         "controlled error; `increments`, so many for each step of the stage, short at both its ends; `one-step`, all "
         "that the stage does at once, overlaps included, as the paper has it",
     )
-    increments: Annotated[int, Field(ge=1)] | None = Field(
+    increments: Annotated[Count, Field(ge=1)] | None = Field(
         None, description='of each step of the stage; means path = "increments"'
     )
 
@@ -575,16 +608,16 @@ class Report(_Table):
     laws: Annotated[list[str], Field(min_length=1)] = Field(
         ["coulomb"], description="contact laws: " + ", ".join(f"`{law.name}` ({law.title})" for law in LAWS.values())
     )
-    slip: bool = Field(
+    slip: Flag = Field(
         False,
         description="report tangential motion even where no law with friction is asked for; "
         "without either, a third of the contact functionals suffices",
     )
-    accuracy: bool = Field(
+    accuracy: Flag = Field(
         False,
         description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
     )
-    fields: bool = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
+    fields: Flag = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
 
     @field_validator("laws")
     @classmethod
@@ -600,8 +633,8 @@ class Report(_Table):
 class MonteCarlo(_Table):
     """Size and seed of the Monte Carlo, and who solves the contacts."""
 
-    samples: Annotated[int, Field(ge=1)] = Field(500, description="number of assemblies")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
+    samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
+    seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
     backend: Literal["native", "paper"] = Field(
         "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as the paper did"
     )
@@ -653,8 +686,9 @@ class Scene(_Table):
 
     @model_validator(mode="after")
     def _check(self):
-        check_references(self)
-        check_held(self)
+        found = problems(self)
+        if found:
+            raise ValueError("\n".join(found))
         return self
 
 
