@@ -36,6 +36,7 @@ from mic.orders import variants as read_variants
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
 from mic.process.words import opening, sentences
+from mic.proposal import write_scene
 from mic.results.forecast import forecast
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
@@ -254,8 +255,25 @@ def _print_zones(console, outcome):
             f"rescued by plain increments {law['rescued']}{_hanging(law)}",
             soft_wrap=True,
         )
+        _print_limits(console, law)
         if law["unseen_penetration"]:
             console.print(_unseen_words(law["unseen_penetration"]), highlight=False, soft_wrap=True)
+
+
+def _print_limits(console, law):
+    """How many assemblies are not built, and which clamps and guns fall short of their position."""
+    from mic.report.style import number
+
+    if law["not_built"]:
+        console.print(f"  not built: {law['not_built']} of {law['samples']} samples", style="yellow")
+    for row in law["limits"]:
+        if row["short"]:
+            console.print(
+                f"  {plain(row['name'])} falls short of its position in {row['short']} samples (stage "
+                f"{plain(row['stage'])}): by up to {number(row['max_left'], 3)} mm; that would take up to "
+                f"{number(row['max_needed'], 3)} N, and it has {number(row['limit'], 3)} N",
+                soft_wrap=True,
+            )
 
 
 def _unseen_words(unseen) -> str:
@@ -731,12 +749,76 @@ def _print_orders(console, others, found):
 @app.command()
 @_on_first
 def init(
-    example: Annotated[str, typer.Option(help=f"One of {', '.join(examples.names())}.", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
+    meshes: Annotated[
+        list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(help=f"Copy an example instead: one of {', '.join(examples.names())}.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The new folder. Default: one called after the meshes.", show_default=False)
+    ] = None,
+    thickness: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="mm, of the parts whose mesh file tells none; or PART=mm, of one. May be repeated.", show_default=False
+        ),
+    ] = None,
+    welds: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of the spot welds, columns x, y, z and perhaps name, parts. Default: welds are proposed.",
+            show_default=False,
+        ),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of the points to measure, columns x, y, z and perhaps name, part, direction, lower, upper.",
+            show_default=False,
+        ),
+    ] = None,
 ):
-    """Copy an example scene into a new folder, to start from."""
-    folder = examples.copy(example, out)
-    print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
+    """Write a first scene for meshes of your own, or copy an example, to start from.
+
+    From the meshes alone come parts, a 3-2-1 for each and further supports, contact zones where they lie on each other,
+    clamps and welds along these, points to measure at the free edges and a few deviations; every line says what it
+    means. The scene runs as it is.
+    """
+    console = Console()
+    if (example is None) == (not meshes):
+        raise SceneError("mic init: name mesh files, or one example with --example NAME")
+    if example is not None:
+        if thickness or welds or points:
+            raise SceneError("mic init: --thickness, --welds and --points go with mesh files, not with --example")
+        folder = examples.copy(example, out)
+        print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
+        return
+    folder, proposal = write_scene(meshes or [], out, _thicknesses(thickness or []), welds, points)
+    for sentence in proposal.sentences:
+        console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
+    console.print(
+        f"{plain(folder / 'scene.toml')}: {plain(proposal.words())}\nNext:  mic check {plain(folder)}  and  "
+        f"mic run {plain(folder)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _thicknesses(given: list[str]) -> dict[str | None, float]:
+    """Thickness, mm, by part; under None, of the others."""
+    found: dict[str | None, float] = {}
+    for text in given:
+        part, equals, value = text.rpartition("=")
+        try:
+            thickness = float(value)
+        except ValueError:
+            thickness = np.nan
+        if not 0 < thickness < np.inf or (equals and not part):
+            raise SceneError(f"--thickness {text}: give mm, as --thickness 1.5, or --thickness PART=1.5")
+        found[part or None] = thickness
+    return found
 
 
 def plain(text):

@@ -277,6 +277,11 @@ class Clamp(_OnPart):
     stroke: FiniteFloat | None = Field(
         None, description="or the position that it enforces along `direction`, mm from nominal"
     )
+    limit: Positive | None = Field(
+        None,
+        description="with `stroke`: the most that it pushes with, N; where its position takes more, it stops short of "
+        "it and pushes with its limit, the assembly counts as not built, and the force that it would need is told",
+    )
     radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
     stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
@@ -284,6 +289,8 @@ class Clamp(_OnPart):
     def _force_or_stroke(self):
         if (self.force is None) == (self.stroke is None):
             raise ValueError("give either force (N) or stroke (mm from the nominal position), not both and not neither")
+        if self.limit is not None and self.stroke is None:
+            raise ValueError("limit goes with stroke; a clamp with a force pushes with just that: remove limit")
         return self
 
     @model_validator(mode="after")
@@ -309,6 +316,12 @@ class Weld(_OnSheet):
     parts: tuple[Name, Name] = Field(description="the two parts that it joins; nodes and sets are those of the first")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
     close: Flag = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
+    gun: Positive | None = Field(
+        None,
+        description="force with which the gun presses the two parts together while the weld is made, N; it opens "
+        "after. Where it leaves a gap, the weld keeps it, the assembly counts as not built, and the force that the gun "
+        "would need is told",
+    )
     moment: Flag = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
     fused: Flag = Field(
         True,
@@ -316,6 +329,12 @@ class Weld(_OnSheet):
         "softer",
     )
     stage: Name = Field("weld", description="the weld stage that makes it")
+
+    @model_validator(mode="after")
+    def _one_way_to_close(self):
+        if self.close and self.gun is not None:
+            raise ValueError("close closes the gap whatever that takes, a gun with its force: remove one of them")
+        return self
 
 
 class PressurePower(_Table):

@@ -39,6 +39,17 @@ def check_stages(scene) -> None:
             held += own if stage.kind != "weld" else []
         if stage.order is not None:
             _check_order(scene, f"stages[{i}].order", stage, own)
+        if stage.path == "one-step":
+            _check_guns(scene, f"stages[{i}].path", stage)
+
+
+def _check_guns(scene, key, stage) -> None:
+    guns = [weld.name for weld in scene.welds if weld.stage == stage.name and weld.gun is not None]
+    if guns:
+        raise ValueError(
+            f"{key}: the gun of weld {guns[0]!r} presses before its weld is made, and one-step does all at once; give "
+            "the stage increments, or remove path"
+        )
 
 
 def _check_kinds(scene) -> None:
