@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mic.contact.laws import LAWS
-from mic.scene.stages import check_stages, known
+from mic.scene.stages import check_stages, known, set_down_in
 
 __all__ = ["check_held", "check_references"]
 
@@ -79,10 +79,10 @@ def check_held(scene) -> None:
     ValueError
         Naming the part and how many of its motions are held.
     """
+    stations = set_down_in(scene)
     for i, part in enumerate(scene.parts):
-        own = [
-            locator for locator in scene.locators if locator.part == part.name and locator.stage == scene.stages[0].name
-        ]
+        stage = stations[part.name]
+        own = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
         if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
             continue  # told once the scene is placed on its meshes
         points = np.array([locator.point for locator in own]).reshape(-1, 3)
