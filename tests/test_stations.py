@@ -194,6 +194,45 @@ def test_a_part_that_comes_later_into_the_same_station_leaves_the_others_where_t
     assert "second" not in found.resolutions
 
 
+def test_what_overlaps_in_a_later_station_settles_from_where_the_contacts_there_hold_it():
+    """c comes 0.35 mm within a's face as drawn, 0.2 mm as b presses it down, and settles while it is dragged.
+
+    With f on a from b and N from c: f + 2 N = 0.35 k (c meets a), 2 f + N = P − g k (b stays on a). It touches from the
+    start, N and the drag D grow together, and c slips all the way under load. b, which sticks to a by what the first
+    drag left there, goes with a, by μ N/4k: the slip is D/2k − 3/2 μ N/2k. Began it all anew, b would slip.
+    """
+    hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
+    stick = at_face("b", (1, 0, 0), name="T", force=1.0, stage="hold")
+    drag = at_face("c", (1, 0, 0), name="D", force=5.0)
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp", "name": "hold"},
+        {"kind": "locate", "name": "second", "settle": False},
+        {"kind": "clamp"},
+        {"kind": "measure"},
+    ]
+    locators = [*six("a"), *six("b"), *six("c", "second")]
+    rough = [
+        {"name": "Z", "parts": ["a", "b"], "friction": 0.5, "pairs": 1},
+        {"name": "Y", "parts": ["a", "c"], "friction": 0.2, "pairs": 1},
+    ]
+    f, N = np.linalg.solve([[1, 2], [2, 1]], [0.35 * STIFFNESS, 30.0 - STIFFNESS * GAP])
+    slip = (5.0 - 1.5 * 0.2 * N) / (2 * STIFFNESS)
+    model = spring_model(
+        [GAP, -0.35],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "abc"],
+        locators=locators,
+        clamps=[hold, stick, drag],
+        zones=rough,
+        stages=stages,
+    )
+    closed = model.evaluate({}).resolutions["clamp"]
+    np.testing.assert_allclose(closed.force[0, :, 0], [f, N], rtol=1e-9)
+    np.testing.assert_allclose(closed.force[0, 1, 1], -0.2 * N, rtol=1e-9)
+    np.testing.assert_allclose(closed.force[0, 0, 1], -0.5 + 0.2 * N / 2, rtol=1e-9)
+    np.testing.assert_allclose(closed.trace.slip[0], [[0.0, 0.0], [slip, 0.0]], rtol=1e-3, atol=1e-9)
+
+
 def test_a_fixture_stands_in_its_station_alone():
     """A pad 0.1 mm below b's face, z = 0 in the first station: pressed by P there, gone in the second."""
     pads = [{"name": name, "point": [5, 5, -1], "normal": [0, 0, 1], "radius": 1.0} for name in ("one", "two")]
@@ -247,7 +286,7 @@ def test_stations_in_words():
         "c is set down on cs0, cs1, cs2, cs3, cs4 and cs5"
     ]
     assert [step.away for step in plans["second"].steps] == [(1,)]
-    assert [(step.settling, step.away) for step in plans["clamp"].steps] == [((1,), ()), ((), ())]
+    assert [(step.settles, step.away) for step in plans["clamp"].steps] == [(True, ()), (False, ())]
 
 
 @pytest.mark.parametrize(

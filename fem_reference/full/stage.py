@@ -253,9 +253,10 @@ class FullStage:
             before = np.zeros((len(gap), state.left.shape[1]))
             before[: len(state.left)] = state.solution.force
             unloaded = system.equilibrium.linear(p0, v0, before)
-            overlap = np.maximum(0, -(gap + mesh.contact(unloaded.u, step.stops)[:, 0]))
+            apart = gap + mesh.contact(unloaded.u, step.stops)[:, 0]
+            apart[: len(state.left)] += mesh.assembly.contacts.layer * state.solution.force[:, 0]
+            overlap = np.maximum(0, -apart)
             overlap[overlap <= TOUCHING] = 0
-            overlap[: len(state.left)][~np.isin(mesh.assembly.contacts.zone, step.settling)] = 0
         overlap[len(drive.gap[0]) :] = [
             0.0 if limit.row in state.stop else max(0.0, -self._way_left(limit, state, drive)) for limit in step.stops
         ]

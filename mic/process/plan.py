@@ -89,8 +89,6 @@ class Step:
         Zones one of whose bodies is not there: a part of a later station, a fixture of another.
     sets_down : bool
         Whether the parts are set down one by one, touching nothing yet.
-    settling : tuple of int
-        Zones whose overlaps settle, where any do.
     settles : bool
         Whether overlaps close meanwhile, from touching to what they are at its end; of its own, nothing else moves.
     resolves : bool
@@ -109,7 +107,6 @@ class Step:
     welds: tuple[int, ...] = ()
     away: tuple[int, ...] = ()
     sets_down: bool = False
-    settling: tuple[int, ...] = ()
     settles: bool = False
     resolves: bool = False
 
@@ -231,7 +228,6 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     waiting = (i for i, one in enumerate(scene.locators) if one.stage == there[one.part] != scene.stages[0].name)
     fixture = Fixture(waiting=tuple(waiting))
     away = tuple(range(len(scene.zones)))
-    unsettled: tuple[int, ...] = ()
     due, first, standing = False, True, set[str]()
     for stage, moves in moves_of(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
@@ -245,8 +241,6 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             if any(isinstance(action, Transfer) for action in move):  # on its way the assembly touches no fixture
                 standing = set()
                 away = _away(scene, _parts_of(scene, fixture))
-                unsettled = tuple(i for i in unsettled if i not in away)
-                due = due and bool(unsettled)
             step = replace(_step(move, rows, fixture, after), away=away)
             if due and step.resolves:
                 if first and path != "one-step":
@@ -258,21 +252,19 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                             limits=rows.limits(fixture),
                             welds=fixture.welds,
                             away=away,
-                            settling=unsettled,
                             settles=True,
                             resolves=True,
                         )
                     )
                 else:
-                    step = replace(step, move=(Settle(), *move), settling=unsettled, settles=True)
-                due, unsettled = False, ()
+                    step = replace(step, move=(Settle(), *move), settles=True)
+                due = False
             steps.append(step)
             if any(isinstance(action, SetDown | Arrive | Transfer) for action in move):
                 first, before = stage.settle, away
                 standing |= _standing(scene, stage)
                 away = _away(scene, _parts_of(scene, after) | standing)
-                unsettled += tuple(i for i in before if i not in away)
-                due = due or bool(unsettled) or not plans
+                due = due or not plans or not set(before) <= set(away)
             fixture = after
         reads = any(isinstance(action, Read) for move in moves for action in move)
         plans.append(StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads))

@@ -312,9 +312,9 @@ class PreparedStage:
 
         start, end = unloaded(0.0), unloaded(1.0)
         if step.settles:
-            own = np.flatnonzero(np.isin(self._contacts.zone, step.settling)) * self._dimension
-            apart = start[:, own] + product(state.force.reshape(n, -1), response.S[own, :contacts].T)
-            start[:, own] += np.maximum(0.0, -apart)
+            normal = slice(0, contacts, self._dimension)
+            apart = start[:, normal] + product(state.force.reshape(n, -1), response.S[normal, :contacts].T)
+            start[:, normal] += np.maximum(0.0, -apart)
         for j, limit in enumerate(step.stops):
             if limit.row not in state.stop:  # from where the part is, should it lie beyond
                 kind, row = limit.row
