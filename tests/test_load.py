@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mic.errors import SceneError
-from mic.geometry.load import fixture_surface, load_script, part_surface
+from mic.geometry.load import fixture_surface, load_part, load_script
 from mic.scene.schema import Fixture, Part
 
 STRIP = """
@@ -26,7 +26,7 @@ def part(**keys):
 
 def script(tmp_path, text, size=2.0):
     (tmp_path / "geometry.py").write_text(text)
-    return part_surface(part(geometry="geometry.py", size=size), tmp_path, tmp_path / "cache")
+    return load_part(part(geometry="geometry.py", size=size), tmp_path, tmp_path / "cache").surface
 
 
 def calls(tmp_path):
@@ -131,10 +131,10 @@ def test_a_script_must_be_a_python_file(tmp_path):
 def test_files_that_are_missing_or_bad_name_part_and_file(tmp_path):
     for keys in ({"mesh": "none.bdf"}, {"geometry": "none.py", "size": 2.0}):
         with pytest.raises(SceneError, match="part 'sheet': .*there is no file .*none"):
-            part_surface(part(**keys), tmp_path, tmp_path)
+            load_part(part(**keys), tmp_path, tmp_path)
     (tmp_path / "bad.vtk").write_text("this is no mesh")
     with pytest.raises(SceneError, match="part 'sheet': mesh: .*bad.vtk: .*cannot be read"):
-        part_surface(part(mesh="bad.vtk"), tmp_path, tmp_path)
+        load_part(part(mesh="bad.vtk"), tmp_path, tmp_path)
     with pytest.raises(SceneError, match="fixture 'pad': mesh: .*bad.vtk: .*cannot be read"):
         fixture_surface(Fixture(name="pad", mesh="bad.vtk"), tmp_path)
 

@@ -15,43 +15,71 @@ import os
 import sys
 import traceback
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
 from mic.geometry import grading, structured
+from mic.geometry.deck import Deck
 from mic.geometry.grading import GradedSize
+from mic.geometry.offset import moved
 from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.refinement import halved
 from mic.geometry.surface import Surface
+from mic.scene.schema import USUAL
 from mic.store import Format, fingerprint
 
 __all__ = [
+    "LoadedPart",
     "coarsest_size",
     "finer_surface",
     "fixture_surface",
     "load_fixture",
     "load_part",
     "load_script",
-    "part_surface",
 ]
 
 GENERATED = Format("generated mesh", 3, ABSENT)
 
+#: What a deck may tell of a part, mm and MPa; beyond lies another unit.
+LIKELY = {"thickness": (1e-2, 50.0), "offset": (-5.0, 5.0), "young": (1e3, 1e6), "poisson": (-0.99, 0.499)}
+PIECES = 3  # of a part in pieces that are named
+
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
 
-def part_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
-    """Surface of a part, see :func:`load_part`."""
-    return load_part(part, folder, cache, size)[0]
+@dataclass(frozen=True)
+class LoadedPart:
+    """A part with its mesh.
+
+    Attributes
+    ----------
+    part : mic.scene.schema.Part
+        Thickness, offset and material filled in: as the scene has them, else as the mesh file tells.
+    surface : Surface
+        The middle of the sheet: moved by the offset.
+    inputs : dict of str to str
+        Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
+        generated mesh.
+    deck : Deck, optional
+        What the mesh file tells beside the mesh; None of a generated mesh.
+    """
+
+    part: Any
+    surface: Surface
+    inputs: dict[str, str | None]
+    deck: Deck | None = None
 
 
-def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> tuple[Surface, dict[str, str | None]]:
-    """Surface of a part, from its mesh file or its geometry script, and the content of the files that it was made from.
+def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> LoadedPart:
+    """A part with its surface, from its mesh file or its geometry script.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
     script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it. It is
@@ -66,17 +94,11 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
     size : float, optional
         Element size, mm, of a part that gives none; may be a :class:`mic.geometry.grading.GradedSize`.
 
-    Returns
-    -------
-    surface : Surface
-    inputs : dict of str to str
-        Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
-        generated mesh.
-
     Raises
     ------
     SceneError
-        Naming part, key and file, where the file is missing, unusable, or fails.
+        Naming part, key and file, where the file is missing, unusable, or fails; where nothing tells the thickness, or
+        a mesh file tells several; where the part is in pieces, or cannot be moved by its offset.
     """
     key = "mesh" if part.mesh is not None else "geometry"
     path = folder / getattr(part, key)
@@ -85,12 +107,18 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
             f"part {part.name!r}: {key}: there is no file {path}; correct the name (it is relative to the scene file)"
         )
     if part.mesh is not None:
-        return _read(f"part {part.name!r}", path, part.mesh)
+        sets = [part.set] if isinstance(part.set, str) else part.set or ()
+        surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
+        part = _filled(part, deck)
+        _one_piece(part, surface)
+        return LoadedPart(part, _middle(part, surface), inputs, deck)
     surface, read = _generated(part, path, cache, size or part.size)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
-    return surface, inputs | {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
+    inputs |= {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
+    _one_piece(part, surface)
+    return LoadedPart(part, _middle(part, surface), inputs)
 
 
 def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
@@ -99,9 +127,9 @@ def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = Non
     Parameters and errors are those of :func:`load_part`.
     """
     if part.mesh is not None:
-        surface = part_surface(part, folder, cache)
+        surface = load_part(part, folder, cache).surface
         return Surface(*halved(surface.points, surface.triangles, surface.corner_normals))
-    return _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0]
+    return _middle(part, _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0])
 
 
 def coarsest_size(part: Any, folder: Path) -> float | None:
@@ -142,7 +170,8 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
         path = folder / fixture.mesh
         if not path.is_file():
             raise SceneError(f"fixture {fixture.name!r}: mesh: there is no file {path}; correct the name")
-        return _read(f"fixture {fixture.name!r}", path, fixture.mesh)
+        surface, _, inputs = _read(f"fixture {fixture.name!r}", path, fixture.mesh)
+        return surface, inputs
     n = np.array(fixture.normal)
     t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
     t /= np.linalg.norm(t)
@@ -176,17 +205,78 @@ def load_script(path: Path) -> ModuleType:
     return module
 
 
-def _read(owner, path, name):
+def _filled(part, deck):
+    """The part with what it leaves open filled in by what its deck tells.
+
+    Of a deck in metres the modulus is in Pa, in millimetres in MPa; one that is no stiffness of a sheet in that unit,
+    such as 210 for GPa, is refused rather than guessed at.
+    """
+    found: dict[str, Any] = {}
+    for key, (low, high) in LIKELY.items():
+        if getattr(part, key) is not None:
+            continue
+        values = [getattr(sheet, key) for sheet in deck.told()]
+        told = [value for value in values if value is not None]
+        if len(set(values)) > 1:
+            listed = ", ".join("nothing" if value is None else f"{value:g}" for value in dict.fromkeys(values))
+            raise SceneError(
+                f"part {part.name!r}: {key}: {part.mesh} tells several, {listed}, and a part has one; give {key}, or "
+                "choose among its element sets by `set`"
+            )
+        value = told[0] if told else USUAL.get(key)
+        if value is None:
+            raise SceneError(f"part {part.name!r}: {key}: neither the scene nor {part.mesh} tells it; add {key}")
+        found[key] = value
+        if told and not low <= value <= high:
+            raise SceneError(
+                f"part {part.name!r}: {key}: {part.mesh} tells {value:g} if its unit is {part.unit!r}, which no sheet "
+                f"has; correct unit, or give {key}"
+            )
+    return part.model_copy(update=found) if found else part
+
+
+def _one_piece(part, surface):
+    """Refuse a part that does not hang together: nothing would hold the rest."""
+    n = len(surface.points)
+    start = surface.triangles.ravel()
+    graph = coo_matrix((np.ones(len(start)), (start, np.roll(surface.triangles, -1, axis=1).ravel())), shape=(n, n))
+    count, piece = connected_components(graph, directed=False)
+    piece = piece[surface.triangles[:, 0]]
+    sizes = np.bincount(piece, minlength=count)
+    many = np.count_nonzero(sizes)
+    if many == 1:
+        return
+    largest = np.argsort(-sizes, kind="stable")[: min(PIECES, many)]
+    told = []
+    for one in largest:
+        place = ", ".join(f"{x:.1f}" for x in surface.corners[piece == one].mean(axis=(0, 1)))
+        told.append(f"{sizes[one]} triangles about ({place})")
+    raise SceneError(
+        f"part {part.name!r}: {'mesh' if part.mesh is not None else 'geometry'}: it is in {many} pieces that share no "
+        f"point: {'; '.join(told)}{', …' if many > PIECES else ''}; make each a part of its own (`set` chooses among "
+        "the sets of a file), or join their points"
+    )
+
+
+def _middle(part, surface):
+    """The surface moved to the middle of the sheet."""
+    try:
+        return moved(surface, part.offset * part.thickness)
+    except ValueError as problem:
+        raise SceneError(f"part {part.name!r}: offset: {problem}") from problem
+
+
+def _read(owner, path, name, sets=(), unit="mm", size=None):
     from mic.geometry.readers import read_mesh  # the libraries behind it are slow to import; scripts do not need them
 
     try:
         with opened_files() as heard:  # a mesh file may include others
-            surface, _ = read_mesh(path)
+            surface, deck = read_mesh(path, sets, unit, size)
         read = Dependencies.of(path, [path.name], heard)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem
     others = {other: content for other, content in read.files.items() if other != path.name and content is not None}
-    return surface, {name: fingerprint(path.read_bytes())} | others
+    return surface, deck, {name: fingerprint(path.read_bytes())} | others
 
 
 def _generated(part, path, cache, size, share=1.0):

@@ -14,11 +14,11 @@ CLOSING = {"locators": ("locate", "clamp", "measure"), "clamps": ("clamp",), "we
 def set_down_in(scene) -> dict[str, str]:
     """The stage in which each part is set down: the first locate stage that one of its locators names; the first of all
     where none does."""
-    stations = [stage.name for stage in scene.stages if stage.kind == "locate"]
+    stations = [str(stage.name) for stage in scene.stages if stage.kind == "locate"]
     found = {}
     for part in scene.parts:
         named = {locator.stage for locator in scene.locators if locator.part == part.name}
-        found[part.name] = next((name for name in stations if name in named), stations[0])
+        found[part.name] = next((name for name in stations if name in named), str(scene.stages[0].name))
     return found
 
 
@@ -28,7 +28,9 @@ def moves_assembly(scene, stage) -> bool:
         return False
     there = set_down_in(scene)
     own = [locator for locator in scene.locators if locator.stage == stage.name]
-    return stage.kind in ("locate", "measure") and any(there[locator.part] != stage.name for locator in own)
+    return stage.kind in ("locate", "measure") and any(
+        there.get(locator.part, stage.name) != stage.name for locator in own
+    )
 
 
 def check_stages(scene) -> None:
@@ -106,7 +108,7 @@ def _check_present(scene) -> None:
     for key in ("locators", "clamps", "welds"):
         for i, item in enumerate(getattr(scene, key)):
             for name in item.parts if key == "welds" else (item.part,):
-                if place[item.stage] < place[there[name]]:
+                if name in there and place[item.stage] < place[there[name]]:
                     raise ValueError(
                         f"{key}[{i}].stage: part {name!r} is set down in stage {there[name]!r}, after {item.stage!r}; "
                         "name a later stage, or set the part down before"
