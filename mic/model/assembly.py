@@ -108,9 +108,9 @@ class Contacts:
         """Whether anything gives any pair friction."""
         return bool(self.friction.any() or self.pressure.shape[1])
 
-    def out(self, welds: Sequence[int]) -> np.ndarray:
-        """(m,) candidates that take no part once these welds are made."""
-        return np.isin(self.nugget, welds)
+    def out(self, welds: Sequence[int], away: Sequence[int] = ()) -> np.ndarray:
+        """(m,) candidates that take no part once these welds are made, and pairs of zones that are not there."""
+        return np.isin(self.nugget, welds) | np.isin(self.zone, away)
 
     def friction_in(self, stage: str) -> Friction:
         """What the laws know of the pairs' friction in a stage."""
