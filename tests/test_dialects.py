@@ -167,6 +167,19 @@ def test_without_gmsh_a_cad_file_ends_in_a_sentence_that_says_how_to_get_it(tmp_
         read_mesh(written(tmp_path, "ISO-10303-21;\n", "a.step"), size=1.0)
 
 
+def test_files_of_other_systems_and_habits_are_read(tmp_path):
+    """Byte-order marks, the line ends of Windows, tabs, keywords in small letters, commas at the ends of lines."""
+    small = (
+        ABAQUS.lower().replace("\n1, 1, 2, 3, 4\n", "\n1,\n1, 2, 3, 4,\n").replace("1, 0., 0., 0.", "1, 0., 0., 0.,")
+    )
+    for name, text in (("a.inp", small), ("a.bdf", NASTRAN.lower()), ("a.k", DYNA), ("a.unv", UNIVERSAL)):
+        for mark, end in ((b"\xef\xbb\xbf", "\n"), (b"", "\r\n"), (b"\xef\xbb\xbf", "\r\n")):
+            (tmp_path / name).write_bytes(mark + text.replace("\n", end).encode())
+            assert read_mesh(tmp_path / name)[0].areas.sum() == pytest.approx(1.5), name
+    tabs = "GRID\t1\t\t0.\t0.\t0.\nGRID\t2\t\t1.+0\t0.\t0.\nGRID\t3\t\t1.0D+0\t1.\t0.\nCTRIA3\t1\t1\t1\t2\t3\n"
+    assert read_mesh(written(tmp_path, tabs, "tabs.nas"))[0].areas.sum() == pytest.approx(0.5)
+
+
 def test_a_mesher_that_hangs_is_stopped(tmp_path, monkeypatch):
     hanging = tmp_path / "gmsh"
     hanging.write_text(f"#!{sys.executable}\n# python\nimport time\ntime.sleep(60)\n")

@@ -136,13 +136,14 @@ def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
             f"{path}: there is no reader of {path.suffix or 'files without a suffix'}; "
             f"save the mesh as one of {', '.join((*READERS, *cad.SUFFIXES))}"
         )
+    seconds = LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6 + (cad.LIMIT if suffix in cad.SUFFIXES else 0.0)
     try:
-        with limited(LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6):
+        with limited(seconds):
             return reader(path)
     except TimeoutError:
         raise FormatError(
-            f"{path}: this mesh file was not read in {LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6:.0f} s: it is "
-            "damaged or not what its suffix says; export it again, or in another format"
+            f"{path}: this mesh file was not read in {seconds:.0f} s: it is damaged or not what its suffix says; "
+            "export it again, or in another format"
         ) from None
     except ImportError as problem:
         raise FormatError(

@@ -163,7 +163,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     begun, first = "", 0
     raw = path.read_bytes()
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("cp1252", errors="replace")
     for number, line in enumerate(text.splitlines(), 1):
@@ -203,7 +203,10 @@ def _members_of(sets: dict[str, list[tuple[str, str]]], name: str) -> list[tuple
 
 
 def _number(text: str) -> float:
-    return float(text.upper().replace("D", "E")) if text else 0.0
+    try:
+        return float(text or 0)
+    except ValueError:
+        return float(text.upper().replace("D", "E"))
 
 
 def _add_nodes(block: _Block, scope: _Scope, system) -> None:
@@ -438,5 +441,6 @@ def _gather_sets(gathered: Gathered, model: _Scope, placed) -> None:
         return
     scopes = [model, *(scope for scope, _, _ in placed)]
     sections = [name for scope in scopes for name, _ in scope.sections]
-    wanted = {name.upper() for name in sections or [name for scope in scopes for name in scope.groups]}
+    whole = gathered.elements.keys() <= gathered.sheets.keys()  # else some part has no section
+    wanted = {name.upper() for name in (sections if whole else [name for scope in scopes for name in scope.groups])}
     gathered.parts = [name for name in gathered.element_sets if name.upper() in wanted]
