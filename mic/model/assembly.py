@@ -16,7 +16,7 @@ from mic.compliance.superelement import ELEMENT, Superelement, superelement
 from mic.contact.friction import Friction
 from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
-from mic.errors import FormatError, SceneError
+from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.deck import UNITS, Deck
 from mic.geometry.load import LoadedPart, load_fixture, load_part
 from mic.geometry.pairing import (
@@ -37,6 +37,7 @@ from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.product import one_thread
 from mic.scene import Scene
+from mic.scene.checks import entry
 from mic.store import fingerprint
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -107,9 +108,9 @@ class Contacts:
         """Whether anything gives any pair friction."""
         return bool(self.friction.any() or self.pressure.shape[1])
 
-    def out(self, welds: Sequence[int]) -> np.ndarray:
-        """(m,) candidates that take no part once these welds are made."""
-        return np.isin(self.nugget, welds)
+    def out(self, welds: Sequence[int], away: Sequence[int] = ()) -> np.ndarray:
+        """(m,) candidates that take no part once these welds are made, and pairs of zones that are not there."""
+        return np.isin(self.nugget, welds) | np.isin(self.zone, away)
 
     def friction_in(self, stage: str) -> Friction:
         """What the laws know of the pairs' friction in a stage."""
@@ -232,16 +233,20 @@ def assemble(
 
 def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, float]) -> Assembly:
     inputs: dict[str, str | None] = {}
-    surfaces, fixtures = {}, {}
-    loaded = [load_part(part, scene.folder, cache, sizes.get(part.name)) for part in scene.parts]
-    for one in loaded:
-        surfaces[one.part.name] = one.surface
-        inputs |= one.inputs
+    fixtures = {}
+    problems, loaded = Problems(), []
+    for part in scene.parts:
+        with problems:
+            loaded.append(load_part(part, scene.folder, cache, sizes.get(part.name)))
+    for fixture in scene.fixtures:
+        with problems:
+            fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
+            inputs |= read
+    problems.tell()
+    read = {name: kept for one in loaded for name, kept in one.inputs.items()}
+    surfaces, inputs = {one.part.name: one.surface for one in loaded}, read | inputs
     if any(one.part is not part for one, part in zip(loaded, scene.parts)):
         scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
-    for fixture in scene.fixtures:
-        fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
-        inputs |= read
     scene, placed = place(scene, surfaces, {one.part.name: one.deck for one in loaded})
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
@@ -249,19 +254,32 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     bodies |= {name: Side(surface, disc=discs.get(name)) for name, surface in fixtures.items()}
     rows = Rows(surfaces)
     for i, locator in enumerate(scene.locators):
-        rows.point("locator", f"locators[{i}]", locator)
+        with problems:
+            rows.point("locator", f"locators[{i}]", locator)
     for i, clamp in enumerate(scene.clamps):
-        rows.point("clamp", f"clamps[{i}]", clamp)
-    drawn = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
-    pairs = _zone_pairs(scene, bodies, every_node)
-    contacts = _contact_rows(scene, bodies, rows, pairs, every_node)
-    between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
-    weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn])
+        with problems:
+            rows.point("clamp", f"clamps[{i}]", clamp)
+    drawn = []
+    for i, weld in enumerate(scene.welds):
+        with problems:
+            drawn.append(_weld_rows(f"welds[{i}]", weld, bodies, rows))
+    pairs = _zone_pairs(scene, bodies, every_node, problems)
+    if not problems:
+        contacts = _contact_rows(scene, bodies, rows, pairs, every_node, problems)
+    if not problems:
+        between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
+        weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn], problems)
     for source in sources(scene):
-        source.retain(rows)
+        with problems:
+            source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
-        rows.point("measurement", f"measurements[{i}]", measurement)
-    bodies_elsewhere = {one.part.name: _superelement(scene, one, inputs) for one in loaded}
+        with problems:
+            rows.point("measurement", f"measurements[{i}]", measurement)
+    bodies_elsewhere = {}
+    for one in loaded:
+        with problems:
+            bodies_elsewhere[one.part.name] = _superelement(scene, one, inputs)
+    problems.tell()
     parts = tuple(
         Part(
             part.name,
@@ -337,11 +355,11 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
     turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
     """
     for name in weld.parts:
-        rows.on_part(key, weld.point, name)
+        rows.on_part(key, weld, name)
     try:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
-        raise SceneError(f"{key}.point: {error}; correct the coordinates") from None
+        raise SceneError(f"{key}.point ({weld.name}): {error}; correct the coordinates") from None
     moments = _moments(pair, bodies[weld.parts[0]].surface, weld.radius) if weld.fused and weld.moment else {}
     functional: list[list[int]] = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
@@ -373,21 +391,22 @@ def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
     return {f"{axis}-moment ": patch.weight * (step @ pair.frame[:, j]) / radius for j, axis in ((1, "t1"), (2, "t2"))}
 
 
-def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
+def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[ContactPair]]:
     """The pairs of each zone; none where no stage resolves contact."""
     resolved = any(stage.kind != "locate" for stage in scene.stages)
     landmarks = np.array([locator.point for locator in scene.locators])
     found = []
     for i, zone in enumerate(scene.zones if resolved else ()):
         a, b = (bodies[name] for name in zone.parts)
-        try:
-            if every_node:
-                found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
-            else:
-                found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
-        except ValueError as error:
-            raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
-        refuse_untold(f"zones[{i}] ({zone.name})", zone.parts, found[-1], a, b)
+        with problems:
+            try:
+                if every_node:
+                    found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
+                else:
+                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
+            except ValueError as error:
+                raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
+            refuse_untold(entry("zones", i, zone), zone.parts, found[-1], a, b)
     return found
 
 
@@ -438,7 +457,7 @@ def _joint_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimens
         rows.add(kind, f"{label} {AXES[j]}", *terms[j])
 
 
-def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
+def _contact_rows(scene, bodies, rows: Rows, found, every_node, problems: Problems) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
     friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
@@ -460,7 +479,8 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
             gap[own], drawn[own] = zone.gap, 0.0
             continue
         key = f"zones[{i}] ({zone.name}): nominal_overlap"
-        gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
+        with problems:
+            gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
     by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
     stages = sorted({stage for one in by_stage for stage in one} - {"default"})
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
@@ -491,7 +511,7 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     )
 
 
-def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float]) -> np.ndarray:
+def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float], problems: Problems) -> np.ndarray:
     """(w,) gaps of the welds, overlap closed as at the pairs about them."""
     gaps = np.array(drawn)
     for i, weld in enumerate(scene.welds):
@@ -500,7 +520,8 @@ def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float]) -> np.ndarray:
             gaps[i] = zone.gap
             continue
         rule, at = "close" if zone is None else zone.nominal_overlap, np.array([weld.point])
-        gaps[[i]] = closed(f"welds[{i}] ({weld.name})", rule, gaps[[i]], _thinner(scene, weld), at)
+        with problems:
+            gaps[[i]] = closed(entry("welds", i, weld), rule, gaps[[i]], _thinner(scene, weld), at)
     return gaps
 
 
