@@ -79,6 +79,40 @@ pocket
          7         1         0         0
     -1
 """
+ANSYS = """/PREP7
+ET,        1,181
+ET,        2,21
+NBLOCK,6,SOLID,    10,     5
+(3i9,6e21.13e3)
+        1        0        0
+        2        0        0 1.0000000000000E+000
+        3        0        0 1.0000000000000E+000 1.0000000000000E+000
+        4        0        0 0.0000000000000E+000 1.0000000000000E+000
+       10        0        0 2.0000000000000E+000
+N,R5.3,LOC,       -1,
+EBLOCK,19,SOLID,     5,     3
+(19i7)
+      1      1      1      3      0      0      0      0      4      0      1      1      2      3      4
+      1      1      1      4      0      0      0      0      4      0      2      2     10      3      3
+      1      2      1      1      0      0      0      0      1      0      5      4
+       -1
+CMBLOCK,POCKET  ,ELEM,       1
+(8i10)
+         1
+CMBLOCK,ROW     ,NODE,       2
+(8i10)
+         1        -3
+MPDATA,R5.0, 1,EX  ,     1, 1,  210000.000    ,
+MP,PRXY,1,0.29
+SECTYPE,     3,SHELL,    ,thick
+SECOFFSET,TOP
+SECBLOCK,     2
+      1.00000000    ,         1,  0.00000000    ,         3
+      0.50000000    ,         1,  0.00000000    ,         3
+SECTYPE,     4,SHELL
+SECDATA, 0.8, 1
+FINISH
+"""
 ABAQUS = """*Node
 1, 0., 0., 0.
 2, 1., 0., 0.
@@ -123,6 +157,16 @@ def test_ls_dyna_tells_parts_sections_materials_and_sets(tmp_path):
     (tmp_path / "mesh.k").write_text(DYNA[: DYNA.index("*PART")] + "*END\n")
     main = "*KEYWORD\n*INCLUDE\nmesh.k\n" + DYNA[DYNA.index("*PART") :]
     assert read_mesh(written(tmp_path, main, "main.k"))[1].parts == ("pocket", "rib")
+
+
+def test_an_ansys_deck_tells_sections_materials_and_components(tmp_path):
+    surface, deck = read_mesh(written(tmp_path, ANSYS, "a.cdb"))
+    assert deck.parts == ("PID 3", "PID 4") and surface.areas[deck.element_sets["POCKET"]].sum() == pytest.approx(1)
+    (thick,), (thin,) = (deck.told(deck.element_sets[name]) for name in deck.parts)
+    assert (thick.thickness, thick.offset, thick.young, thick.poisson) == (1.5, -0.5, 210e3, 0.29)
+    assert (thin.thickness, thin.offset, thin.material) == (0.8, None, "1")
+    assert len(deck.node_sets["ROW"]) == 3 and len(deck.points_of(10)) == 1 and deck.passed_over == {"type 21": 1}
+    assert read_mesh(tmp_path / "a.cdb", ["4"])[0].areas.sum() == pytest.approx(0.5)
 
 
 def test_a_universal_file_tells_groups(tmp_path):
@@ -268,6 +312,26 @@ MALFORMED = {
             ("*ELEMENT_SHELL\n", "*ELEMENT_SHELL_COMPOSITE\n", "layers by element are not read"),
             ("*ELEMENT_MASS", "*ELEMENT_SOLID", r"solid elements \(SOLID\)"),
             ("4         2\n       0.8", "4         2\n*MAT_NULL\n       0.8", "SECTION_SHELL is no number"),
+        ],
+    ),
+    "cdb": (
+        ANSYS,
+        [
+            ("ET,        1,181", "ET,        1,", "line 2: a field of this ET is no number"),
+            ("ET,        1,181", "ET,        1,185", r"solid elements \(type 185\)"),
+            ("ET,        1,181\n", "", "element 1 is of a type 1 that no ET gives"),
+            ("(3i9,6e21.13e3)", "3 and 6", "is not the format of a block"),
+            ("(3i9,6e21.13e3)", "(3i9)", "has no coordinates"),
+            ("       2        0        0 1.0", "       2        0        0 one", "this NBLOCK is no number"),
+            ("        3        0        0 1.0", "        2        0        0 1.5", "node 2 is given twice"),
+            ("      2      2     10", "      1      2     10", "element 1 is given twice"),
+            ("      2     10      3", "      2     11      3", "names the node 11, which is not given"),
+            ("EBLOCK,19,SOLID", "EBLOCK,19,", "in the format SOLID"),
+            ("SECOFFSET,TOP", "SECOFFSET,USER,0.3", "SECOFFSET USER is not read"),
+            ("SECDATA, 0.8", "SECDATA, thin", "a field of this SECDATA is no number"),
+            (ANSYS[ANSYS.index("       -1\nCMB") :], "", "this block has no end"),
+            (ANSYS, "nothing\n", "holds no block of nodes"),
+            ("         1        -3", "         1         x", "a field of this CMBLOCK is no number"),
         ],
     ),
     "unv": (

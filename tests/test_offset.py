@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 import mic
 from mic.commands import app
 from mic.errors import SceneError
-from mic.geometry.load import load_part, load_script
+from mic.geometry.load import load_part
 from mic.geometry.offset import moved
+from mic.geometry.script import load_script
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
