@@ -291,9 +291,9 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         )
         for part in scene.parts
     )
-    for part in parts:
-        if part.superelement is not None:
-            part.superelement.readings(part)  # what it cannot read is told before anything is computed
+    for body in parts:
+        if body.superelement is not None:
+            body.superelement.readings(body)  # what it cannot read is told before anything is computed
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
     for zone in scene.zones:
