@@ -114,7 +114,8 @@ def test_parts_of_one_deck_that_touch_are_not_merged(tmp_path):
     assert read_mesh(path)[1].repair.triangles_repeated == 2
     for name in ("left plate", "upper"):
         surface, deck = read_mesh(path, [name])
-        assert surface.areas.sum() == pytest.approx(1) and not deck.repair.repaired or deck.repair.points_dropped
+        assert surface.areas.sum() == pytest.approx(1)
+        assert not deck.repair.triangles_repeated and not deck.repair.points_merged
 
 
 def test_a_deck_in_another_unit_is_in_mm_and_mpa(tmp_path):
@@ -180,6 +181,13 @@ def test_what_is_no_sheet_is_passed_over_and_counted(tmp_path):
     more = "RBE2,90,1,123,2,3\nCONM2,91,1,,1.0\nCBUSH,92,1,1,2\nCELAS2,93,1.,1,1,2,1\nENDDATA"
     _, deck = read_mesh(written(tmp_path, NASTRAN.replace("ENDDATA", more), "a.bdf"))
     assert deck.passed_over == {"RBE2": 1, "CONM2": 1, "CBUSH": 1, "CELAS2": 1}
+
+
+def test_what_was_mended_is_told_and_what_is_usual_is_not(tmp_path):
+    assert read_mesh(written(tmp_path, ABAQUS), ["right"])[1].notes() == []
+    torn = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 12").replace(" 10, 2., 0., 0.", " 10, 2., 0., 0.\n 12, 1., 0., 0.")
+    notes = "; ".join(read_mesh(written(tmp_path, torn))[1].notes())
+    assert notes == "1 points merged with coincident ones; 1 triangles turned to agree with their neighbours"
 
 
 def test_midside_nodes_are_dropped_and_counted(tmp_path):

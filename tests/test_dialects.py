@@ -285,6 +285,7 @@ MALFORMED = {
             ("BEGIN BULK", "INCLUDE 'none.bdf'\nBEGIN BULK", "line 1: it includes none.bdf, and there is no file"),
             ("BEGIN BULK", "INCLUDE 'a.bdf'\nBEGIN BULK", "includes a.bdf, which includes it in turn"),
             ("BEGIN BULK", "INCLUDE 'a", "line 1: the name of the included file has no end|there is no file"),
+            ("GRID,4,,", "GRID,4,basic,", "a coordinate system is called 'basic', and it must be a number"),
             ("GRID,4,,", "GRID,4,9,", "coordinate system 9, which is not there"),
             ("GRID,4,,", "CORD2R,9,9,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,4,9,", "system 9 is given in terms of itself"),
             ("GRID,4,,", "CORD2R,9,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,4,9,", "system 9 lie on a line"),

@@ -26,7 +26,7 @@ SHELL = re.compile(r"(?:S|STRI|DS)(\d)(?!D)\w*")
 STAND_IN = re.compile(r"(?:M3D|SFM3D|R3D|CPS|CPE|DC2D|AC2D)(\d)\w*")
 SOLID = re.compile(r"(C3D|SC|CSS|AC3D|DC3D|GK3D|COH3D)\d")  # continuum shells have a top and a bottom, no mid-surface
 CORNERS = {3: 3, 4: 4, 6: 3, 8: 4, 9: 4}  # by number of nodes
-MADE = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "NODE RESPONSE"}  # keywords that make mesh from mesh
+MADE = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"}  # keywords that make mesh from mesh
 SIDES = {"SPOS": 0.5, "SNEG": -0.5}  # OFFSET by name
 DEPTH = 20  # files that include files
 

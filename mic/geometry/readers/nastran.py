@@ -247,6 +247,8 @@ class _Frames:
         return axes @ (vector[0] * away + vector[1] * np.cross(around, away) + vector[2] * around)
 
     def _frame(self, text: str, above: tuple[int, ...] = ()) -> tuple[str, np.ndarray, np.ndarray]:
+        if text and not text.isdigit():
+            raise FormatError(f"a coordinate system is called {text!r}, and it must be a number")
         number = int(text or 0)
         if number in self.known:
             return self.known[number]

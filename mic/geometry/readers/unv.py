@@ -83,7 +83,7 @@ def _elements(gathered: Gathered, lines: list[str]) -> None:
     for head in rest:
         label, kind, prop, _, _, count = (int(text) for text in head.split()[:6])
         if kind in BEAMS:
-            next(rest)
+            next(rest, "")
         nodes: list[int] = []
         while len(nodes) < count:
             line = next(rest, None)
