@@ -222,14 +222,30 @@ def test_physical_groups_of_gmsh_are_sets(tmp_path, version, binary):
         gmsh.model.addPhysicalGroup(2, sheets[1:], 6)
         for option, value in (("MshFileVersion", version), ("Binary", binary)):
             gmsh.option.setNumber(f"Mesh.{option}", value)
+        gmsh.model.mesh.renumberNodes([1, 2, 3, 4], [1001, 1003, 1002, 1004])
         gmsh.write(str(tmp_path / "sheet.msh"))
+        places = {node: gmsh.model.mesh.getNode(node)[0] for node in gmsh.model.mesh.getNodes()[0].tolist()}
     finally:
         gmsh.finalize()
     surface, deck = read_mesh(tmp_path / "sheet.msh")
-    assert deck.parts == ("left part", "PID 6")
+    assert deck.parts == ("left part", "PID 6") and len(deck.nodes) == len(places)
+    if version > 3:  # into older files gmsh writes numbers of its own
+        assert set(places) == set(deck.nodes.tolist()) >= {1001, 1004}
+    for node, place in places.items() if version > 3 else ():
+        assert surface.points[deck.points_of(node)] == pytest.approx(place[None])
     assert surface.areas[deck.element_sets["left part"]].sum() == pytest.approx(6)
     assert surface.areas[deck.element_sets["PID 6"]].sum() == pytest.approx(12)
     assert read_mesh(tmp_path / "sheet.msh", ["6"])[0].areas.sum() == pytest.approx(12)
+
+
+def test_nodes_of_an_old_gmsh_file_keep_their_numbers(tmp_path):
+    numbers = dict(zip((7, 3, 12, 5), POINTS.tolist()))
+    rows = "".join(f"{n} {x} {y} {z}\n" for n, (x, y, z) in numbers.items())
+    head = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+    elements = "$Elements\n2\n1 2 2 0 1 7 3 12\n2 2 2 0 1 7 12 5\n$EndElements\n"
+    surface, deck = read_mesh(written(tmp_path, f"{head}$Nodes\n4\n{rows}$EndNodes\n{elements}", "a.msh"))
+    for node, place in numbers.items():
+        assert surface.points[deck.points_of(node)] == pytest.approx(np.array([place]))
 
 
 #: The point (1, 2, 3) in systems at (1, 1, 1) whose z axis is the basic x axis, and whose x axis is the basic y axis.
