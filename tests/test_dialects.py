@@ -5,10 +5,12 @@ import time
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from mic.errors import FormatError
 from mic.geometry import readers
 from mic.geometry.readers import READERS, cad, read_mesh
+from mic.scene.schema import Part
 
 DYNA = """$# LS-DYNA
 *KEYWORD
@@ -203,6 +205,15 @@ def test_a_cad_sheet_is_meshed_with_the_size_that_is_asked_for_and_a_solid_refus
     (tmp_path / "cut.step").write_bytes((tmp_path / "sheet.step").read_bytes()[:900])
     with pytest.raises(FormatError, match=r"gmsh cannot mesh this CAD file|no triangles"):
         read_mesh(tmp_path / "cut.step", size=5.0)
+
+
+def test_a_part_from_cad_needs_a_size_in_mm():
+    assert Part(name="a", mesh="a.STEP", size=2, thickness=1.0).size == 2.0
+    for keys in ({}, {"size": "coarse"}, {"size": 2, "accuracy": 0.01}):
+        with pytest.raises(ValidationError, match="a CAD file is meshed here and needs size|accuracy applies"):
+            Part(name="a", mesh="a.step", thickness=1.0, **keys)
+    with pytest.raises(ValidationError, match="size applies to geometry sources only"):
+        Part(name="a", mesh="a.inp", size=2, thickness=1.0)
 
 
 def test_without_gmsh_a_cad_file_ends_in_a_sentence_that_says_how_to_get_it(tmp_path, monkeypatch):
