@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mic.geometry.holes import find_holes
 from mic.proposal.bodies import Body
 from mic.proposal.faying import Faying, find_faying, nearest_distance
 from mic.proposal.fixture import Support, conditioning, propose_fixture, spread
@@ -228,12 +227,8 @@ def _base(bodies, laps, joints, welds) -> list[str]:
 
 
 def _free_edge(body: Body, taken: np.ndarray, away: float) -> np.ndarray:
-    """(n, 3) points on the outline of a part, away from where it lies on others, if any are."""
+    """(n, 3) points on the edges of a part, away from where it lies on others, if any are."""
     points = body.edge[0]
-    rims = [body.surface.at(hole.rim.triangle, hole.rim.barycentric) for hole in find_holes(body.surface)]
-    if rims:
-        outline = points[cKDTree(np.concatenate(rims)).query(points)[0] > body.element / 10]
-        points = outline if len(outline) else points
     if not len(points):
         points = body.surface.corners.mean(1)
     if len(taken):
