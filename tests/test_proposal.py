@@ -341,6 +341,18 @@ def test_sheets_with_another_between_them_have_no_zone(tmp_path):
         assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
 
 
+def test_a_large_lap_begins_with_fewer_pairs(tmp_path):
+    """Left to itself, a candidate an element, the zone would have twice as many; a small lap is left to itself."""
+    sheets = [grid(300, 240, 6), grid(300, 240, 6.5, z=1.0)]
+    files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
+    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
+    (zone,) = load_scene(folder).zones
+    assert 600 < 300 * 240 / zone.spacing**2 < 900 < 300 * 240 / 6.5**2
+    (tmp_path / "small").mkdir()
+    folder, _ = proposed("hat on a plate", tmp_path / "small")
+    assert load_scene(folder).zones[0].spacing is None
+
+
 def test_what_no_three_two_one_holds_is_held_by_six_of_any_kind(tmp_path):
     """A narrow half pipe: what looks one way is a strip, too narrow for three locators."""
     file = write_deck(tmp_path / "pipe.inp", {"P": extruded(arc(9, 0, 180, 3), 0, 160, 5)})
