@@ -189,7 +189,8 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     """The stages of a scene.
 
     Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
-    anything, before it does or (`settle` of the locate stage) while it does.  ``path = "one-step"`` does everything
+    anything, before it does or (`settle` of the locate stage) while it does, or in a clamp stage before it in which
+    nothing closes, which is how a scene without clamps resolves contact.  ``path = "one-step"`` does everything
     that a stage does at once, what overlaps included.
 
     Parameters
@@ -218,7 +219,9 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             for action in move:
                 after = action.apply(after)
             step = _step(move, rows, fixture, after)
-            if unsettled and step.resolves:
+            if unsettled and stage.kind == "clamp" and not any(moves):
+                unsettled, step = False, replace(step, move=(Settle(),), settles=True, resolves=True)
+            elif unsettled and step.resolves:
                 unsettled = False
                 if first and path != "one-step":
                     steps.append(
