@@ -100,6 +100,16 @@ def every(key, **keys):
     return edit
 
 
+def located_again(stage):
+    """The lower part's six locators again, where they are, for a stage of another station."""
+
+    def edit(scene):
+        own = [row for row in scene["locators"] if row["part"] == "lower"]
+        scene["locators"] += [{**row, "name": f"{row['name']}-{stage}", "stage": stage} for row in own]
+
+    return edit
+
+
 def edited(name, edit) -> Scene:
     scene = copy.deepcopy(TABLES[name])
     edit(scene)
@@ -500,6 +510,17 @@ SENSIBLE = {
     "all at once": ("lap_joint", put("stages.clamp", path="one-step")),
     "a stage without settling": ("lap_joint", put("stages.locate", settle=False)),
     "measured in the fixture": ("lap_joint", drop("stages.release")),
+    "inspected on another fixture": ("lap_joint", located_again("measure")),
+    "respot in another station": (
+        "lap_joint",
+        all_of(
+            lambda scene: scene["stages"].insert(3, {"kind": "locate", "name": "geo"}),
+            lambda scene: scene["stages"].insert(4, {"kind": "weld", "name": "respot"}),
+            like("welds.W1", name="W3", point=[75, 12.5, 0.5], stage="respot"),
+            put("stages.release", keep=None),
+            located_again("geo"),
+        ),
+    ),
     "welded one by one": ("lap_joint", put("stages.weld", sequence=True)),
     "a locator that varies": ("lap_joint", put("deviations.D1", mean=0.3, sigma=0.2)),
     "a uniform deviation": ("lap_joint", put("deviations.F1", distribution="uniform")),

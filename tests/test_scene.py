@@ -147,7 +147,7 @@ BROKEN |= {
     "path without contact": (
         r'(?<=\n)kind = "measure"',
         'kind = "measure"\npath = "followed"',
-        ["stages[4]", "path applies to clamp, weld, release stages only"],
+        ["stages[4]", "stages[4].path: nothing moves in this stage: remove it"],
     ),
     "increments of a followed path": (
         CLAMP,

@@ -5,7 +5,7 @@ With s from 0 to 1 over a step of the stage:
 - bilateral rows hold ``B u = v(s)``, from what the row read before the step to its target;
 - rows let go, and forces taken away, fade: ``p(s) = (1 − s) Bᵣᵀ r``;
 - a contact's gap is ``g = g⁰ + n·(shape deviation) + δ_n``; where parts settle, v and p stay, and each overlap
-  ``−(g⁰ + δ_n)`` that there would be without contact forces closes from touching;
+  ``−(g⁰ + δ_n)`` that there would be without contact forces but those that act already closes from touching;
 - a row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
   stop, one more contact without friction; where the part lies beyond the position, the stop brings it back from there;
 - slip is measured from where the contact stood before, increment by increment, or followed
@@ -250,8 +250,12 @@ class FullStage:
         gap = np.concatenate([np.where(self._out(step), FAR, drive.gap[0]), position])
         overlap = np.zeros_like(gap)
         if step.settles:
-            unloaded = system.equilibrium.linear(p0, v0, np.zeros((len(gap), state.left.shape[1])))
-            overlap = np.maximum(0, -(gap + mesh.contact(unloaded.u, step.stops)[:, 0]))
+            before = np.zeros((len(gap), state.left.shape[1]))
+            before[: len(state.left)] = state.solution.force
+            unloaded = system.equilibrium.linear(p0, v0, before)
+            apart = gap + mesh.contact(unloaded.u, step.stops)[:, 0]
+            apart[: len(state.left)] += mesh.assembly.contacts.layer * state.solution.force[:, 0]
+            overlap = np.maximum(0, -apart)
             overlap[overlap <= TOUCHING] = 0
         overlap[len(drive.gap[0]) :] = [
             0.0 if limit.row in state.stop else max(0.0, -self._way_left(limit, state, drive)) for limit in step.stops
@@ -260,7 +264,7 @@ class FullStage:
 
     def _out(self, step) -> np.ndarray:
         """(m,) contacts that take no part any more."""
-        return self.mesh.assembly.contacts.out(step.welds)
+        return self.mesh.assembly.contacts.out(step.welds, step.away)
 
     def _loads(self, step, state, drive):
         """Nodal forces (N,) at the step's start and at its end."""

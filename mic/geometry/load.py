@@ -51,8 +51,8 @@ class LoadedPart:
     ----------
     part : mic.scene.schema.Part
         Thickness, offset and material filled in: as the scene has them, else as the mesh file tells.
-    surface : Surface
-        The middle of the sheet: moved by the offset.
+    surface, drawn : Surface
+        The middle of the sheet, moved by the offset; and as the mesh has it.
     inputs : dict of str to str
         Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
         generated mesh.
@@ -62,6 +62,7 @@ class LoadedPart:
 
     part: Any
     surface: Surface
+    drawn: Surface
     inputs: dict[str, str | None]
     deck: Deck | None = None
 
@@ -99,14 +100,14 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
         surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
         part = _filled(part, deck)
         _one_piece(part, surface)
-        return LoadedPart(part, _middle(part, surface), inputs, deck)
+        return LoadedPart(part, _middle(part, surface), surface, inputs, deck)
     surface, read = _generated(part, path, cache, size or part.size)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
     inputs |= {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
     _one_piece(part, surface)
-    return LoadedPart(part, _middle(part, surface), inputs)
+    return LoadedPart(part, _middle(part, surface), surface, inputs)
 
 
 def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:

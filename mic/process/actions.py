@@ -13,9 +13,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mic.scene.stages import moves_assembly
+
 __all__ = [
     "SUGAR",
     "Action",
+    "Arrive",
     "Close",
     "Fixture",
     "Hold",
@@ -28,6 +31,7 @@ __all__ = [
     "Retract",
     "SetDown",
     "Settle",
+    "Transfer",
     "Withdraw",
     "moves_of",
     "together",
@@ -57,6 +61,8 @@ class Fixture:
         Welds whose gun presses.
     welds : tuple of int
         Welds made.
+    waiting : tuple of int
+        Locator rows that hold parts which later stages set down: where they will stand, touching nothing.
     """
 
     locators: tuple[int, ...] = ()
@@ -65,6 +71,7 @@ class Fixture:
     limited: tuple[int, ...] = ()
     guns: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
+    waiting: tuple[int, ...] = ()
 
 
 class Action(Protocol):
@@ -83,6 +90,31 @@ class SetDown:
 
     def apply(self, fixture):
         return replace(fixture, locators=fixture.locators + self.locators)
+
+
+@dataclass(frozen=True)
+class Arrive:
+    """Set down parts that were waiting, beside the others, which stay as they are; they touch nothing yet."""
+
+    locators: tuple[int, ...]
+
+    def apply(self, fixture):
+        waiting = tuple(i for i in fixture.waiting if i not in self.locators)
+        return replace(fixture, locators=fixture.locators + self.locators, waiting=waiting)
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Open all that holds the assembly, and set it down on other locators; parts that wait for these join it.
+
+    The assembly moves as it is, its contacts active; it touches nothing of the new station yet.
+    """
+
+    locators: tuple[int, ...]
+
+    def apply(self, fixture):
+        waiting = tuple(i for i in fixture.waiting if i not in self.locators)
+        return Fixture(locators=self.locators, welds=fixture.welds, waiting=waiting)
 
 
 @dataclass(frozen=True)
@@ -225,7 +257,11 @@ def _of_stage(items, stage) -> tuple[int, ...]:
 
 
 def _locate(scene, stage, before) -> list[Move]:
-    return [(SetDown(_of_stage(scene.locators, stage)),)]
+    """The first sets the parts down; a later one sets further ones down, or is another station."""
+    own = _of_stage(scene.locators, stage)
+    if not before:
+        return [(SetDown(own),)]
+    return [(Transfer(own) if moves_assembly(scene, stage) else Arrive(own),)]
 
 
 def _clamp(scene, stage, before) -> list[Move]:
@@ -325,7 +361,7 @@ def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
             clamps += action.forces
         elif isinstance(action, Press):
             clamps += action.limited
-        elif isinstance(action, SetDown):
+        elif isinstance(action, SetDown | Arrive | Transfer):
             locators += action.locators
     return clamps, locators
 
@@ -350,7 +386,9 @@ def together(moves: Sequence[Move]) -> list[Move]:
 
 
 def _measure(scene, stage, before) -> list[Move]:
-    return [(Read(),)]
+    """Read, on locators of its own if any name it."""
+    own = _of_stage(scene.locators, stage)
+    return [(Transfer(own), Read()) if own else (Read(),)]
 
 
 #: Kind of a scene's stage → ``moves(scene, stage, before)``, with the moves of the stages before.

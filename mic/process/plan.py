@@ -9,8 +9,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mic.process.actions import Close, Fixture, Joints, Move, Read, Row, SetDown, Settle, moves_of, together
+from mic.process.actions import (
+    Arrive,
+    Close,
+    Fixture,
+    Joints,
+    Move,
+    Read,
+    Row,
+    SetDown,
+    Settle,
+    Transfer,
+    moves_of,
+    together,
+)
 from mic.process.freedom import check_held
+from mic.scene.stages import set_down_in
 
 __all__ = ["Limit", "StagePlan", "Step", "plan_stages"]
 
@@ -71,6 +85,8 @@ class Step:
         Welds that close their gap here.
     welds : tuple of int
         Welds that hold, those made here among them.
+    away : tuple of int
+        Zones one of whose bodies is not there: a part of a later station, a fixture of another.
     sets_down : bool
         Whether the parts are set down one by one, touching nothing yet.
     settles : bool
@@ -89,6 +105,7 @@ class Step:
     made: tuple[int, ...] = ()
     closing: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
+    away: tuple[int, ...] = ()
     sets_down: bool = False
     settles: bool = False
     resolves: bool = False
@@ -191,7 +208,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
     anything, before it does or (`settle` of the locate stage) while it does, or in a clamp stage before it in which
     nothing closes, which is how a scene without clamps resolves contact.  ``path = "one-step"`` does everything
-    that a stage does at once, what overlaps included.
+    that a stage does at once, what overlaps included. So it is in every later station, for what is new there.
 
     Parameters
     ----------
@@ -206,9 +223,13 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     SceneError
         If a step leaves a part free to move (`mic.process.freedom`).
     """
-    rows, fixture, plans = _Rows(scene, Joints(tuple(weld_size)), limited), Fixture(), []
-    unsettled = False
-    first = all(stage.settle for stage in scene.stages)
+    rows = _Rows(scene, Joints(tuple(weld_size)), limited)
+    plans: list[StagePlan] = []
+    there = set_down_in(scene)
+    waiting = (i for i, one in enumerate(scene.locators) if one.stage == there[one.part] != scene.stages[0].name)
+    fixture = Fixture(waiting=tuple(waiting))
+    away = tuple(range(len(scene.zones)))
+    due, first, standing = False, True, set[str]()
     for stage, moves in moves_of(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
         if path == "one-step":
@@ -218,11 +239,13 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             after = fixture
             for action in move:
                 after = action.apply(after)
-            step = _step(move, rows, fixture, after)
-            if unsettled and stage.kind == "clamp" and not any(moves):
-                unsettled, step = False, replace(step, move=(Settle(),), settles=True, resolves=True)
-            elif unsettled and step.resolves:
-                unsettled = False
+            if any(isinstance(action, Transfer) for action in move):  # on its way the assembly touches no fixture
+                standing = set()
+                away = _away(scene, _parts_of(scene, fixture))
+            step = replace(_step(move, rows, fixture, after), away=away)
+            if due and stage.kind == "clamp" and not any(moves):
+                due, step = False, replace(step, move=(Settle(),), settles=True, resolves=True)
+            elif due and step.resolves:
                 if first and path != "one-step":
                     steps.append(
                         Step(
@@ -231,19 +254,42 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                             fixture.forces,
                             limits=rows.limits(fixture),
                             welds=fixture.welds,
+                            away=away,
                             settles=True,
                             resolves=True,
                         )
                     )
                 else:
                     step = replace(step, move=(Settle(), *move), settles=True)
-            unsettled |= step.sets_down
+                due = False
             steps.append(step)
+            if any(isinstance(action, SetDown | Arrive | Transfer) for action in move):
+                first, before = stage.settle, away
+                standing |= _standing(scene, stage)
+                away = _away(scene, _parts_of(scene, after) | standing)
+                due = due or not plans or not set(before) <= set(away)
             fixture = after
         reads = any(isinstance(action, Read) for move in moves for action in move)
         plans.append(StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads))
         check_held(scene, rows.joints, plans[-1])
     return plans
+
+
+def _parts_of(scene, fixture: Fixture) -> set[str]:
+    """Names of the parts that are there."""
+    waiting = {scene.locators[i].part for i in fixture.waiting}
+    return {part.name for part in scene.parts} - waiting
+
+
+def _standing(scene, stage) -> set[str]:
+    """Names of the fixtures that stand in the station of a stage."""
+    first = scene.stages[0].name
+    return {fixture.name for fixture in scene.fixtures if (fixture.stage or first) == stage.name}
+
+
+def _away(scene, bodies: set[str]) -> tuple[int, ...]:
+    """Zones that these bodies leave without a partner."""
+    return tuple(i for i, zone in enumerate(scene.zones) if not set(zone.parts) <= bodies)
 
 
 @dataclass(frozen=True)
@@ -261,7 +307,7 @@ class _Rows:
         )
 
     def held(self, fixture: Fixture) -> tuple[Row, ...]:
-        rows = [("locator", i) for i in fixture.locators] + [("clamp", i) for i in fixture.strokes]
+        rows = [("locator", i) for i in fixture.waiting + fixture.locators] + [("clamp", i) for i in fixture.strokes]
         rows += [row for weld in fixture.welds for row in self.joints.rows(weld)]
         return tuple(rows) + (() if self.limited else tuple(limit.row for limit in self.limits(fixture)))
 

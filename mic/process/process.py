@@ -31,7 +31,8 @@ APART = 2.0
 
 
 def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, start: np.ndarray, **settings):
-    """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate.
+    """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate, or
+    takes no part.
 
     Parameters
     ----------
@@ -49,7 +50,8 @@ def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, star
     settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
     stops = stops_of(contacts, step)
     S, friction = stops.compliance(S), stops.friction(friction)
-    if not contacts.watched.any():
+    out = contacts.out(step.nuggets, step.away)
+    if not (contacts.watched.any() or out.any()):
         return ContactSolver(S, friction, **settings)
     always = np.ones(stops.count, dtype=bool)
     return WatchedSolver(
@@ -58,7 +60,7 @@ def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, star
         np.concatenate([contacts.point, np.zeros((stops.count, 3))]),
         np.concatenate([APART * np.sqrt(contacts.area), np.zeros(stops.count)]),
         np.concatenate([~contacts.watched | start, always]),
-        np.concatenate([~contacts.out(step.nuggets), always]),
+        np.concatenate([~out, always]),
         **settings,
     )
 
@@ -141,7 +143,7 @@ class Process:
         contacts, step = self.model.contacts, eliminated.step
         friction = contacts.friction_in(stage)
         own = (stage, step) if contacts.watched.any() else None
-        key = step.bilateral, step.stops, friction.coefficient.tobytes(), own
+        key = step.bilateral, step.stops, step.away, friction.coefficient.tobytes(), own
         if key not in self._solvers:
             start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
             self._solvers[key] = contact_solver(

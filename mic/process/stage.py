@@ -8,7 +8,7 @@ loads p,
 S with what candidates yield through the sheets' thickness (`mic.model.assembly.Contacts.layer`) on its diagonal, and
 the contact law ties f to ``u = S f + b``, its slip measured from the contacts' anchors (`mic.contact.path`). With v and
 p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
-touching: ``b_n(s) = b_n + (1 − s) max(0, −b_n)``.
+touching: ``b_n(s) = b_n + (1 − s) max(0, −u_n)``, u_n under the forces of the contacts that touch already.
 
 A row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
 stop: one more contact, without friction, whose gap is the way that is left. Where the part lies beyond the position
@@ -312,8 +312,9 @@ class PreparedStage:
 
         start, end = unloaded(0.0), unloaded(1.0)
         if step.settles:
-            gaps = start[:, : contacts : self._dimension]
-            gaps[:] = np.maximum(gaps, 0.0)
+            normal = slice(0, contacts, self._dimension)
+            apart = start[:, normal] + product(state.force.reshape(n, -1), response.S[normal, :contacts].T)
+            start[:, normal] += np.maximum(0.0, -apart)
         for j, limit in enumerate(step.stops):
             if limit.row not in state.stop:  # from where the part is, should it lie beyond
                 kind, row = limit.row
@@ -353,7 +354,8 @@ class PreparedStage:
 
     def _unseen(self, end, drive) -> tuple[np.ndarray, np.ndarray]:
         """Deepest penetration (n,) between the pairs, and at which point (n,); what welds have fused does not count."""
-        fused = np.isin(self._between.nugget, self.steps[-1].step.welds)
+        last = self.steps[-1].step
+        fused = np.isin(self._between.nugget, last.welds) | np.isin(self._between.zone, last.away)
         depth = np.where(fused, 0.0, -(drive.between + end.reading["between"]))
         depth = np.column_stack([np.zeros(len(depth)), depth])
         at = depth.argmax(axis=1)

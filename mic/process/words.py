@@ -5,8 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from mic.process.actions import Action, Close, Hold, Open, Press, Push, Read, Retract, SetDown, Settle, Withdraw
+from mic.process.actions import (
+    Action,
+    Arrive,
+    Close,
+    Hold,
+    Open,
+    Press,
+    Push,
+    Read,
+    Retract,
+    SetDown,
+    Settle,
+    Transfer,
+    Withdraw,
+)
 from mic.process.plan import StagePlan, Step
+from mic.scene.stages import set_down_in
 
 __all__ = ["opening", "sentences"]
 
@@ -25,7 +40,7 @@ def opening(plan: StagePlan, contacts: bool) -> str:
     if not contacts:
         return "no contact"
     if not plan.resolves:
-        return "parts touch nothing yet" if any(step.sets_down for step in plan.steps) else "nothing moves"
+        return "nothing moves" if plan.kind != "locate" else "parts touch nothing yet"
     if plan.path == "followed":
         return "contact active, path followed"
     if plan.path == "one-step":
@@ -52,13 +67,19 @@ def _sentence(scene, step: Step) -> str:
     clauses = [clause for action in step.move for clause in _clauses(scene, action)]
     if step.settles and len(clauses) > 1:
         return f"{', '.join(clauses[1:])}; meanwhile {clauses[0]}"
-    return ("; " if step.sets_down else ", ").join(clauses)
+    return ("; " if any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move) else ", ").join(
+        clauses
+    )
 
 
 def _clauses(scene, action: Action) -> Iterable[str]:
-    if isinstance(action, SetDown):
+    if isinstance(action, SetDown | Arrive | Transfer):
+        there, locators = set_down_in(scene), [scene.locators[i] for i in action.locators]
+        others = [one.name for one in locators if there[one.part] != one.stage]
+        if others:
+            yield f"all that holds the assembly opens, it is set down on {_listed(others)}"
         for part in scene.parts:
-            own = [scene.locators[i].name for i in action.locators if scene.locators[i].part == part.name]
+            own = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
             if own:
                 yield f"{part.name} is set down on {_listed(own)}"
     elif isinstance(action, Settle):

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mic.contact.laws import LAWS
-from mic.scene.stages import check_stages, known
+from mic.scene.stages import check_stages, known, set_down_in
 
 __all__ = ["entry", "problems"]
 
@@ -113,11 +113,10 @@ def check_held(scene) -> None:
 
     Of a part whose locators are not placed yet nothing is said.
     """
-    found = []
+    found, stations = [], set_down_in(scene)
     for i, part in enumerate(scene.parts):
-        own = [
-            locator for locator in scene.locators if locator.part == part.name and locator.stage == scene.stages[0].name
-        ]
+        stage = stations[part.name]
+        own = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
         if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
             continue  # told once the scene is placed on its meshes
         rank = 0

@@ -187,8 +187,23 @@ class Part(_Table):
         None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
     )
 
+    stiffness: str | None = Field(
+        None,
+        description="with `mesh`: file of the part's reduced stiffness on named nodes, in place of finite elements: a "
+        "Matrix Market file with a node table beside it (`a.mtx`, `a.csv` with node, x, y, z), Nastran `DMIG`, output "
+        "of Abaqus `*MATRIX GENERATE`; free of supports",
+    )
+    compliance: str | None = Field(
+        None, description="or of its reduced compliance, on any statically determinate support; the same formats"
+    )
+
     @model_validator(mode="after")
     def _one_source(self):
+        if self.stiffness is not None and self.compliance is not None:
+            raise ValueError("give stiffness or compliance, not both")
+        for key in ("stiffness", "compliance"):
+            if self.mesh is None and getattr(self, key) is not None:
+                raise ValueError(f"{key} needs mesh: the surface of the part, for pairs and pictures; add it")
         if (self.mesh is None) == (self.geometry is None):
             raise ValueError('give either mesh = "file" or geometry = "file.py", not both and not neither')
         for key in ("set", "unit"):
@@ -232,6 +247,7 @@ class Fixture(_Table):
     point: Vector | None = Field(None, description="or the centre of a flat round pad, mm")
     normal: Vector | None = Field(None, description="the pad's outward normal")
     radius: Positive | None = Field(None, description="the pad's radius, mm")
+    stage: Name | None = Field(None, description="the locate stage in whose station it stands; if left out, the first")
 
     _normal = field_validator("normal")(_unit)
 
@@ -247,7 +263,8 @@ class Locator(_OnPart):
     """A bilateral support of a part in one direction, over a pad of the given radius.
 
     It engages in the named stage: those of the locate stage place the part (a 3-2-1 scheme), further ones of an N-2-1
-    scheme close when the clamps do and force the part.
+    scheme close when the clamps do and force the part. Those of a later locate stage, or of the measure stage, hold an
+    assembly that is set down there: all that held it before opens.
     """
 
     name: Name = Field(description="names the locator in `keep` and in deviations")
@@ -475,9 +492,12 @@ class Zone(_Table):
 class Stage(_Table):
     """One stage of the process; in order. The first is ``locate``, ``measure`` may only come last.
 
-    ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that
+    ``locate`` sets the parts down on the locators that name it: further parts beside the others; or, where the others
+    have locators in it too, in another station, all that held them open; ``clamp`` closes the clamps and further
+    locators that
     name it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`;
-    ``measure`` reads the measurements. What each of them does is a list of steps, one after the other, in each of which
+    ``measure`` reads the measurements, of the assembly as it is held, or where locators name the stage, set down on
+    these alone. What each of them does is a list of steps, one after the other, in each of which
     actions happen together (`mic.process.actions`); `mic check` prints them.
     """
 
@@ -500,9 +520,9 @@ class Stage(_Table):
     )
     path: Literal["followed", "increments", "one-step"] | None = Field(
         None,
-        description="clamp, weld, release: how friction's path is followed: `followed`, the default, by steps of "
-        "controlled error; `increments`, so many for each step of the stage, short at both its ends; `one-step`, all "
-        "that the stage does at once, overlaps included, as the paper has it",
+        description="how friction's path is followed where something closes or opens: `followed`, the default, by "
+        "steps of controlled error; `increments`, so many for each step of the stage, short at both its ends; "
+        "`one-step`, all that the stage does at once, overlaps included, as the paper has it",
     )
     increments: Annotated[Count, Field(ge=1)] | None = Field(
         None, description='of each step of the stage; means path = "increments"'
@@ -514,8 +534,8 @@ class Stage(_Table):
         "order": ("clamp", "weld", "release"),
         "sequence": ("weld",),
         "settle": ("locate",),
-        "path": ("clamp", "weld", "release"),
-        "increments": ("clamp", "weld", "release"),
+        "path": ("locate", "clamp", "weld", "release", "measure"),
+        "increments": ("locate", "clamp", "weld", "release", "measure"),
     }
 
     @model_validator(mode="after")

@@ -1,8 +1,8 @@
 """Rigid bodies whose one face yields on springs: assemblies small enough to be solved by hand.
 
 Every part is rigid but for its face at `FACE`, which yields along z by 1/k per N and along x and y by half of that.
-What stands at the face (clamps, welds, contact pairs, measurements) reads it; everything else reads the rigid body. All
-lies in one plane, gaps are along z.
+What stands at the face (clamps, welds, contact pairs, measurements) reads it; everything else reads the rigid body, the
+moments of welds among it. All lies in one plane, gaps are along z.
 """
 
 import numpy as np
@@ -54,12 +54,26 @@ def spring_model(gap, weld_gap=(), **scene):
     for kind in ("locator", "clamp", "measurement"):
         entries[kind] = [reading(item) for item in getattr(scene, f"{kind}s")]
     entries["contact"] = [joint(zone.parts, axis) for zone in scene.zones for axis in range(3)]
-    entries["weld"] = [joint(weld.parts, axis) for weld in scene.welds for axis in range(3)]
+    turns = {name: {} for name in names}
+    if any(weld.moment for weld in scene.welds):
+        for name, own in functionals.items():
+            for axis in range(3):
+                turns[name][3 + axis] = len(own)
+                own.append((FACE, np.eye(3)[axis]))
+
+    def tied(parts, axis):
+        return joint(parts, axis) if axis < 3 else [(n, turns[n][axis], sign) for n, sign in zip(parts, (-1.0, 1.0))]
+
+    size = tuple(6 if weld.moment else 3 for weld in scene.welds)
+    entries["weld"] = [tied(weld.parts, axis) for weld, rows in zip(scene.welds, size) for axis in range(rows)]
     blocks = []
-    for own in functionals.values():
+    for name, own in functionals.items():
         H = np.zeros((len(own), len(own)))
         H[0, 0], H[1, 1], H[2, 2] = 1 / STIFFNESS, 0.5 / STIFFNESS, 0.5 / STIFFNESS
-        blocks.append((H, np.array([[*d, *np.cross(p, d)] for p, d in own], dtype=float)))
+        G = np.array([[*d, *np.cross(p, d)] for p, d in own], dtype=float)
+        for axis, functional in turns[name].items():
+            G[functional] = np.eye(6)[axis]
+        blocks.append((H, G))
     compliance = Blocks(*zip(*blocks))
     rows, labels = {}, {}
     for kind, lines in entries.items():
@@ -79,7 +93,7 @@ def spring_model(gap, weld_gap=(), **scene):
         labels,
         _pairs([zone.coefficient("default") for zone in scene.zones], gap),
         nowhere,
-        (3,) * len(scene.welds),
+        size,
         np.array(weld_gap, dtype=float),
         no_shape,
         no_shape,
