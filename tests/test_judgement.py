@@ -100,6 +100,16 @@ def every(key, **keys):
     return edit
 
 
+def located_again(stage):
+    """The lower part's six locators again, where they are, for a stage of another station."""
+
+    def edit(scene):
+        own = [row for row in scene["locators"] if row["part"] == "lower"]
+        scene["locators"] += [{**row, "name": f"{row['name']}-{stage}", "stage": stage} for row in own]
+
+    return edit
+
+
 def edited(name, edit) -> Scene:
     scene = copy.deepcopy(TABLES[name])
     edit(scene)
@@ -112,6 +122,7 @@ NUMBERS = [
     ("parts.upper", "young", [210, 210e9, 0.21, 2.1e6, 0, -210e3, "210000", False]),
     ("parts.upper", "poisson", [0.4999999, 0.0, -0.9, 0.5, 3.0, True]),
     ("parts.upper", "size", [0.05, 500.0, -3.0, 0, True]),
+    ("welds.W1", "gun", [1.0, 5e6, 0.0, True]),
     ("parts.lower", "offset", [2.0, -1.5, 50.0, True]),
     ("zones.lap", "gap", [12.0, 1000.0, -1.0, True]),
     ("locators.lower-A1", "radius", [500.0, 60.0, 0.05, -4.0, float("inf"), True]),
@@ -186,6 +197,9 @@ NONSENSE |= {
     "a force that turns round": ("hat_on_plate", put("deviations.D2", sigma=60), "D2", "clamp-may-pull"),
     "a force that is taken away": ("hat_on_plate", put("deviations.D2", mean=-90), "D2", "clamp-may-pull"),
     "a clamp far off": ("lap_joint", put("clamps.C1-upper", point=[72, 12.5, 4]), "C1-upper", "off-the-sheet"),
+    "a limit of a millinewton": ("hat_on_plate", put("clamps.C3", limit=1e-3), "C3", "clamps.limit"),
+    "a limit of a meganewton": ("hat_on_plate", put("clamps.C3", limit=1e6), "C3", "clamps.limit"),
+    "a limit of a force": ("lap_joint", put("clamps.C1-upper", limit=100), "C1-upper", ERROR),
     # Locators
     "locators within a micron of a line": (
         "lap_joint",
@@ -474,6 +488,8 @@ SENSIBLE = {
     ),
     "a stroke of half a millimetre": ("hat_on_plate", put("clamps.C3", stroke=0.5)),
     "a stroke that lifts off a little": ("hat_on_plate", put("clamps.C3", stroke=-0.5)),
+    "a clamp of limited force": ("hat_on_plate", put("clamps.C3", limit=400.0)),
+    "guns": ("lap_joint", every("welds", gun=2500.0)),
     "a clamp that varies by a tenth": ("hat_on_plate", put("deviations.D2", sigma=10)),
     "small nuggets": ("lap_joint", every("welds", radius=1.5)),
     "three welds": ("lap_joint", like("welds.W1", name="W3", point=[75, 12.5, 0.5])),
@@ -494,6 +510,17 @@ SENSIBLE = {
     "all at once": ("lap_joint", put("stages.clamp", path="one-step")),
     "a stage without settling": ("lap_joint", put("stages.locate", settle=False)),
     "measured in the fixture": ("lap_joint", drop("stages.release")),
+    "inspected on another fixture": ("lap_joint", located_again("measure")),
+    "respot in another station": (
+        "lap_joint",
+        all_of(
+            lambda scene: scene["stages"].insert(3, {"kind": "locate", "name": "geo"}),
+            lambda scene: scene["stages"].insert(4, {"kind": "weld", "name": "respot"}),
+            like("welds.W1", name="W3", point=[75, 12.5, 0.5], stage="respot"),
+            put("stages.release", keep=None),
+            located_again("geo"),
+        ),
+    ),
     "welded one by one": ("lap_joint", put("stages.weld", sequence=True)),
     "a locator that varies": ("lap_joint", put("deviations.D1", mean=0.3, sigma=0.2)),
     "a uniform deviation": ("lap_joint", put("deviations.F1", distribution="uniform")),
@@ -647,7 +674,7 @@ def test_a_check_that_ends_in_an_error_tells_what_is_unusual_first(cache, tmp_pa
     path = tmp_path / "scene.toml"
     path.write_text(path.read_text().replace("thickness = 1\n", "thickness = 40\n", 1))
     done = CliRunner().invoke(app, ["check", scene], env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
-    assert isinstance(done.exception, SceneError) and "drawn into each other" in str(done.exception)
+    assert isinstance(done.exception, SceneError) and "drawn onto each other" in str(done.exception)
     assert "warning: part lower: thickness = 40 mm; usual is 0.3 to 6 mm" in done.output
 
 

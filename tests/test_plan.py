@@ -435,6 +435,29 @@ def test_what_overlaps_presses_before_the_drag_or_while_it_grows(settle, work):
     assert closed.trace.work[0, 0] == pytest.approx(work, rel=0.02)
 
 
+@pytest.mark.parametrize("path", ["followed", "increments", "one-step"])
+@pytest.mark.parametrize("settle", [True, False])
+def test_a_clamp_stage_without_clamps_resolves_contact(settle, path):
+    """Faces that overlap by 0.3 mm come to rest on each other, by 0.3 k/2; nothing else happens there."""
+    model = springs(gap=-0.3, settle=settle, path=path, **{"increments": 4} if path == "increments" else {})
+    none = {kind: csr_matrix((0, rows.shape[1])) for kind, rows in model.rows.items() if kind == "clamp"}
+    bare = replace(model, scene=model.scene.model_copy(update={"clamps": []}), rows=model.rows | none)
+    plans = plan_stages(bare.scene, ())
+    assert [plan.resolves for plan in plans] == [False, True, False, False]
+    assert sentences(bare.scene, plans[1]) == ["parts that overlap come to rest on each other"]
+    rested = bare.evaluate({}).resolutions["close"]
+    np.testing.assert_allclose(rested.force[0, 0], [0.3 * STIFFNESS / 2, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(rested.displacement[0, 0], 0.0, atol=1e-10)
+
+
+def test_of_two_clamp_stages_without_clamps_the_first_resolves_contact():
+    stages = [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "clamp", "name": "again"}, {"kind": "measure"}]
+    scene = mic.Scene(
+        name="bare", parts=SCENE["parts"], locators=[*six("a", "locate"), *six("b", "locate")], stages=stages
+    )
+    assert [plan.resolves for plan in plan_stages(scene, ())] == [False, True, False, False]
+
+
 def test_a_release_opens_first_what_closed_last():
     """The face has slipped by u = (D - 2 μ N) c. Without the drag it slips back while the press still holds it, and the
     rest of the way as the press fades: by -u. If the press opens first, the drag takes it on to D c, by 2 μ N c.

@@ -147,7 +147,7 @@ BROKEN |= {
     "path without contact": (
         r'(?<=\n)kind = "measure"',
         'kind = "measure"\npath = "followed"',
-        ["stages[4]", "stages[4].path: nothing moves in this stage: remove it"],
+        ["stages[4]", "stages[4].path (measure): nothing moves in this stage: remove it"],
     ),
     "increments of a followed path": (
         CLAMP,
@@ -276,7 +276,7 @@ WRONG_IN_MANY_WAYS = {
     'part = "upper"': ('part = "uper"', "locators[6].part (upper-A1): there is no part called 'uper'"),
     "force = 60": ("force = true", "clamps[0].force (C1-upper): "),
     'name = "W2"\nparts = ["lower", "upper"]': ('name = "W1"\nparts = ["lower", "lower"]', "welds: the name 'W1'"),
-    'kind = "clamp"': ('kind = "clamp"\norder = [["C1-lowr"]]', "stages[1].order: there is no"),
+    'kind = "clamp"': ('kind = "clamp"\norder = [["C1-lowr"]]', "stages[1].order (clamp): there is no"),
     'name = "F1"\n': ('name = "F1"\nforce = 3\n', "deviations[0].force (F1): unknown key"),
     'target = "upper-C1"': ('target = "upper-C2"', "deviations[2].target (D1): there is no locator"),
     "samples = 200": ("samples = 200.5", "monte_carlo.samples: "),
@@ -298,6 +298,24 @@ def test_problems_within_tables_and_between_them_are_listed_at_once_by_name(tmp_
     joined = "welds[1].parts (W1): a part cannot be joined to itself"
     assert sum(joined in line for line in lines) == 1
     assert len(lines) == len(WRONG_IN_MANY_WAYS) + 1
+
+
+def test_every_problem_of_the_stages_is_told(tmp_path):
+    text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\norder = [["C1-uper"]]')
+    text = text.replace('keep = ["lower-A1",', 'keep = ["lower-A1", "W1", "lowr-A2",')
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(tmp_path)
+    keys = [line.partition("scene.toml: ")[2].partition(": ")[0] for line in str(caught.value).splitlines()]
+    assert keys == ["stages[1].order (clamp)", "stages[3].keep (release)"]
+    (tmp_path / "scene.toml").write_text(text.replace("force = 60", 'force = 60\nstage = "clmp"'))
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(tmp_path)
+    lines = str(caught.value).splitlines()
+    assert [line.partition("scene.toml: ")[2].partition(":")[0] for line in lines] == [
+        "clamps[0].stage (C1-upper)",
+        "clamps[1].stage (C1-lower)",
+    ]
 
 
 def test_every_problem_between_tables_is_told(tmp_path):

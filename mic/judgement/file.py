@@ -10,6 +10,7 @@ import numpy as np
 
 from mic.contact.laws import LAWS
 from mic.judgement.rule import Seen, of
+from mic.scene.stages import moves_assembly, set_down_in
 
 PARALLEL = 0.99  # cosine of the angle between two directions that are one
 PINNED = 1.0  # mm: points that are nearer to each other are one place
@@ -26,7 +27,7 @@ def held_twice(scene) -> Iterator[Seen]:
     }
     for (one, a, at), (other, b, to) in itertools.combinations(rows, 2):
         cosine = _cosine(a, b)
-        if a.part == b.part and abs(cosine) > PARALLEL and _apart(a, b) < PINNED:
+        if a.part == b.part and abs(cosine) > PARALLEL and _apart(a, b) < PINNED and _together(scene, a, b):
             at_a, at_b = at + moved.get((one, a.name), 0.0), to + moved.get((other, b.name), 0.0)
             off = abs(at_a - np.sign(cosine) * at_b)
             words = f"and ask for positions {off:.3g} mm apart: they contradict" if off > 1e-6 else "a second time"
@@ -107,7 +108,7 @@ def force_on_a_locator(scene) -> Iterator[Seen]:
         for locator in scene.locators if item.kind == "force" else ():
             along = abs(_cosine(item, locator)) > PARALLEL
             if along and item.part == locator.part and _apart(item, locator) < PINNED:
-                if locator.stage == scene.stages[0].name:
+                if locator.stage == set_down_in(scene).get(item.part):
                     yield of("deviations", item), f"pushes straight onto locator {locator.name}", item.point
 
 
@@ -145,10 +146,13 @@ TOLERANCE = (0.02, 30.0)  # mm
 
 def measured_at_a_locator(scene) -> Iterator[Seen]:
     """Measurements of what a locator that still holds prescribes."""
-    kept = {locator.name for locator in scene.locators}
+    kept: set[str] = set()
     for stage in scene.stages:
+        if moves_assembly(scene, stage):
+            kept = set()
         if stage.kind == "release" and stage.keep is not None:
             kept &= set(stage.keep)
+        kept |= {locator.name for locator in scene.locators if locator.stage == stage.name}
     for item in scene.measurements:
         for locator in scene.locators:
             along = abs(_cosine(item, locator)) > PARALLEL
@@ -245,6 +249,8 @@ def welded_open(scene) -> Iterator[Seen]:
     closed: set[str] = set()
     opened = False
     for stage in scene.stages:
+        if moves_assembly(scene, stage):
+            closed, opened = set(), False  # in another station the first welds hold the sheets together
         if stage.kind == "clamp":
             closed |= {item.name for item in scene.clamps if item.stage == stage.name}
         elif stage.kind == "release":
@@ -259,6 +265,13 @@ def welds_nothing(scene) -> Iterator[Seen]:
     for stage in scene.stages:
         if stage.kind == "weld" and not any(weld.stage == stage.name for weld in scene.welds):
             yield f"stage {stage.name}", "makes no weld", None
+
+
+def _together(scene, a, b) -> bool:
+    """Whether two items close in one station, so that they may hold at the same time."""
+    station = list(itertools.accumulate(moves_assembly(scene, stage) for stage in scene.stages))
+    of_stage = {stage.name: number for stage, number in zip(scene.stages, station)}
+    return of_stage[a.stage] == of_stage[b.stage]
 
 
 def _apart(a, b) -> float:

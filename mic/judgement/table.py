@@ -77,6 +77,14 @@ FILE: tuple[Rule, ...] = (
         "toggle clamps and gun tips press with 50 N to 5 kN, and they press",
         "give it in N, positive along direction",
     ),
+    number(
+        "clamps.limit",
+        5.0,
+        20e3,
+        "N",
+        "clamps and cylinders press with 50 N to some kN",
+        "give the most that the clamp can push with, in N",
+    ),
     number("clamps.stroke", -5.0, 5.0, "mm", "clamps close gaps of a few mm", "give mm from the nominal position"),
     number(
         "welds.radius",
@@ -86,6 +94,14 @@ FILE: tuple[Rule, ...] = (
         "a nugget is 4 to 6 √t across, 3 to 12 mm; 0 is nodal",
         "give half the nugget's diameter",
         0.0,
+    ),
+    number(
+        "welds.gun",
+        100.0,
+        10e3,
+        "N",
+        "welding guns press with 1 to 6 kN",
+        "give the force of the gun in N",
     ),
     number("zones.friction", 0.0, 1.0, "", "sheet on sheet slides at 0.05 to 0.6, dry or oiled", "correct it"),
     number(

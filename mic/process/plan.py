@@ -206,7 +206,8 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     """The stages of a scene.
 
     Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
-    anything, before it does or (`settle` of the locate stage) while it does.  ``path = "one-step"`` does everything
+    anything, before it does or (`settle` of the locate stage) while it does, or in a clamp stage before it in which
+    nothing closes, which is how a scene without clamps resolves contact.  ``path = "one-step"`` does everything
     that a stage does at once, what overlaps included. So it is in every later station, for what is new there.
 
     Parameters
@@ -242,7 +243,9 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                 standing = set()
                 away = _away(scene, _parts_of(scene, fixture))
             step = replace(_step(move, rows, fixture, after), away=away)
-            if due and step.resolves:
+            if due and stage.kind == "clamp" and not any(moves):
+                due, step = False, replace(step, move=(Settle(),), settles=True, resolves=True)
+            elif due and step.resolves:
                 if first and path != "one-step":
                     steps.append(
                         Step(

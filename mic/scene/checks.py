@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mic.contact.laws import LAWS
-from mic.scene.stages import check_stages, known, set_down_in
+from mic.scene.stages import check_stages, known, set_down_in, told
 
 __all__ = ["entry", "problems"]
 
@@ -136,15 +136,6 @@ def check_held(scene) -> None:
 def entry(key: str, i: int, item, field: str = "") -> str:
     """Where an item stands in the scene, with its name: ``locators[3].part (A4)``."""
     return f"{key}[{i}]{field and '.' + field} ({item.name})"
-
-
-def told(check, *arguments) -> list[str]:
-    """The lines of what a check finds wrong."""
-    try:
-        check(*arguments)
-    except ValueError as error:
-        return str(error).splitlines()
-    return []
 
 
 def _raise(found: Iterable[str]) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
-__all__ = ["check_stages", "known", "moves_assembly", "set_down_in"]
+__all__ = ["check_stages", "known", "moves_assembly", "set_down_in", "told"]
 
 #: What stages close, by the scene's table, and the kinds of stages that may.
 CLOSING = {"locators": ("locate", "clamp", "measure"), "clamps": ("clamp",), "welds": ("weld",)}
@@ -33,47 +34,63 @@ def moves_assembly(scene, stage) -> bool:
     )
 
 
+def told(check: Callable[..., Any], *arguments: Any) -> list[str]:
+    """The lines of what a check finds wrong."""
+    try:
+        check(*arguments)
+    except ValueError as error:
+        return str(error).splitlines()
+    return []
+
+
 def check_stages(scene) -> None:
     """Every locator, clamp and weld has its stage, and every stage orders just what it closes or opens.
 
     Raises
     ------
     ValueError
-        Naming the key and the remedy.
+        One line a problem, naming the key and the remedy.
     """
-    _check_kinds(scene)
+    found = told(_check_kinds, scene)
     for key, kinds in CLOSING.items():
         fitting = [stage.name for stage in scene.stages if stage.kind in kinds]
         for i, item in enumerate(getattr(scene, key)):
             if item.stage not in fitting:
-                raise ValueError(
-                    f"{key}[{i}].stage: no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
+                found.append(
+                    f"{key}[{i}].stage ({item.name}): no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
                     f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
                 )
-    _check_present(scene)
-    held: list[str] = []  # names of the locators and clamps that are closed, those of all stages so far
-    for i, stage in enumerate(scene.stages):
-        if stage.kind == "release":
-            kept = _check_keep(scene, f"stages[{i}].keep", stage, held)
-            own = [name for name in held if name not in kept]
-            held = [name for name in held if name in kept]
-        else:
-            own = [item.name for key in CLOSING for item in getattr(scene, key) if item.stage == stage.name]
-            if moves_assembly(scene, stage):
-                held = []
-            held += own if stage.kind != "weld" else []
-        if stage.order is not None:
-            _check_order(scene, f"stages[{i}].order", stage, own)
-        if (
-            stage.kind in ("locate", "measure")
-            and (stage.path or stage.increments)
-            and not moves_assembly(scene, stage)
-        ):
-            raise ValueError(
-                f"stages[{i}].{'path' if stage.path else 'increments'}: nothing moves in this stage: remove it"
-            )
-        if stage.path == "one-step":
-            _check_guns(scene, f"stages[{i}].path", stage)
+    if not found:  # what follows reads them in their order
+        found = told(_check_present, scene)
+        held: list[str] = []  # names of the locators and clamps that are closed, those of all stages so far
+        for i, stage in enumerate(scene.stages):
+            held, lines = _check_stage(scene, i, stage, held)
+            found += lines
+    if found:
+        raise ValueError("\n".join(found))
+
+
+def _check_stage(scene, i: int, stage, held: list[str]) -> tuple[list[str], list[str]]:
+    """What is held after a stage, and what is wrong with it."""
+    found: list[str] = []
+    if stage.kind == "release":
+        found += told(_check_keep, scene, f"stages[{i}].keep ({stage.name})", stage, held)
+        kept = {locator.name for locator in scene.locators} if stage.keep is None else set(stage.keep)
+        own = [name for name in held if name not in kept]
+        held = [name for name in held if name in kept]
+    else:
+        own = [item.name for key in CLOSING for item in getattr(scene, key) if item.stage == stage.name]
+        if moves_assembly(scene, stage):
+            held = []
+        held = held + (own if stage.kind != "weld" else [])
+    if stage.order is not None:
+        found += told(_check_order, scene, f"stages[{i}].order ({stage.name})", stage, own)
+    if stage.kind in ("locate", "measure") and (stage.path or stage.increments) and not moves_assembly(scene, stage):
+        key = "path" if stage.path else "increments"
+        found.append(f"stages[{i}].{key} ({stage.name}): nothing moves in this stage: remove it")
+    if stage.path == "one-step":
+        found += told(_check_guns, scene, f"stages[{i}].path ({stage.name})", stage)
+    return held, found
 
 
 def _check_guns(scene, key, stage) -> None:
@@ -122,16 +139,13 @@ def _check_present(scene) -> None:
             )
 
 
-def _check_keep(scene, key, stage, held: Sequence[str]) -> set[str]:
-    """What a release leaves closed."""
-    if stage.keep is None:
-        return {locator.name for locator in scene.locators}
-    for name in stage.keep:
+def _check_keep(scene, key, stage, held: Sequence[str]) -> None:
+    """What a release leaves closed is closed."""
+    for name in stage.keep or ():
         _single(scene, key, name)
         known(key, name, {item.name for item in (*scene.locators, *scene.clamps)}, "locator or clamp")
         if name not in held:
             raise ValueError(f"{key}: {name!r} {_whereabouts(scene, stage, name)}, so it cannot stay closed; remove it")
-    return set(stage.keep)
 
 
 def _check_order(scene, key, stage, own: Sequence[str]) -> None:
