@@ -10,6 +10,7 @@ import numpy as np
 
 from mic.contact.laws import LAWS
 from mic.judgement.rule import Seen, of
+from mic.scene.stages import set_down_in
 
 PARALLEL = 0.99  # cosine of the angle between two directions that are one
 PINNED = 1.0  # mm: points that are nearer to each other are one place
@@ -107,7 +108,7 @@ def force_on_a_locator(scene) -> Iterator[Seen]:
         for locator in scene.locators if item.kind == "force" else ():
             along = abs(_cosine(item, locator)) > PARALLEL
             if along and item.part == locator.part and _apart(item, locator) < PINNED:
-                if locator.stage == scene.stages[0].name:
+                if locator.stage == set_down_in(scene)[locator.part]:
                     yield of("deviations", item), f"pushes straight onto locator {locator.name}", item.point
 
 

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import Surface
 from mic.judgement.rule import Place, Seen, of
+from mic.scene.stages import set_down_in
 
 EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
 SLENDER = 20.0  # extents of a part in thicknesses, at least
@@ -183,9 +184,9 @@ def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
 
 def locators_in_line(assembly) -> Iterator[Seen]:
     """Parts that a small error of a locator throws far: its locators stand nearly in line, or close together."""
-    scene, first = assembly.scene, assembly.scene.stages[0].name
+    scene, stations = assembly.scene, set_down_in(assembly.scene)
     for part in assembly.parts:
-        own = [item for item in scene.locators if item.part == part.name and item.stage == first]
+        own = [item for item in scene.locators if item.part == part.name and item.stage == stations[part.name]]
         centre = np.mean([item.point for item in own], axis=0)
         rows = [[*item.direction, *np.cross(np.subtract(item.point, centre), item.direction)] for item in own]
         scale = np.array([1.0] * 3 + [part.surface.diameter] * 3)
