@@ -505,8 +505,9 @@ def _coefficients(part):
     """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
     if is_cached(part, cache_folder()):
         return "cached"
-    check_element(part.element)
-    return "to be computed"
+    if part.superelement is None:
+        check_element(part.element)
+    return "to be computed" if part.superelement is None else "of a superelement"
 
 
 def _friction_words(zone) -> str:

@@ -177,6 +177,18 @@ def test_sheets_drawn_into_each_other_say_how_deep(tmp_path):
     assert load_scene(folder).zones[0].nominal_overlap == pytest.approx(0.45)
 
 
+def test_a_flat_sheet_is_held_by_three_two_and_one(tmp_path):
+    """Three across the sheet, two across its length, far apart, one along it."""
+    folder, _ = proposed("in metres", tmp_path)
+    own = [one for one in assemble(load_scene(folder), tmp_path / "cache").scene.locators if one.part == "a"]
+    assert [one.name for one in own][:6] == [f"a-{label}" for label in ("A1", "A2", "A3", "B1", "B2", "C1")]
+    assert np.abs([one.direction for one in own[:6]]) == pytest.approx(
+        np.array([[0, 0, 1]] * 3 + [[0, 1, 0]] * 2 + [[1, 0, 0]])
+    )
+    assert abs(own[3].point[0] - own[4].point[0]) > 25
+    assert all(one.stage == "clamp" and np.abs(one.direction) == pytest.approx([0, 0, 1]) for one in own[6:])
+
+
 def test_pins_go_through_holes(tmp_path):
     """One both ways, the other across the line between them; they read the rims."""
     folder, _ = proposed("holes", tmp_path)
@@ -305,6 +317,17 @@ def test_a_weld_of_three_sheets_is_two(tmp_path):
         ("Wa", {"s0", "s1"}),
         ("Wb", {"s1", "s2"}),
     ] or [set(weld.parts) for weld in load_scene(folder).welds] == [{"s1", "s2"}, {"s0", "s1"}]
+
+
+def test_sheets_with_another_between_them_have_no_zone(tmp_path):
+    """However they are drawn: apart by their thicknesses, or all three upon each other."""
+    for name, rise in (("apart", 1.0), ("upon", 0.0)):
+        (tmp_path / name).mkdir()
+        sheets = [grid(80 - 10 * i, 50, 7, z=rise * i) for i in range(3)]
+        files = [write_deck(tmp_path / name / f"s{i}.inp", {"S": sheet}) for i, sheet in enumerate(sheets)]
+        folder, _ = write_scene(files, tmp_path / name / "scene", {None: 1.0})
+        zones = [set(zone.parts) for zone in load_scene(folder).zones]
+        assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
 
 
 def test_a_small_hole_of_a_plate_is_no_outline(tmp_path):

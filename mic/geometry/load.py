@@ -1,23 +1,13 @@
 """Surfaces of a scene's parts and fixtures: read from mesh files, built by geometry scripts, or round pads.
 
-A geometry script is a Python file that defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface
-of one part as points (n, 3) in mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each
-triangle, which may be left out and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``,
-a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`). Where the scene states
-an accuracy, the size is a :class:`mic.geometry.grading.GradedSize`, a number that tells smaller ones too.
+What a geometry script is, :mod:`mic.geometry.script` says.
 """
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import os
-import sys
-import traceback
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -32,6 +22,7 @@ from mic.geometry.grading import GradedSize
 from mic.geometry.offset import moved
 from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.refinement import halved
+from mic.geometry.script import build, named_sizes
 from mic.geometry.surface import Surface
 from mic.scene.schema import USUAL
 from mic.store import Format, fingerprint
@@ -43,7 +34,6 @@ __all__ = [
     "fixture_surface",
     "load_fixture",
     "load_part",
-    "load_script",
 ]
 
 GENERATED = Format("generated mesh", 3, ABSENT)
@@ -51,8 +41,6 @@ GENERATED = Format("generated mesh", 3, ABSENT)
 #: What a deck may tell of a part, mm and MPa; beyond lies another unit.
 LIKELY = {"thickness": (1e-2, 50.0), "offset": (-5.0, 5.0), "young": (1e3, 1e6), "poisson": (-0.99, 0.499)}
 PIECES = 3  # of a part in pieces that are named
-
-PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
 
 @dataclass(frozen=True)
@@ -63,8 +51,8 @@ class LoadedPart:
     ----------
     part : mic.scene.schema.Part
         Thickness, offset and material filled in: as the scene has them, else as the mesh file tells.
-    surface : Surface
-        The middle of the sheet: moved by the offset.
+    surface, drawn : Surface
+        The middle of the sheet, moved by the offset; and as the mesh has it.
     inputs : dict of str to str
         Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
         generated mesh.
@@ -74,6 +62,7 @@ class LoadedPart:
 
     part: Any
     surface: Surface
+    drawn: Surface
     inputs: dict[str, str | None]
     deck: Deck | None = None
 
@@ -111,14 +100,14 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
         surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
         part = _filled(part, deck)
         _one_piece(part, surface)
-        return LoadedPart(part, _middle(part, surface), inputs, deck)
+        return LoadedPart(part, _middle(part, surface), surface, inputs, deck)
     surface, read = _generated(part, path, cache, size or part.size)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
     inputs |= {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
     _one_piece(part, surface)
-    return LoadedPart(part, _middle(part, surface), inputs)
+    return LoadedPart(part, _middle(part, surface), surface, inputs)
 
 
 def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
@@ -140,9 +129,7 @@ def coarsest_size(part: Any, folder: Path) -> float | None:
     SceneError
     """
     path = folder / part.geometry
-    with _told(part, path):
-        script = load_script(path)
-        return max((_size(script, name, 1.0) for name in getattr(script, "SIZES", {})), default=None)
+    return max(named_sizes(part.name, path).values(), default=None)
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
@@ -179,30 +166,6 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
     rim = fixture.radius / np.cos(np.pi / 36) * (np.cos(angle)[:, None] * t + np.sin(angle)[:, None] * np.cross(n, t))
     triangles = np.column_stack([np.zeros(36, int), 1 + np.arange(36), 1 + (np.arange(36) + 1) % 36])
     return Surface(np.vstack([np.zeros(3), rim]) + fixture.point, triangles), {}
-
-
-def load_script(path: Path) -> ModuleType:
-    """A geometry script as a module; whatever it raises is passed on.
-
-    Raises
-    ------
-    ValueError
-        If it is no Python file, or defines no ``build``.
-    """
-    name = f"mic_geometry_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ValueError("a geometry script must be a Python file, NAME.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    if not callable(getattr(module, "build", None)):
-        raise ValueError("a geometry script must define build(part, size) -> (points, triangles)")
-    return module
 
 
 def _filled(part, deck):
@@ -286,7 +249,7 @@ def _generated(part, path, cache, size, share=1.0):
     read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
     if found is not None and read is not None and read.unchanged(path):
         return _surface_of(found[1]), read
-    surface, read = _generate(part, path, size, share)
+    surface, read = build(part.name, path, size, share)
     meshes.keep(key, read.header(), _arrays(surface))
     return surface, read
 
@@ -298,92 +261,6 @@ def _key(part, path, size, share):
     contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
     graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
     return fingerprint([part.name, size, graded, share, path.name, contents])
-
-
-def _generate(part, path, size, share):
-    """Run a geometry script. Surface, and what the script read."""
-    with _told(part, path):
-        with opened_files() as heard:
-            script = load_script(path)
-            surface = _surface(script.build(part.name, _size(script, size, share)))
-        return surface, Dependencies.of(path, _declared(script), heard)
-
-
-@contextmanager
-def _told(part, path):
-    """Whatever goes wrong in a script ends in one sentence."""
-    try:
-        yield
-        return
-    except ImportError as problem:
-        missing = (problem.name or "").split(".")[0]
-        if (path.parent / f"{missing}.py").is_file():
-            reason = f"imports {missing}, a file beside it; write the script as one file"
-        elif not isinstance(problem, ModuleNotFoundError) or not missing:
-            reason = f"{problem}; see that it is installed as the script needs it"
-        else:
-            reason = f"needs the package {missing}; install it: pip install {PACKAGES.get(missing, missing)}"
-        cause: BaseException = problem
-    except SystemExit as problem:
-        reason, cause = "the script exits instead of returning a mesh; take the exit out", problem
-    except Exception as problem:  # a script is the user's own program and may raise anything
-        reason, cause = _words(problem, path), problem
-    raise SceneError(f"part {part.name!r}: geometry: {path}: {reason}") from cause
-
-
-def _words(problem, path):
-    """What an error in a script says, with its kind and line unless it was raised on purpose."""
-    text = " ".join(str(problem).split())
-    lines = [frame.lineno for frame in traceback.extract_tb(problem.__traceback__) if frame.filename == str(path)]
-    where = f" (line {lines[-1]} of the script)" if lines else ""
-    if isinstance(problem, ValueError) and text:
-        return text + where
-    return f"{type(problem).__name__}: {text}{where}" if text else f"{type(problem).__name__}{where}"
-
-
-def _size(script, size, share):
-    """A share of an element size, in mm."""
-    if isinstance(size, GradedSize):
-        return size.times(share)
-    if not isinstance(size, str):
-        return share * size
-    sizes = getattr(script, "SIZES", {})
-    if not isinstance(sizes, dict):
-        raise ValueError(f"SIZES must be a dict of mm by name, not {type(sizes).__name__}")
-    if size not in sizes:
-        raise ValueError(f"there is no size called {size!r}; known: {', '.join(map(str, sizes)) or 'none, give mm'}")
-    return share * sizes[size]
-
-
-def _declared(script):
-    """The files that a script declares to read."""
-    names = getattr(script, "DEPENDS", [])
-    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
-        raise ValueError("DEPENDS must be a list of file names, relative to the script")
-    for name in names:
-        if not (Path(script.__file__).parent / name).is_file():
-            raise ValueError(f"DEPENDS names {name}, and there is no such file beside the script")
-    return list(names)
-
-
-def _surface(built):
-    """The surface that ``build`` returned, its arrays checked: they come from anywhere."""
-    names = ("points", "triangles", "normals")
-    if not isinstance(built, (tuple, list)) or len(built) not in (2, 3):
-        raise ValueError(
-            "build must return two arrays, points and triangles, or three, with the normals at the triangles' corners, "
-            f"not {type(built).__name__}"
-        )
-    try:
-        points, triangles, *normals = (np.asarray(array) for array in built)
-    except ValueError:
-        raise ValueError("build returned points or triangles whose rows differ in length") from None
-    for name, array in zip(names, (points, triangles, *normals)):
-        if array.dtype.kind not in "iuf":
-            raise ValueError(f"build returned {name} that are no numbers ({array.dtype})")
-    if triangles.dtype.kind == "f" and not (np.isfinite(triangles) & (triangles == np.rint(triangles))).all():
-        raise ValueError("build returned triangles that are no whole numbers")
-    return Surface(points, triangles, *normals)
 
 
 def _arrays(surface):

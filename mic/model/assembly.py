@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from mic.compliance.matrices import read_matrix
 from mic.compliance.part import Part
+from mic.compliance.superelement import ELEMENT, Superelement, superelement
 from mic.contact.friction import Friction
 from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
-from mic.errors import Problems, SceneError
-from mic.geometry.deck import Deck
-from mic.geometry.load import load_fixture, load_part
+from mic.errors import FormatError, Problems, SceneError
+from mic.geometry.deck import UNITS, Deck
+from mic.geometry.load import LoadedPart, load_fixture, load_part
 from mic.geometry.pairing import (
     ContactPair,
     Pressed,
@@ -36,6 +38,7 @@ from mic.model.sources import sources
 from mic.product import one_thread
 from mic.scene import Scene
 from mic.scene.checks import entry
+from mic.store import fingerprint
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
@@ -272,17 +275,25 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for i, measurement in enumerate(scene.measurements):
         with problems:
             rows.point("measurement", f"measurements[{i}]", measurement)
+    bodies_elsewhere = {}
+    for one in loaded:
+        with problems:
+            bodies_elsewhere[one.part.name] = _superelement(scene, one, inputs)
     problems.tell()
     parts = tuple(
         Part(
             part.name,
             surfaces[part.name],
             *part.sheet,
-            scene.element,
+            scene.element if bodies_elsewhere[part.name] is None else ELEMENT,
             rows.functionals(part.name),
+            bodies_elsewhere[part.name],
         )
         for part in scene.parts
     )
+    for body in parts:
+        if body.superelement is not None:
+            body.superelement.readings(body)  # what it cannot read is told before anything is computed
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
     for zone in scene.zones:
@@ -304,6 +315,31 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         {one.part.name: one.deck for one in loaded if one.deck is not None},
         placed,
     )
+
+
+def _superelement(scene: Scene, one: LoadedPart, inputs: dict[str, str | None]) -> Superelement | None:
+    """The matrix that stands for a part, if the scene gives one; its files are inputs of the run."""
+    part = one.part
+    key = "stiffness" if part.stiffness is not None else "compliance"
+    name = getattr(part, key)
+    if name is None:
+        return None
+    if scene.report.fields or scene.report.accuracy:
+        raise SceneError(
+            f"part {part.name!r}: {key}: a superelement knows its own nodes alone; leave fields and accuracy out of "
+            "[report]"
+        )
+    path = scene.folder / name
+    try:
+        given = read_matrix(path)
+    except FormatError as problem:
+        raise SceneError(f"part {part.name!r}: {key}: {problem}") from problem
+    for file in (path, path.with_suffix(".csv")):
+        if file.is_file():
+            inputs[str(Path(name).with_name(file.name))] = fingerprint(file.read_bytes())
+    deck = one.deck
+    numbered = {} if deck is None else dict(zip(deck.nodes.tolist(), one.drawn.points[deck.node_points]))
+    return superelement(part.name, given, key == "stiffness", UNITS[part.unit], one.drawn, numbered)
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:

@@ -65,8 +65,10 @@ class Faying:
 
     @property
     def coincident(self) -> bool:
-        """Whether both are drawn on the skins that touch."""
-        return bool(np.median(np.abs(self.height)) < TOLD * (self.first.thickness + self.second.thickness) / 2)
+        """Whether both are drawn on the skins that touch: they meet in more places than lie a thickness apart."""
+        share = np.abs(self.height) / ((self.first.thickness + self.second.thickness) / 2)
+        meeting, apart = np.mean(share < TOLD), np.mean(np.abs(share - 1) < TOLD)
+        return bool(meeting > 0 and meeting >= apart)
 
     def gap(self, offset: Mapping[str, float]) -> np.ndarray:
         """(n,) gaps between the facing surfaces, mm, where each sheet lies so many thicknesses off its drawing."""

@@ -27,6 +27,7 @@ PAD = 4.0  # mm, radius of a locator's pad
 FLAT = 12.0  # degrees: over a pad, normals turn by no more
 MAIN = 25.0  # degrees about the main direction within which the first three locators push
 ENOUGH = 0.1  # least ratio of the singular values of G of a 3-2-1 that is taken
+SHARE = 0.6  # or of that of the best six rows of any kind
 PIN = (4.0, 40.0)  # mm, diameters of holes that pins go through
 MOST = 400  # places that are looked at
 TRIED = 100  # directions among which the main one is sought
@@ -130,16 +131,18 @@ def _facing(places: list[Place], main: np.ndarray) -> list[Place]:
 
 def _six(options: list[list[Place]], holes: list[Hole], main: np.ndarray) -> tuple[list[Support], list[Place]]:
     """A 3-2-1, with pins in holes if there are two; six rows of any kind where it holds the part badly."""
+    pivoted = [(_pivoted(places), places) for places in options]
+    best = max(pivoted, key=lambda one: conditioning(one[0]))
+    enough = min(ENOUGH, SHARE * conditioning(best[0]))  # a narrow strip is held badly by any six
     for places in options:
         facing = _facing(places, main)
         if len(facing) < 3:
             continue
         first = _three(facing, main)
         for rest in (_pins(holes, main), _two_and_one(facing, main)):
-            if conditioning(first + rest) >= ENOUGH:
+            if conditioning(first + rest) >= enough:
                 return first + rest, places
-    pivoted = [(_pivoted(places), places) for places in options]
-    return max(pivoted, key=lambda one: conditioning(one[0]))
+    return best
 
 
 def _main_direction(body: Body) -> np.ndarray:

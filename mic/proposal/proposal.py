@@ -17,6 +17,7 @@ from mic.proposal.joints import Joints, propose_joints
 __all__ = ["Proposal", "Shaping", "propose"]
 
 CLOSED = 0.25  # of the thinner sheet: so much drawn overlap a zone closes unasked
+BETWEEN = 0.8  # of the thickness of a sheet that lies between two others: their gap, at least
 MEASURED = 4  # points of each part, along its free edges
 AWAY = 12.0  # mm between a measured point and a lap
 SHAPE = 0.3  # mm by which a corrective force moves a flat sheet
@@ -115,6 +116,7 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
     ]
     laps.sort(key=lambda lap: -lap.area)
     offsets, why = _offsets(bodies, laps, sentences)
+    laps = [lap for lap in laps if not any(_between(body, lap, offsets) for body in bodies)]
     overlap = [_overlap(lap, offsets) for lap in laps]
     joints = []
     for lap in laps:
@@ -174,6 +176,15 @@ def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float
             + ("" if lap.side else ", on which side is a guess that only you can judge")
         )
     return {body.name: known.get(body.name, 0.0) for body in bodies}, why
+
+
+def _between(body: Body, lap: Faying, offsets: Mapping[str, float]) -> bool:
+    """Whether another sheet lies between those of a lap, so that they cannot touch."""
+    if body in (lap.first, lap.second) or np.median(lap.gap(offsets)) < BETWEEN * body.thickness:
+        return False
+    middle = lap.point + lap.normal * lap.height[:, None] / 2
+    distance = body.surface.project(middle, reach=float(np.abs(lap.height).max() + body.thickness)).distance
+    return bool(np.mean(distance <= np.abs(lap.height) / 2 + body.thickness / 4) > 0.5)
 
 
 def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:

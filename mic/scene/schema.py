@@ -187,8 +187,23 @@ class Part(_Table):
         None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
     )
 
+    stiffness: str | None = Field(
+        None,
+        description="with `mesh`: file of the part's reduced stiffness on named nodes, in place of finite elements: a "
+        "Matrix Market file with a node table beside it (`a.mtx`, `a.csv` with node, x, y, z), Nastran `DMIG`, output "
+        "of Abaqus `*MATRIX GENERATE`; free of supports",
+    )
+    compliance: str | None = Field(
+        None, description="or of its reduced compliance, on any statically determinate support; the same formats"
+    )
+
     @model_validator(mode="after")
     def _one_source(self):
+        if self.stiffness is not None and self.compliance is not None:
+            raise ValueError("give stiffness or compliance, not both")
+        for key in ("stiffness", "compliance"):
+            if self.mesh is None and getattr(self, key) is not None:
+                raise ValueError(f"{key} needs mesh: the surface of the part, for pairs and pictures; add it")
         if (self.mesh is None) == (self.geometry is None):
             raise ValueError('give either mesh = "file" or geometry = "file.py", not both and not neither')
         for key in ("set", "unit"):
