@@ -22,7 +22,7 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.compliance.functional import Functionals
 from mic.examples import folder
-from mic.geometry.load import load_script
+from mic.geometry.script import load_script
 from mic.geometry.surface import Surface
 
 RADIUS = 6.0  # mm, of the discs

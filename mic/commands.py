@@ -24,8 +24,10 @@ from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.contact.laws import LAWS
-from mic.errors import RunError, Stopped
+from mic.errors import RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
+from mic.geometry.told import told
+from mic.judgement import judge, refuse, surfaces_of, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
@@ -34,6 +36,7 @@ from mic.orders import variants as read_variants
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
 from mic.process.words import opening, sentences
+from mic.proposal import write_scene
 from mic.results.forecast import forecast
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
@@ -83,6 +86,9 @@ LawOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
 
 
 def _on_first(command):
@@ -140,6 +146,7 @@ def run(
             "Without it, such a folder is refused.",
         ),
     ] = False,
+    strict: StrictOption = False,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
@@ -155,7 +162,7 @@ def run(
     folder = out or Path("results") / asked.name
     try:
         with hold(folder, _Listener(console)):
-            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace)
+            outcome = run_scene(asked, folder, cache_folder(), _Listener(console), replace, strict)
             if outcome is not None:
                 _report(console, outcome)
     except (KeyboardInterrupt, Stopped) as stop:
@@ -248,8 +255,25 @@ def _print_zones(console, outcome):
             f"rescued by plain increments {law['rescued']}{_hanging(law)}",
             soft_wrap=True,
         )
+        _print_limits(console, law)
         if law["unseen_penetration"]:
             console.print(_unseen_words(law["unseen_penetration"]), highlight=False, soft_wrap=True)
+
+
+def _print_limits(console, law):
+    """How many assemblies are not built, and which clamps and guns fall short of their position."""
+    from mic.report.style import number
+
+    if law["not_built"]:
+        console.print(f"  not built: {law['not_built']} of {law['samples']} samples", style="yellow")
+    for row in law["limits"]:
+        if row["short"]:
+            console.print(
+                f"  {plain(row['name'])} falls short of its position in {row['short']} samples (stage "
+                f"{plain(row['stage'])}): by up to {number(row['max_left'], 3)} mm; that would take up to "
+                f"{number(row['max_needed'], 3)} N, and it has {number(row['limit'], 3)} N",
+                soft_wrap=True,
+            )
 
 
 def _unseen_words(unseen) -> str:
@@ -312,8 +336,19 @@ def check(
             show_default=False,
         ),
     ] = None,
+    strict: StrictOption = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw the assembly and what is placed on it into this file. Default: "
+            "results/NAME-OF-SCENE/check.html, where a run writes its report.",
+            show_default=False,
+        ),
+    ] = None,
 ):
     """Validate a scene and print what will be modelled, the process step by step, and at what cost.
+
+    Errors stop. Warnings name what no workshop would build: the item, the number, what is usual, and the remedy.
 
     Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
     coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
@@ -328,14 +363,22 @@ def check(
             soft_wrap=True,
         )
     say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
-    assembly = assemble(asked, cache_folder(), progress=say)
+    try:
+        assembly = assemble(asked, cache_folder(), progress=say)
+        plans = plan_stages(assembly.scene, assembly.weld_size)
+    except SceneError as error:
+        warnings = suspect(asked, cache_folder())
+        _print_warnings(console, warnings)
+        _draw_check(console, page, asked, surfaces_of(asked, cache_folder()), warnings, errors=str(error).splitlines())
+        raise
+    warnings = judge(asked, assembly)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
+    _print_told(console, asked, assembly)
     _print_normals(console, assembly)
     for sentence in assembly.placed:
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
-    plans = plan_stages(assembly.scene, assembly.weld_size)
     _print_process(console, assembly, plans)
     _print_doubts(console, assembly)
     _print_cost(console, assembly, plans)
@@ -344,6 +387,7 @@ def check(
     if converge:
         _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
     surfaces = {part.name: part.surface for part in assembly.parts}
+    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
@@ -351,7 +395,29 @@ def check(
             _keep_picture(console, "normals", draw_normals(surfaces), normals)
         if overlap is not None:
             _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
-    console.print("[green]The scene is valid.[/]")
+    _print_warnings(console, warnings)
+    if strict:
+        refuse(warnings)
+    count = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
+    console.print(f"[{'yellow' if warnings else 'green'}]The scene is valid{count}.[/]")
+
+
+def _print_warnings(console, warnings):
+    for warned in warnings:
+        console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
+
+
+def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=()):
+    """The page of the check; where it cannot be written, that is all that is wrong."""
+    from mic.report.check_page import write_check  # drawing libraries are slow to import
+
+    page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
+    try:
+        write_check(page, scene, surfaces, warnings, contacts, plans, errors)
+    except (StorageError, OSError) as problem:
+        console.print(f"[yellow]no page:[/] {plain(problem)}; name another file with --page", soft_wrap=True)
+    else:
+        console.print(f"page: [bold]{plain(page)}[/]", soft_wrap=True)
 
 
 def _keep_picture(console, what, picture, file):
@@ -402,6 +468,14 @@ def _print_parts(console, assembly):
     console.print(table)
 
 
+def _print_told(console, asked, assembly):
+    """What the parts' mesh files were taken for."""
+    for part, source, filled in zip(assembly.parts, asked.parts, assembly.scene.parts):
+        deck = assembly.decks.get(part.name)
+        for sentence in told(source, filled, deck, part.surface) if deck is not None else ():
+            console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+
 def _print_normals(console, assembly):
     """What decided the normals of the curved sheets, and where the mesh tells too little."""
     table = Table("part", "given by", "given", "estimated", "flat", "refused", title="Normals at triangles' corners")
@@ -431,8 +505,9 @@ def _coefficients(part):
     """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
     if is_cached(part, cache_folder()):
         return "cached"
-    check_element(part.element)
-    return "to be computed"
+    if part.superelement is None:
+        check_element(part.element)
+    return "to be computed" if part.superelement is None else "of a superelement"
 
 
 def _friction_words(zone) -> str:
@@ -675,12 +750,76 @@ def _print_orders(console, others, found):
 @app.command()
 @_on_first
 def init(
-    example: Annotated[str, typer.Option(help=f"One of {', '.join(examples.names())}.", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="The new folder. Default: ./NAME.", show_default=False)] = None,
+    meshes: Annotated[
+        list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(help=f"Copy an example instead: one of {', '.join(examples.names())}.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The new folder. Default: one called after the meshes.", show_default=False)
+    ] = None,
+    thickness: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="mm, of the parts whose mesh file tells none; or PART=mm, of one. May be repeated.", show_default=False
+        ),
+    ] = None,
+    welds: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of the spot welds, columns x, y, z and perhaps name, parts. Default: welds are proposed.",
+            show_default=False,
+        ),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of the points to measure, columns x, y, z and perhaps name, part, direction, lower, upper.",
+            show_default=False,
+        ),
+    ] = None,
 ):
-    """Copy an example scene into a new folder, to start from."""
-    folder = examples.copy(example, out)
-    print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
+    """Write a first scene for meshes of your own, or copy an example, to start from.
+
+    From the meshes alone come parts, a 3-2-1 for each and further supports, contact zones where they lie on each other,
+    clamps and welds along these, points to measure at the free edges and a few deviations; every line says what it
+    means. The scene runs as it is.
+    """
+    console = Console()
+    if (example is None) == (not meshes):
+        raise SceneError("mic init: name mesh files, or one example with --example NAME")
+    if example is not None:
+        if thickness or welds or points:
+            raise SceneError("mic init: --thickness, --welds and --points go with mesh files, not with --example")
+        folder = examples.copy(example, out)
+        print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
+        return
+    folder, proposal = write_scene(meshes or [], out, _thicknesses(thickness or []), welds, points)
+    for sentence in proposal.sentences:
+        console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
+    console.print(
+        f"{plain(folder / 'scene.toml')}: {plain(proposal.words())}\nNext:  mic check {plain(folder)}  and  "
+        f"mic run {plain(folder)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _thicknesses(given: list[str]) -> dict[str | None, float]:
+    """Thickness, mm, by part; under None, of the others."""
+    found: dict[str | None, float] = {}
+    for text in given:
+        part, equals, value = text.rpartition("=")
+        try:
+            thickness = float(value)
+        except ValueError:
+            thickness = np.nan
+        if not 0 < thickness < np.inf or (equals and not part):
+            raise SceneError(f"--thickness {text}: give mm, as --thickness 1.5, or --thickness PART=1.5")
+        found[part or None] = thickness
+    return found
 
 
 def plain(text):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from types import TracebackType
+
     import numpy as np
 
 __all__ = [
@@ -12,6 +14,7 @@ __all__ = [
     "FreeMotion",
     "MicError",
     "MissingProvider",
+    "Problems",
     "RunError",
     "SceneError",
     "Stopped",
@@ -25,6 +28,40 @@ class MicError(Exception):
 
 class SceneError(MicError, ValueError):
     """A scene that cannot be run; the message names the file, the key and the remedy."""
+
+
+class Problems:
+    """Collects what is wrong with a scene, so that all of it is told at once.
+
+    >>> problems = Problems()
+    >>> for number in (1, 2):
+    ...     with problems:
+    ...         raise SceneError(f"problem {number}")
+    >>> problems.tell()
+    Traceback (most recent call last):
+    mic.errors.SceneError: problem 1
+    problem 2
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def __bool__(self) -> bool:
+        return bool(self.lines)
+
+    def __enter__(self) -> Problems:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> bool:
+        if isinstance(error, SceneError):
+            self.lines += [line for line in str(error).splitlines() if line not in self.lines]
+            return True
+        return False
+
+    def tell(self) -> None:
+        """Raise :class:`SceneError` with all that was collected, if anything was."""
+        if self.lines:
+            raise SceneError("\n".join(self.lines))
 
 
 class FormatError(MicError, ValueError):

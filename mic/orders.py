@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN
 from mic.errors import SceneError
-from mic.process.actions import Close, Hold, Open, Push, Withdraw, moves_of, together
+from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, moves_of, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
@@ -189,10 +189,14 @@ def _names(scene: Scene, move) -> list[str]:
     for action in move:
         if isinstance(action, Hold | Open):
             found += [scene.locators[i].name for i in action.locators]
-        if isinstance(action, Hold | Withdraw):
+        if isinstance(action, Hold):
             found += [scene.clamps[i].name for i in action.strokes]
-        if isinstance(action, Push | Withdraw):
+        if isinstance(action, Push):
             found += [scene.clamps[i].name for i in action.forces]
+        if isinstance(action, Press):
+            found += [scene.clamps[i].name for i in action.limited]
+        if isinstance(action, Withdraw):
+            found += [scene.clamps[i].name for i in action.clamps]
         if isinstance(action, Close):
             found += [scene.welds[i].name for i in action.welds]
     return found

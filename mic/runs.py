@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from mic.compliance.cache import influence_coefficients
+from mic.errors import SceneError
+from mic.judgement import judge, refuse, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import Assembly, assemble
 from mic.model.overlap import frozen_gaps
@@ -50,7 +52,12 @@ class Listener:
 
 
 def run(
-    scene: Scene, folder: Path, cache: Path, listener: Listener | None = None, replace: bool = False
+    scene: Scene,
+    folder: Path,
+    cache: Path,
+    listener: Listener | None = None,
+    replace: bool = False,
+    strict: bool = False,
 ) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
@@ -66,6 +73,8 @@ def run(
     listener : Listener, optional
     replace : bool
         Whether results of another run in the folder may be removed.
+    strict : bool
+        Whether a scene that :mod:`mic.judgement` warns of is refused.
 
     Returns
     -------
@@ -83,7 +92,7 @@ def run(
         with clock("meshes and pairs"):
             listener.say(f"{scene.name}: meshing and pairing …")
             say = lambda line: listener.say(f"{line} …")
-            assembly = on_first(world, lambda: assemble(scene, cache, progress=say))
+            assembly, warnings = on_first(world, lambda: _judged(scene, cache, say, listener, strict))
             scene = assembly.scene  # the first process's, should the file have changed meanwhile
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
@@ -92,7 +101,7 @@ def run(
             expected.check(folder)
             if expected.seconds > LONG:
                 listener.say(f"{samples} samples under {len(laws)} laws: {expected}")
-            _prepare(folder, assembly, laws, samples, seed, listener, replace)
+            _prepare(folder, assembly, laws, samples, seed, listener, replace, warnings)
             RunFolder(folder).keep_inputs(assembly)
 
         on_first(world, prepare)  # a folder that cannot be used is refused before anything is computed
@@ -158,7 +167,25 @@ def sample_into(
         return _sample(folder, model, laws, samples, seed, listener)
 
 
-def _prepare(folder, source: Assembly | ReducedModel, laws, samples, seed, listener, replace) -> None:
+def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) -> tuple[Assembly, list[str]]:
+    """The scene on its meshes, and what is to be warned of, which is said at once."""
+    try:
+        assembly = assemble(scene, cache, progress=say)
+    except SceneError:
+        for warned in suspect(scene, cache):
+            listener.say(f"warning: {warned}")
+        raise
+    warnings = judge(scene, assembly)
+    for warned in warnings:
+        listener.say(f"warning: {warned}")
+    if strict:
+        refuse(warnings)
+    return assembly, [str(warned) for warned in warnings]
+
+
+def _prepare(
+    folder, source: Assembly | ReducedModel, laws, samples, seed, listener, replace, warnings: Sequence[str] = ()
+) -> None:
     """The folder made ready for a run, or refused."""
     record = {
         "scene": source.scene.name,
@@ -168,6 +195,7 @@ def _prepare(folder, source: Assembly | ReducedModel, laws, samples, seed, liste
         "identity": identity(source, seed),
         "inputs": inputs(source, seed),
         "versions": versions(),
+        "warnings": list(warnings),
     }
     for sentence in RunFolder(folder).prepare(record, source.scene.report.fields, replace):
         listener.say(sentence)

@@ -14,9 +14,16 @@ from typer.testing import CliRunner
 
 import mic
 from mic.commands import app
+from verification.scenes import FEW
 
 ROOT = Path(__file__).resolve().parents[1]
 LAP = ROOT / "meshes" / "lap_joint"
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A check writes its page where a run writes its results: below the working folder."""
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
@@ -126,7 +133,11 @@ def lap_with(tmp_path, *edits):
 
 def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cache, tmp_path, lap_model):
     """With coefficients at hand (those of the model) a few samples say where friction hardly matters."""
-    scene = lap_with(tmp_path, ('kind = "clamp"', 'kind = "clamp"\norder = [["C1-lower"], ["C1-upper"]]'))
+    scene = lap_with(
+        tmp_path,
+        ('kind = "clamp"', 'kind = "clamp"\norder = [["C1-lower"], ["C1-upper"]]'),
+        ("friction = 0.27", f"friction = 0.27\npairs = {FEW['lap']}"),
+    )
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     printed = CliRunner().invoke(app, ["check", scene], env=environment).output
     process = printed[printed.index("Process") : printed.index("note:")].splitlines()

@@ -199,8 +199,7 @@ def test_raw_content_names_the_parts_before_anything_is_repaired(tmp_path):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("version", [2.2, 4.1])
-@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize("version, binary", [(2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)])
 def test_physical_groups_of_gmsh_are_sets(tmp_path, version, binary):
     gmsh = pytest.importorskip("gmsh")
     gmsh.initialize()

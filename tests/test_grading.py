@@ -6,7 +6,7 @@ from support.curved import curved_assembly, curved_scene
 
 import mic
 from mic.geometry.grading import GROWTH, GradedSize
-from mic.geometry.load import finer_surface, part_surface
+from mic.geometry.load import finer_surface, load_part
 from mic.scene.schema import Part
 
 GRADED = """
@@ -43,7 +43,7 @@ def test_a_script_may_follow_the_graded_size_and_its_mesh_is_kept_by_it(tmp_path
     graded = GradedSize(10, [[50, 0, 0]], [1])
     lengths = {}
     for name, size in (("even", 10.0), ("graded", graded), ("elsewhere", GradedSize(10, [[0, 0, 0]], [1]))):
-        surface = part_surface(part, tmp_path, tmp_path / "cache", size)
+        surface = load_part(part, tmp_path, tmp_path / "cache", size).surface
         lengths[name] = np.diff(np.unique(surface.points[:, 0]))
     assert lengths["even"] == pytest.approx(10)
     assert lengths["graded"].min() < 2 and lengths["graded"][0] == pytest.approx(10)

@@ -1,12 +1,15 @@
 """Surfaces of parts from files and scripts: what is kept, and how a script's failure reads."""
 
-import sys
+import os
+import signal
+import time
 
 import numpy as np
 import pytest
 
 from mic.errors import SceneError
-from mic.geometry.load import fixture_surface, load_script, part_surface
+from mic.geometry.load import fixture_surface, load_part
+from mic.geometry.script import load_script, named_sizes
 from mic.scene.schema import Fixture, Part
 
 STRIP = """
@@ -26,7 +29,7 @@ def part(**keys):
 
 def script(tmp_path, text, size=2.0):
     (tmp_path / "geometry.py").write_text(text)
-    return part_surface(part(geometry="geometry.py", size=size), tmp_path, tmp_path / "cache")
+    return load_part(part(geometry="geometry.py", size=size), tmp_path, tmp_path / "cache").surface
 
 
 def calls(tmp_path):
@@ -111,10 +114,107 @@ def test_a_script_that_fails_ends_in_one_sentence(tmp_path, case):
     assert not (tmp_path / "cache").exists()
 
 
-def test_without_gmsh_the_message_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "gmsh", None)
+def test_without_gmsh_the_message_names_the_extra(tmp_path):
     with pytest.raises(SceneError, match=r"needs the package gmsh; install it: pip install 'mic-contact\[mesh\]'"):
-        script(tmp_path, "def build(part, size):\n    import gmsh")
+        script(tmp_path, "import sys\nsys.modules['gmsh'] = None\ndef build(part, size):\n    import gmsh")
+
+
+HOSTILE = {
+    "it ends the program": ("import os\nos._exit(0)", r"ends the program \(exit status 0\).*take the exit out"),
+    "its build ends the program": ("import os\n" + BUILD + "os._exit(3)", r"ends the program \(exit status 3\)"),
+    "it crashes": (
+        f"import os\n{BUILD}os.kill(os.getpid(), {int(signal.SIGSEGV)})",
+        r"crashes \(signal 11\).*run it by itself",
+    ),
+    "it interrupts": ("raise KeyboardInterrupt", "KeyboardInterrupt.*mend the script"),
+    "it raises what is no exception": (
+        "class Odd(BaseException):\n    pass\nraise Odd('odd')",
+        "Odd: odd.*mend the script",
+    ),
+    "it raises many lines": ("raise RuntimeError('one\\ntwo\\n\\nthree')", "RuntimeError: one two three"),
+    "it recurses": ("def build(part, size):\n    return build(part, size)", "RecursionError"),
+    "it returns a generator": (BUILD + "(x for x in range(3))", "must return two arrays.*not generator"),
+    "it returns objects": (BUILD + "[[object()] * 3] * 3, [[0, 1, 2]]", "points that are no numbers"),
+    "it returns infinity": (BUILD + "[[0, 0, 0], [1, 0, 0], [1, float('inf'), 0]], [[0, 1, 2]]", "not finite"),
+    "it returns nothing in arrays": (BUILD + "[], []", "shape"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_a_script_that_does_harm_ends_in_one_sentence_too(tmp_path, case):
+    text, words = HOSTILE[case]
+    with pytest.raises(SceneError, match=words) as caught:
+        script(tmp_path, text)
+    assert str(caught.value).startswith(f"part 'sheet': geometry: {tmp_path / 'geometry.py'}: ")
+    assert "\n" not in str(caught.value) and not (tmp_path / "cache").exists()
+
+
+HANGS = {
+    "a loop": "while True: pass",
+    "asleep": "import time\ntime.sleep(3600)",
+    "deaf": "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(3600)",
+    "waiting for input": "import sys, time\nsys.stdin.read()\ntime.sleep(3600)",
+}
+
+
+@pytest.mark.parametrize("case", HANGS)
+def test_a_script_that_never_ends_is_not_waited_for(tmp_path, case, monkeypatch):
+    monkeypatch.setenv("MIC_SCRIPT_LIMIT", "1.5")
+    begin = time.monotonic()
+    with pytest.raises(SceneError, match=r"does not end within 1.5 s; mend its loop, .*MIC_SCRIPT_LIMIT"):
+        script(tmp_path, HANGS[case])
+    assert time.monotonic() - begin < 20
+
+
+def gone(process):
+    """Whether a process has ended, or waits for nobody but the system to forget it."""
+    try:
+        os.kill(process, 0)
+        with open(f"/proc/{process}/stat") as stat:
+            return stat.read().rpartition(")")[2].split()[0] == "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return True
+
+
+def test_what_a_script_starts_ends_with_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("MIC_SCRIPT_LIMIT", "5")
+    text = (
+        "import pathlib, subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(3600)'])\n"
+        "pathlib.Path(__file__ + '.pid').write_text(str(child.pid))\n"
+        "time.sleep(3600)"
+    )
+    with pytest.raises(SceneError, match="does not end"):
+        script(tmp_path, text)
+    child = int((tmp_path / "geometry.py.pid").read_text())
+    until = time.monotonic() + 10
+    while not gone(child):
+        assert time.monotonic() < until, "it is still there"
+        time.sleep(0.05)
+
+
+RUBBISH = """
+import sys, os, threading, time
+print("\\x00" * 100_000)
+sys.stderr.write("warning! " * 10_000)
+sys.stdout.close()
+threading.Thread(target=time.sleep, args=(3600,)).start()
+os.environ["HOME"] = "nowhere"
+"""
+
+
+def test_what_a_script_prints_or_leaves_running_does_no_harm(tmp_path, capfd):
+    home = os.environ.get("HOME")
+    assert script(tmp_path, RUBBISH + STRIP).areas.sum() == pytest.approx(2)
+    assert capfd.readouterr() == ("", "") and os.environ.get("HOME") == home
+
+
+def test_named_sizes_are_told(tmp_path):
+    (tmp_path / "geometry.py").write_text("print('hello')\nSIZES = {'a': 2, 'b': 3.5}\ndef build(part, size): pass")
+    assert named_sizes("sheet", tmp_path / "geometry.py") == {"a": 2.0, "b": 3.5}
+    (tmp_path / "geometry.py").write_text("SIZES = {'a': 'large'}\ndef build(part, size): pass")
+    with pytest.raises(SceneError, match=r"part 'sheet': geometry: .*geometry.py: .*'large'"):
+        named_sizes("sheet", tmp_path / "geometry.py")
 
 
 def test_an_unknown_size_names_the_known_ones(tmp_path):
@@ -131,10 +231,10 @@ def test_a_script_must_be_a_python_file(tmp_path):
 def test_files_that_are_missing_or_bad_name_part_and_file(tmp_path):
     for keys in ({"mesh": "none.bdf"}, {"geometry": "none.py", "size": 2.0}):
         with pytest.raises(SceneError, match="part 'sheet': .*there is no file .*none"):
-            part_surface(part(**keys), tmp_path, tmp_path)
+            load_part(part(**keys), tmp_path, tmp_path)
     (tmp_path / "bad.vtk").write_text("this is no mesh")
     with pytest.raises(SceneError, match="part 'sheet': mesh: .*bad.vtk: .*cannot be read"):
-        part_surface(part(mesh="bad.vtk"), tmp_path, tmp_path)
+        load_part(part(mesh="bad.vtk"), tmp_path, tmp_path)
     with pytest.raises(SceneError, match="fixture 'pad': mesh: .*bad.vtk: .*cannot be read"):
         fixture_surface(Fixture(name="pad", mesh="bad.vtk"), tmp_path)
 

@@ -152,7 +152,29 @@ STL = (
     + FACET.format("1 0 0", "2 0 0", "1 1 0")
     + "endsolid a\n"
 )
+DYNA = """*KEYWORD
+*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 1., 1., 0.
+4, 0., 1., 0.
+10, 2., 0., 0.
+*ELEMENT_SHELL
+1, 1, 1, 2, 3, 4
+2, 1, 2, 10, 3, 3
+*END
+"""
+UNIVERSAL = (
+    "    -1\n  2411\n"
+    + "".join(f"{n} 1 1 11\n {x} {y} 0.0D+00\n" for n, x, y in ((1, 0, 0), (2, 1, 0), (3, 1, 1), (4, 0, 1), (10, 2, 0)))
+    + "    -1\n    -1\n  2412\n1 94 1 1 7 4\n1 2 3 4\n2 91 1 1 7 3\n2 10 3\n    -1\n"
+)
 FILES = {
+    "small.dat": NASTRAN_SMALL,
+    "part.k": DYNA,
+    "part.key": DYNA,
+    "part.dyn": DYNA,
+    "part.unv": UNIVERSAL,
     "small.bdf": NASTRAN_SMALL,
     "large.nas": NASTRAN_LARGE,
     "free.fem": NASTRAN_FREE,

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mic import examples
-from mic.geometry.load import load_script
+from mic.geometry.script import load_script
 from mic.geometry.surface import Surface
 
 GEOMETRIES = {name: load_script(examples.folder(name) / "geometry.py") for name in examples.names()}

@@ -151,7 +151,7 @@ def test_a_placed_scene_is_what_its_dump_says_and_is_placed_already(folder):
     scene = placed(folder, clamps=[keys], measurements=[measurement])
     again = Scene(**scene.model_dump(), folder=folder)
     assert again == scene
-    assert assemble(again, folder / "cache").scene is again
+    assert assemble(again, folder / "cache").scene == again
 
 
 WRONG = {
@@ -304,3 +304,26 @@ def test_the_scene_file_is_named_in_every_line(tmp_path):
         load_scene(tmp_path)
     lines = str(told.value).splitlines()
     assert len(lines) >= 2 and all(line.startswith(str(tmp_path / "scene.toml")) for line in lines)
+
+
+def test_a_node_and_the_middle_of_a_set_are_where_the_deck_has_them(folder):
+    """1001 is the ring's first: on the rim, along x. RIMS are two nodes across the rim, their middle in the hole."""
+    assert measured(folder, node=1001).point == pytest.approx((RING[0] + RIM, RING[1], RING[2]))
+    near = measured(folder, set="LOC").point
+    assert np.linalg.norm(np.subtract(near, RING)) == pytest.approx(RIM, abs=0.2)
+
+
+NOT_THERE = {
+    "node": ({"node": 77}, ["measurements[0] (M).node", "has no node 77 on its surface", "1001, at (38, 30, 1)"]),
+    "set": ({"set": "LCO"}, ["measurements[0] (M).set", "no set of nodes 'LCO'", "nearest name is 'LOC'"]),
+    "spread": ({"set": "RIMS"}, ["2 nodes of 'RIMS'", "7.93 mm off part 'ring'", "(38, 30, 1)"]),
+}
+
+
+@pytest.mark.parametrize("case", NOT_THERE)
+def test_a_node_or_set_that_is_not_there_is_told_with_the_nearest(folder, case):
+    keys, words = NOT_THERE[case]
+    with pytest.raises(mic.SceneError) as told:
+        measured(folder, **keys)
+    for word in words:
+        assert word in str(told.value)

@@ -61,7 +61,8 @@ def part(**keys):
 
 
 def built(folder, cache):
-    return load_part(part(geometry="geometry.py"), folder, cache)
+    loaded = load_part(part(geometry="geometry.py"), folder, cache)
+    return loaded.surface, loaded.inputs
 
 
 @pytest.mark.parametrize("way", READERS)

@@ -1,11 +1,14 @@
 """Bad input: one clear error that names the file, the key and the remedy."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, get_args
 
 import pytest
+from pydantic import TypeAdapter, ValidationError
+from support.random_scenes import random_case
 
 import mic
 from mic.model.assembly import assemble
@@ -144,7 +147,7 @@ BROKEN |= {
     "path without contact": (
         r'(?<=\n)kind = "measure"',
         'kind = "measure"\npath = "followed"',
-        ["stages[4]", "path applies to clamp, weld, release stages only"],
+        ["stages[4]", "stages[4].path: nothing moves in this stage: remove it"],
     ),
     "increments of a followed path": (
         CLAMP,
@@ -268,6 +271,47 @@ def test_all_problems_are_listed_at_once(tmp_path):
     assert len(str(caught.value).splitlines()) == 2
 
 
+WRONG_IN_MANY_WAYS = {
+    "thickness = 1\n": ('thickness = "1"\n', "parts[0].thickness (lower): "),
+    'part = "upper"': ('part = "uper"', "locators[6].part (upper-A1): there is no part called 'uper'"),
+    "force = 60": ("force = true", "clamps[0].force (C1-upper): "),
+    'name = "W2"\nparts = ["lower", "upper"]': ('name = "W1"\nparts = ["lower", "lower"]', "welds: the name 'W1'"),
+    'kind = "clamp"': ('kind = "clamp"\norder = [["C1-lowr"]]', "stages[1].order: there is no"),
+    'name = "F1"\n': ('name = "F1"\nforce = 3\n', "deviations[0].force (F1): unknown key"),
+    'target = "upper-C1"': ('target = "upper-C2"', "deviations[2].target (D1): there is no locator"),
+    "samples = 200": ("samples = 200.5", "monte_carlo.samples: "),
+}
+
+
+def test_problems_within_tables_and_between_them_are_listed_at_once_by_name(tmp_path):
+    """Those of items that are wrong in themselves too: they still have names, and what they name."""
+    text = (LAP / "scene.toml").read_text()
+    for old, (new, _) in WRONG_IN_MANY_WAYS.items():
+        assert old in text
+        text = text.replace(old, new, 1)
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(tmp_path)
+    lines = str(caught.value).splitlines()
+    for _, words in WRONG_IN_MANY_WAYS.values():
+        assert sum(f"{tmp_path}/scene.toml: {words}" in line for line in lines) == 1, words
+    joined = "welds[1].parts (W1): a part cannot be joined to itself"
+    assert sum(joined in line for line in lines) == 1
+    assert len(lines) == len(WRONG_IN_MANY_WAYS) + 1
+
+
+def test_every_problem_between_tables_is_told(tmp_path):
+    text = (LAP / "scene.toml").read_text()
+    broken = text.replace('part = "upper"', 'part = "uper"').replace('target = "upper-C1"', 'target = "upper-C2"')
+    (tmp_path / "scene.toml").write_text(broken)
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(tmp_path)
+    lines = str(caught.value).splitlines()
+    assert sum("no part called 'uper'" in line for line in lines) == text.count('part = "upper"') == 10
+    assert sum("no locator called 'upper-C2'" in line for line in lines) == 1
+    assert sum("(upper): its 0 locators" in line for line in lines) == 1
+
+
 def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
     text = 'setting = "draft"\n' + (LAP / "scene.toml").read_text().replace('size = "medium"\n', "", 1)
     (tmp_path / "scene.toml").write_text(text)
@@ -332,8 +376,59 @@ def test_the_words_of_the_schema_are_those_of_the_registries():
     assert settings == set(SETTINGS)
 
 
+NUMBERS = {"young": "210000", "samples": "200", "seed": "1", "force": "60", "sigma": "1.5", "friction": "0.27"}
+
+
+@pytest.mark.parametrize("given", ["true", "text", "[1]", "{ a = 1 }", '["1"]'])
+@pytest.mark.parametrize("key", [*NUMBERS, "thickness", "radius", "lower"])
+def test_neither_booleans_nor_texts_stand_for_numbers(key, given, tmp_path):
+    number = NUMBERS.get(key, "1")
+    given = f'"{number}"' if given == "text" else given
+    places = {
+        "radius": (r'name = "lower-A1"', rf'name = "lower-A1"\nradius = {given}'),
+        "friction": (r"friction = 0.27", f"friction = {given}"),
+    }
+    pattern, replacement = places.get(key, (rf"(?m)^{key} = .*$", f"{key} = {given}"))
+    with pytest.raises(mic.SceneError, match=key):
+        mic.load_scene(edited(tmp_path, pattern, replacement))
+
+
+@pytest.mark.parametrize("table", [value for value in vars(schema).values() if hasattr(value, "model_fields")])
+def test_no_key_of_any_table_takes_what_is_no_number_for_one(table):
+    """Python counts true as 1 and reads the text of a number: neither is meant in a scene."""
+    for name, field in table.model_fields.items():
+        takes = TypeAdapter(Annotated[field.annotation, name, *field.metadata])
+        kinds = set(leaves(field.annotation))
+        if not kinds & {int, float, bool}:
+            continue
+        for given in [True, False] + ["1"] * (str not in kinds):
+            if type(given) not in kinds:
+                with pytest.raises(ValidationError):
+                    takes.validate_python(given)
+                    raise AssertionError(f"{table.__name__}.{name} takes {given!r}")
+
+
+def leaves(annotation):
+    inner = [leaf for one in get_args(annotation) if one is not Ellipsis for leaf in leaves(one)]
+    return inner or [annotation]
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize("seed", range(100))
+def test_a_generated_scene_survives_being_written_and_read_again(seed, setting):
+    """With what a setting fills in, once: the model's file holds no `null` that it would fill in a second time."""
+    table = random_case(seed).table
+    scene = mic.Scene(**table | {"setting": setting})
+    assert mic.Scene(**scene.model_dump(mode="json")) == scene
+    assert mic.Scene(**json.loads(scene.model_dump_json())) == scene
+    without = mic.Scene(**table)
+    assert mic.Scene(**without.model_dump(mode="json") | {"setting": setting}) == without.model_copy(
+        update={"setting": setting}
+    )
+
+
 @pytest.mark.parametrize("setting", [None, *SETTINGS])
-@pytest.mark.parametrize("name", ["wheelhouse", "lap_joint", "hat_on_plate"])
+@pytest.mark.parametrize("name", ["wheelhouse", "wheelhouse/watched.toml", "lap_joint", "hat_on_plate"])
 def test_a_scene_survives_being_written_and_read_again(name, setting):
     """Parts with `mesh` and parts with `geometry` alike: the model's file holds the scene with all its defaults."""
     scene = mic.load_scene(LAP.parent / name)

@@ -13,6 +13,7 @@ from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
 from mic.process.actions import Row
+from mic.process.plan import Limit
 
 __all__ = ["Discretisation", "System"]
 
@@ -84,11 +85,26 @@ class Discretisation:
         body = np.searchsorted(assembly.offsets, contact.indices, side="right") - 1
         edges = contact.indptr
         self.contact_stiffness = np.array([k[body[edges[i] : edges[i + 1]]].min() for i in range(0, len(edges) - 1, d)])
-        self._systems: dict[tuple[Row, ...], System] = {}
+        self._systems: dict[tuple, System] = {}
 
-    def contact(self, u: np.ndarray) -> np.ndarray:
-        """(m, d) relative displacements δ of the contacts."""
-        return (self.rows["contact"] @ u).reshape(-1, self.assembly.contacts.dimension)
+    def contact(self, u: np.ndarray, stops: tuple[Limit, ...] = ()) -> np.ndarray:
+        """(m + s, d) relative displacements δ of the contacts, and of stops."""
+        return (self._contact_rows(stops) @ u).reshape(-1, self.assembly.contacts.dimension)
+
+    def stiffness(self, stops: tuple[Limit, ...]) -> np.ndarray:
+        """(m + s,) k of the contacts, and of stops: that of the stiffest sheet."""
+        k = max(part.young * part.thickness for part in self.assembly.parts)
+        return np.concatenate([self.contact_stiffness, np.full(len(stops), k)])
+
+    def _contact_rows(self, stops: tuple[Limit, ...]) -> csr_matrix:
+        """Rows of the contacts, then of stops: their gap closes as a row moves the way that it is pushed; a stop reads
+        nothing along its tangents."""
+        none = csr_matrix((self.assembly.contacts.dimension - 1, self.parts.offsets[-1]))
+        rows = [self.rows["contact"]]
+        for stop in stops:
+            kind, row = stop.row
+            rows += [-stop.sign * self.rows[kind][row], none]
+        return vstack(rows, format="csr")
 
     def vertex_fields(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """(n_points, 6) displacements and rotations at the vertices of each part, by name."""
@@ -99,23 +115,24 @@ class Discretisation:
             )
         }
 
-    def system(self, held: tuple[Row, ...]) -> System:
-        """The system with these bilateral rows (`mic.process.plan.Step.bilateral`), set up once.
+    def system(self, held: tuple[Row, ...], stops: tuple[Limit, ...] = ()) -> System:
+        """The system with these bilateral rows and stops (`mic.process.plan.Step`), set up once.
 
         Raises
         ------
         FreeMotion
             If its rows leave a part free to move.
         """
-        if held not in self._systems:
+        if (held, stops) not in self._systems:
             functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in held], format="csr")
             statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
             B = vstack([self.rows[kind][i] for kind, i in held], format="csr")
             kept, combination = _independent(B)
             names = [self.assembly.labels[kind][i] for kind, i in held]
-            equilibrium = Equilibrium(self.parts, B[kept], self.rows["contact"], self.assembly.contacts.dimension)
-            self._systems[held] = System(B, kept, combination, names, equilibrium)
-        return self._systems[held]
+            contacts = self._contact_rows(stops)
+            equilibrium = Equilibrium(self.parts, B[kept], contacts, self.assembly.contacts.dimension)
+            self._systems[held, stops] = System(B, kept, combination, names, equilibrium)
+        return self._systems[held, stops]
 
 
 def _independent(B):

@@ -39,6 +39,13 @@ class ContactFriction:
     def __len__(self):
         return len(self.coefficient)
 
+    def with_stops(self, count: int) -> ContactFriction:
+        """The same, with so many more contacts that have none."""
+        none = np.zeros(count)
+        return ContactFriction(
+            np.concatenate([self.coefficient, none]), self.bounds, np.concatenate([self.compliance, none])
+        )
+
     def any(self) -> bool:
         """Whether any contact may hold anything by friction."""
         return bool(self.bounds or self.coefficient.any())

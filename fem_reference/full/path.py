@@ -65,6 +65,10 @@ class Point:
     state: np.ndarray
     held: np.ndarray
 
+    def first(self, m: int) -> Point:
+        """The first m contacts alone; all unknowns as they are."""
+        return replace(self, **{name: getattr(self, name)[:m] for name in ("position", "gap", "force", "state")})
+
     @property
     def closed(self) -> np.ndarray:
         """(m,) whether each contact is."""
@@ -117,6 +121,10 @@ class FullTrace:
     def start(cls, m: int, d: int) -> FullTrace:
         """Nothing has happened yet."""
         return cls(np.zeros((m, d - 1)), np.zeros(m), np.zeros(m), np.zeros((m, 3)), 0.0, 0, 0)
+
+    def first(self, m: int) -> FullTrace:
+        """Of the first m contacts alone."""
+        return replace(self, **{name: getattr(self, name)[:m] for name in ("slip", "length", "work", "share")})
 
     def __add__(self, other: FullTrace) -> FullTrace:
         """One after the other; shares add up, to be divided by the number of paths."""

@@ -5,7 +5,9 @@ With s from 0 to 1 over a step of the stage:
 - bilateral rows hold ``B u = v(s)``, from what the row read before the step to its target;
 - rows let go, and forces taken away, fade: ``p(s) = (1 − s) Bᵣᵀ r``;
 - a contact's gap is ``g = g⁰ + n·(shape deviation) + δ_n``; where parts settle, v and p stay, and each overlap
-  ``−(g⁰ + δ_n)`` that there would be without contact forces closes from touching;
+  ``−(g⁰ + δ_n)`` that there would be without contact forces but those that act already closes from touching;
+- a row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
+  stop, one more contact without friction; where the part lies beyond the position, the stop brings it back from there;
 - slip is measured from where the contact stood before, increment by increment, or followed
   (:mod:`fem_reference.full.path`).
 
@@ -105,6 +107,9 @@ class FullResolution:
         Forces of the bilateral rows on the parts, N or N mm, in the plan's order; 0 for redundant rows.
     trace : FullTrace
         What the contacts went through on the way; the shares are of the steps that resolve contact.
+    pushed, left : (p,) array
+        What the clamps and guns of limited force push with where they are judged, N, and the way that each has left,
+        mm.
     """
 
     stage: str
@@ -113,6 +118,8 @@ class FullResolution:
     state: np.ndarray
     reaction: np.ndarray
     trace: FullTrace
+    pushed: np.ndarray
+    left: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,8 @@ class FullState:
         Forces of the bilateral rows on the parts, N or N mm.
     push : dict of int to float
         Forces of the clamp rows that push, N.
+    stop : dict of (str, int) to float
+        Forces by which stops hold back the rows that are pushed by a limited force, N.
     frozen : dict of int to float
         Relative displacement that each weld row keeps.
     """
@@ -140,6 +149,7 @@ class FullState:
     anchor: np.ndarray
     reaction: Mapping[Row, float] = field(default_factory=dict)
     push: Mapping[int, float] = field(default_factory=dict)
+    stop: Mapping[Row, float] = field(default_factory=dict)
     frozen: Mapping[int, float] = field(default_factory=dict)
 
     @classmethod
@@ -177,24 +187,47 @@ class FullStage:
         ------
         ContactFailure
         """
-        start, ends, traces, solves = state, [], [], []
+        start, ends, traces, solves, pushed = state, [], [], [], {}
         for number, step in enumerate(self.plan.steps, start=1):
             state = replace(state, frozen=self._make_welds(step, state, drive))
             if step.resolves or step.sets_down:
                 way = self._way(number, step, state, drive)
-                if step.resolves and len(self.friction):
+                if step.resolves and len(self.friction) + len(step.stops):
                     state, end, trace = self._resolve(way, state)
                     ends, traces, solves = [*ends, end], [*traces, trace], solves + way.solves
                 else:
                     state = self._without_contact(way, state)
-            # else nothing has changed: new welds hold what they found and carry nothing yet
+            else:  # nothing has changed: new welds hold what they found and carry no more than their guns did
+                guns = {limit.row: limit.load - limit.sign * state.stop[limit.row] for limit in step.dropped_limits}
+                state = replace(state, reaction={**state.reaction, **guns})
             reaction = {row: state.reaction.get(row, 0.0) for row in step.bilateral}
-            state = replace(state, reaction=reaction, push={i: float(drive.push[0, i]) for i in step.loads})
+            push = {i: float(drive.push[0, i]) for i in step.loads}
+            stop = {limit.row: state.stop.get(limit.row, 0.0) for limit in step.stops}
+            state = replace(state, reaction=reaction, push=push, stop=stop)
+            pushed |= {(number - 1, limit): self._pushed(limit, state, drive) for limit in step.limits}
         if not ends:
             return state, None, solves
         trace = sum(traces[1:], traces[0])
         trace = replace(trace, share=trace.share / len(traces))
-        return state, self._resolution(start, state, ends[-1], trace, drive), solves
+        judged = np.array([pushed[one] for one in self.plan.judged]).reshape(-1, 2)
+        return state, self._resolution(start, state, ends[-1], trace, drive, judged), solves
+
+    def _position(self, limit, drive) -> float:
+        """Where a limited force pushes its row: a clamp to its target, a gun until its weld's gap is closed."""
+        kind, row = limit.row
+        if kind == "clamp":
+            return float(drive.target["clamp"][0, row])
+        return -float(drive.weld_gap[0, Joints(self.mesh.assembly.weld_size).first.tolist().index(row)])
+
+    def _way_left(self, limit, state, drive) -> float:
+        """Of a limited force to its position, mm; negative beyond."""
+        kind, row = limit.row
+        return limit.sign * (self._position(limit, drive) - float((self.mesh.rows[kind][row] @ state.solution.u)[0]))
+
+    def _pushed(self, limit, state, drive) -> tuple[float, float]:
+        """Force and way left of a limited force; a gun presses with all of its own."""
+        stop, way = state.stop[limit.row], self._way_left(limit, state, drive)
+        return limit.force - stop * (limit.row[0] == "clamp"), way if way > TOUCHING else 0.0
 
     def _make_welds(self, step, state, drive):
         found = self.mesh.rows["weld"] @ state.solution.u
@@ -206,24 +239,32 @@ class FullStage:
         """From the values and loads that are to those of the step's end."""
         mesh = self.mesh
         try:
-            system = mesh.system(step.bilateral)
+            system = mesh.system(step.bilateral, step.stops)
             target = [state.frozen[i] if kind == "weld" else drive.target[kind][0, i] for kind, i in step.bilateral]
             v0 = system.consistent(system.rows @ state.solution.u)
             v1 = system.consistent(np.array(target))
         except (ValueError, FreeMotion) as error:
             raise ContactFailure(f"stage {self.plan.name!r}: {error}") from error
         p0, p1 = self._loads(step, state, drive)
-        gap = np.where(self._out(step), FAR, drive.gap[0])
+        position = [limit.sign * self._position(limit, drive) for limit in step.stops]
+        gap = np.concatenate([np.where(self._out(step), FAR, drive.gap[0]), position])
         overlap = np.zeros_like(gap)
         if step.settles:
-            unloaded = system.equilibrium.linear(p0, v0, 0 * state.solution.force)
-            overlap = np.maximum(0, -(gap + mesh.contact(unloaded.u)[:, 0]))
+            before = np.zeros((len(gap), state.left.shape[1]))
+            before[: len(state.left)] = state.solution.force
+            unloaded = system.equilibrium.linear(p0, v0, before)
+            apart = gap + mesh.contact(unloaded.u, step.stops)[:, 0]
+            apart[: len(state.left)] += mesh.assembly.contacts.layer * state.solution.force[:, 0]
+            overlap = np.maximum(0, -apart)
             overlap[overlap <= TOUCHING] = 0
+        overlap[len(drive.gap[0]) :] = [
+            0.0 if limit.row in state.stop else max(0.0, -self._way_left(limit, state, drive)) for limit in step.stops
+        ]
         return _Way(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
 
     def _out(self, step) -> np.ndarray:
         """(m,) contacts that take no part any more."""
-        return self.mesh.assembly.contacts.out(step.welds)
+        return self.mesh.assembly.contacts.out(step.welds, step.away)
 
     def _loads(self, step, state, drive):
         """Nodal forces (N,) at the step's start and at its end."""
@@ -233,6 +274,12 @@ class FullStage:
             p0 += rows["clamp"][i].T @ [state.push.get(i, 0.0)]
         for i in step.loads:
             p1 += rows["clamp"][i].T @ [drive.push[0, i]]
+        for limit in step.stops:
+            load = rows[limit.row[0]][limit.row[1]].T @ [limit.load]
+            p0 += load * (limit.row in state.stop)
+            p1 += load
+        for limit in step.dropped_limits:
+            p0 += rows[limit.row[0]][limit.row[1]].T @ [limit.load - limit.sign * state.stop[limit.row]]
         for kind, i in step.released:
             p0 += rows[kind][i].T @ [state.reaction[kind, i]]
         return p0, p1
@@ -240,29 +287,39 @@ class FullStage:
     def _without_contact(self, way, state) -> FullState:
         """Set down one by one, the contacts touch nothing: they are left where their points come to lie."""
         p, v, _ = way.end
-        solution = way.system.equilibrium.linear(p, v, state.solution.force)
-        touching = way.system.equilibrium.linear(p, v, 0 * state.solution.force)
+        none = np.zeros((len(way.step.stops), state.left.shape[1]))
+        solution = way.system.equilibrium.linear(p, v, np.concatenate([state.solution.force, none]))
+        solution = replace(solution, force=state.solution.force)
+        touching = way.system.equilibrium.linear(p, v, np.zeros((len(state.left) + len(none), none.shape[1])))
         left = self.mesh.contact(touching.u)
         return self._after(way, state, solution, left, left[:, 1:])
 
     def _resolve(self, way, state) -> tuple[FullState, Point, FullTrace]:
         """Along the way; without friction nothing but its end counts, and slip under load has no meaning."""
         reaction = np.array([state.reaction.get(row, 0.0) for row in way.step.bilateral])[way.system.kept]
-        start = way.start_point(replace(state.solution, reaction=reaction), state)
+        stops, m = way.step.stops, len(self.friction)
+        force = np.zeros((len(stops), state.left.shape[1]))
+        force[:, 0] = [state.stop.get(limit.row, 0.0) for limit in stops]
+        start = way.start_point(
+            State(state.solution.u, reaction, np.concatenate([state.solution.force, force])), state.anchor
+        )
         if way.still:
             end, trace = start, replace(FullTrace.start(*start.force.shape), share=shares(start.state))
         elif not self.friction.any():
             end, trace = increments(way.solve, start, 1)
             trace = replace(FullTrace.start(*end.force.shape), share=trace.share, steps=1, solves=1)
         elif self.plan.path == "followed":
-            bound, _ = self.friction.bound(np.maximum(start.force[:, 0], 0))
-            less = (np.linalg.norm(start.force[:, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any()
-            if less or start.force[self._out(way.step)].any():
+            bound, _ = self.friction.bound(np.maximum(start.force[:m, 0], 0))
+            less = (np.linalg.norm(start.force[:m, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any()
+            if less or start.force[:m][self._out(way.step)].any():
                 start = way.solve(start, 0.0, start.position)  # there is less friction than before, or a weld instead
             end, trace = extrapolated(way.solve, start, self.tolerance)
         else:
             end, trace = increments(way.solve, start, self.plan.increments)
         solution = way.system.equilibrium.unpack(end.held)
+        state = replace(state, stop={limit.row: float(f) for limit, f in zip(stops, solution.force[m:, 0])})
+        solution = replace(solution, force=solution.force[:m])
+        end, trace = end.first(m), trace.first(m)
         return self._after(way, state, solution, self.mesh.contact(solution.u), end.position), end, trace
 
     def _after(self, way, state, solution, left, anchor):
@@ -270,11 +327,13 @@ class FullStage:
         r[way.system.kept] = solution.reaction
         return replace(state, solution=solution, left=left, anchor=anchor, reaction=dict(zip(way.step.bilateral, r)))
 
-    def _resolution(self, start, state, end, trace, drive) -> FullResolution:
+    def _resolution(self, start, state, end, trace, drive, judged) -> FullResolution:
         gap = np.where(self._out(self.plan.steps[-1]), drive.gap[0] + state.left[:, 0], end.gap)
         displacement = np.column_stack([gap, (state.left - start.left)[:, 1:]])
         reaction = np.array([state.reaction[row] for row in self.plan.bilateral])
-        return FullResolution(self.plan.name, state.solution.force, displacement, end.state, reaction, trace)
+        return FullResolution(
+            self.plan.name, state.solution.force, displacement, end.state, reaction, trace, *judged.T.copy()
+        )
 
 
 class _Way:
@@ -291,27 +350,28 @@ class _Way:
         settles = all(isinstance(action, Settle) for action in self.step.move)
         return settles and bool((self.start[2] == self.end[2]).all())
 
-    def start_point(self, solution: State, state: FullState) -> Point:
+    def start_point(self, solution: State, anchor: np.ndarray) -> Point:
         """Where the way begins."""
-        force, gap = solution.force, self.start[2] + state.left[:, 0]
+        force, δ = solution.force, self.stage.mesh.contact(solution.u, self.step.stops)
+        position = np.concatenate([anchor, δ[len(anchor) :, 1:]])
         contact = np.where(force[:, 0] > 0, STICK, OPEN)
-        return Point(0.0, state.anchor, gap, force, contact, solution.stacked)
+        return Point(0.0, position, self.start[2] + δ[:, 0], force, contact, solution.stacked)
 
     def solve(self, point: Point, share: float, anchor: np.ndarray) -> Point:
         """On from a point, slip measured from `anchor` (m, d - 1)."""
-        mesh, penalty = self.stage.mesh, self.stage.penalty
-        k = mesh.contact_stiffness
+        mesh, penalty, stops = self.stage.mesh, self.stage.penalty, self.step.stops
+        friction, k = self.stage.friction.with_stops(len(stops)), mesh.stiffness(stops)
         estimate = point.force.copy()
         if not penalty.augmented:
             estimate[:, 0] = 0.0
         origin = np.column_stack([np.zeros(len(k)), anchor])
-        layer = mesh.assembly.contacts.layer
-        law = ContactLaw(self.stage.friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
+        layer = np.concatenate([mesh.assembly.contacts.layer, np.zeros(len(stops))])
+        law = ContactLaw(friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
         law, solution = self._penalised(self.system.equilibrium.unpack(point.held), point.share, share, law)
         if penalty.augmented:
             law, solution = self._augment(solution, share, law)
-        δ = mesh.contact(solution.u)
-        position = self.stage.friction.slider(δ, solution.force)
+        δ = mesh.contact(solution.u, stops)
+        position = friction.slider(δ, solution.force)
         gap = law.displacement(δ)[:, 0] + layer * solution.force[:, 0]
         return Point(share, position, gap, solution.force, law.state(δ), solution.stacked)
 
@@ -365,8 +425,13 @@ class _Way:
         plan, assembly = self.stage.plan, self.stage.mesh.assembly
         where = ""
         if isinstance(problem, NoConvergence) and problem.contact is not None:
-            label = assembly.labels["contact"][problem.contact * assembly.contacts.dimension].rsplit(" ", 1)[0]
-            where = f", worst at contact {label!r}"
+            at, stops = problem.contact, self.step.stops
+            if at < len(assembly.contacts):
+                where = assembly.labels["contact"][at * assembly.contacts.dimension].rsplit(" ", 1)[0]
+            else:
+                kind, row = stops[at - len(assembly.contacts)].row
+                where = assembly.labels[kind][row]
+            where = f", worst at contact {where!r}"
         return ContactFailure(
             f"stage {plan.name!r}, step {self.number} of {len(plan.steps)}, "
             f"at {share:.3g} of its load{where}: {problem}; {remedy}"

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
+
+if TYPE_CHECKING:
+    from mic.compliance.superelement import Superelement
 
 __all__ = ["GENERATION", "Part"]
 
@@ -33,6 +37,8 @@ class Part:
     element : str
         Shell element, a name that the part's provider knows (:mod:`mic.compliance.provider`).
     functionals : Functionals
+    superelement : Superelement, optional
+        The part as a matrix on nodes, where its finite-element model lives elsewhere.
     """
 
     name: str
@@ -42,6 +48,7 @@ class Part:
     poisson: float
     element: str
     functionals: Functionals
+    superelement: Superelement | None = None
 
     def fingerprint(self) -> str:
         """Hash of everything that the part's influence coefficients depend on."""
@@ -52,6 +59,10 @@ class Part:
         if self.surface.given_normals is not None:  # estimated ones follow from points and triangles
             arrays.append(self.surface.given_normals)
         arrays += [array for patch in f.patches for array in (patch.triangle, patch.barycentric, patch.weight)]
+        if self.superelement is not None:
+            body = self.superelement
+            arrays += [body.points, body.freedom, body.of_vertex, np.array([body.stiffness])]
+            arrays += [body.matrix.data, body.matrix.indices, body.matrix.indptr]
         for array in arrays:
             digest.update(repr((array.shape, array.dtype.str)).encode())
             digest.update(np.ascontiguousarray(array).tobytes())

@@ -15,6 +15,7 @@ import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.part import Part
+from mic.compliance.superelement import ELEMENT, Superelements
 from mic.errors import MissingProvider, SceneError
 
 __all__ = ["GROUP", "Provider", "check_element", "find", "installed"]
@@ -68,8 +69,10 @@ class Provider(Protocol):
 
 @cache
 def installed() -> tuple[dict[str, Provider], dict[str, str]]:
-    """The providers that can be loaded, by name, and for each of the others why it cannot."""
-    found, broken = {}, {}
+    """The providers that can be loaded, by name, and for each of the others why it cannot; superelements need no other
+    package."""
+    found: dict[str, Provider] = {"superelements": Superelements()}
+    broken = {}
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         try:
             found[point.name] = point.load()()
@@ -87,7 +90,7 @@ def check_element(element: str) -> None:
         Naming the elements that there are.
     """
     found, broken = installed()
-    known = sorted({name for provider in found.values() for name in provider.elements})
+    known = sorted({name for provider in found.values() for name in provider.elements if name != ELEMENT})
     if known and not broken and element not in known:
         raise SceneError(f"element: there is none called {element!r}; known: {', '.join(known)}")
 
@@ -108,7 +111,8 @@ def find(part: Part) -> Provider:
             return provider
     check_element(part.element)
     reasons = [f"{name}: {reason}" for name, reason in broken.items()]
-    reasons += [f"{name} does not accept it" for name in found] or ["no package registers one"] * (not broken)
+    refusing = [f"{name} does not accept it" for name in found if name != "superelements"]
+    reasons += refusing or ["no package registers one"] * (not broken)
     raise MissingProvider(
         f"part {part.name!r}: its compliance must be computed by finite elements, and no provider of them is at hand "
         f"({'; '.join(reasons)}); {REMEDY}"

@@ -144,11 +144,12 @@ class ContactSolver:
         strange = beyond(rows) | beyond(self.S.ravel())
         if not strange.any():
             solution = self._solve(rows, guess)
+        elif strange.all():
+            solution = self._solve_strange(rows, guess)
         else:
-            pick = lambda own: (rows[own], None if guess is None else guess[own])
-            solution = self._solve_strange(*pick(strange))
-            if not strange.all():
-                solution = _together(strange, solution, self._solve(*pick(~strange)))
+            solution = self._solve(np.where(strange[:, None], 0.0, rows), guess)
+            own = self._solve_strange(rows[strange], None if guess is None else guess[strange])
+            solution = _replaced(solution, strange, own)
         return solution if b.ndim == 2 else _only(solution)
 
     def _solve(self, rows, guess) -> ContactSolution:
@@ -169,6 +170,9 @@ class ContactSolver:
                 else:
                     self._persist(sample, rows, force, iterations, rung)
             solution = self.certified(rows, force, iterations, rung, infeasible)
+            lost = ~solution.converged & ~infeasible
+            if guess is not None and lost.any():  # where a guess leads nowhere, none may lead on
+                solution = _replaced(solution, lost, self._solve(rows[lost], None))
         return solution
 
     def _solve_strange(self, rows, guess) -> ContactSolution:
@@ -316,12 +320,11 @@ def _refused(solution: ContactSolution, lost) -> ContactSolution:
     )
 
 
-def _together(chosen, ours: ContactSolution, others: ContactSolution) -> ContactSolution:
-    """One batch: its chosen samples, and the others."""
-    values = {}
-    for name, own in vars(ours).items():
-        values[name] = np.empty((len(chosen), *own.shape[1:]), dtype=own.dtype)
-        values[name][chosen], values[name][~chosen] = own, getattr(others, name)
+def _replaced(solution: ContactSolution, chosen, new: ContactSolution) -> ContactSolution:
+    """A batch with the new solutions of its chosen samples (n,)."""
+    values = {name: value.copy() for name, value in vars(solution).items()}
+    for name, value in values.items():
+        value[chosen] = getattr(new, name)
     return ContactSolution(**values)
 
 

@@ -1,57 +1,74 @@
 """Surfaces of a scene's parts and fixtures: read from mesh files, built by geometry scripts, or round pads.
 
-A geometry script is a Python file that defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface
-of one part as points (n, 3) in mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each
-triangle, which may be left out and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``,
-a list, names files that it reads in ways that Python does not see (:mod:`mic.geometry.opened`). Where the scene states
-an accuracy, the size is a :class:`mic.geometry.grading.GradedSize`, a number that tells smaller ones too.
+What a geometry script is, :mod:`mic.geometry.script` says.
 """
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import os
-import sys
-import traceback
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
 from mic.geometry import grading, structured
+from mic.geometry.deck import Deck
 from mic.geometry.grading import GradedSize
+from mic.geometry.offset import moved
 from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.refinement import halved
+from mic.geometry.script import build, named_sizes
 from mic.geometry.surface import Surface
+from mic.scene.schema import USUAL
 from mic.store import Format, fingerprint
 
 __all__ = [
+    "LoadedPart",
     "coarsest_size",
     "finer_surface",
     "fixture_surface",
     "load_fixture",
     "load_part",
-    "load_script",
-    "part_surface",
 ]
 
 GENERATED = Format("generated mesh", 3, ABSENT)
 
-PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
+#: What a deck may tell of a part, mm and MPa; beyond lies another unit.
+LIKELY = {"thickness": (1e-2, 50.0), "offset": (-5.0, 5.0), "young": (1e3, 1e6), "poisson": (-0.99, 0.499)}
+PIECES = 3  # of a part in pieces that are named
 
 
-def part_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
-    """Surface of a part, see :func:`load_part`."""
-    return load_part(part, folder, cache, size)[0]
+@dataclass(frozen=True)
+class LoadedPart:
+    """A part with its mesh.
+
+    Attributes
+    ----------
+    part : mic.scene.schema.Part
+        Thickness, offset and material filled in: as the scene has them, else as the mesh file tells.
+    surface, drawn : Surface
+        The middle of the sheet, moved by the offset; and as the mesh has it.
+    inputs : dict of str to str
+        Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
+        generated mesh.
+    deck : Deck, optional
+        What the mesh file tells beside the mesh; None of a generated mesh.
+    """
+
+    part: Any
+    surface: Surface
+    drawn: Surface
+    inputs: dict[str, str | None]
+    deck: Deck | None = None
 
 
-def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> tuple[Surface, dict[str, str | None]]:
-    """Surface of a part, from its mesh file or its geometry script, and the content of the files that it was made from.
+def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> LoadedPart:
+    """A part with its surface, from its mesh file or its geometry script.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
     script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it. It is
@@ -66,17 +83,11 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
     size : float, optional
         Element size, mm, of a part that gives none; may be a :class:`mic.geometry.grading.GradedSize`.
 
-    Returns
-    -------
-    surface : Surface
-    inputs : dict of str to str
-        Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
-        generated mesh.
-
     Raises
     ------
     SceneError
-        Naming part, key and file, where the file is missing, unusable, or fails.
+        Naming part, key and file, where the file is missing, unusable, or fails; where nothing tells the thickness, or
+        a mesh file tells several; where the part is in pieces, or cannot be moved by its offset.
     """
     key = "mesh" if part.mesh is not None else "geometry"
     path = folder / getattr(part, key)
@@ -85,12 +96,18 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
             f"part {part.name!r}: {key}: there is no file {path}; correct the name (it is relative to the scene file)"
         )
     if part.mesh is not None:
-        return _read(f"part {part.name!r}", path, part.mesh)
+        sets = [part.set] if isinstance(part.set, str) else part.set or ()
+        surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
+        part = _filled(part, deck)
+        _one_piece(part, surface)
+        return LoadedPart(part, _middle(part, surface), surface, inputs, deck)
     surface, read = _generated(part, path, cache, size or part.size)
     # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
-    return surface, inputs | {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
+    inputs |= {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
+    _one_piece(part, surface)
+    return LoadedPart(part, _middle(part, surface), surface, inputs)
 
 
 def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
@@ -99,9 +116,9 @@ def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = Non
     Parameters and errors are those of :func:`load_part`.
     """
     if part.mesh is not None:
-        surface = part_surface(part, folder, cache)
+        surface = load_part(part, folder, cache).surface
         return Surface(*halved(surface.points, surface.triangles, surface.corner_normals))
-    return _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0]
+    return _middle(part, _generated(part, folder / part.geometry, cache, size or part.size, 0.5)[0])
 
 
 def coarsest_size(part: Any, folder: Path) -> float | None:
@@ -112,9 +129,7 @@ def coarsest_size(part: Any, folder: Path) -> float | None:
     SceneError
     """
     path = folder / part.geometry
-    with _told(part, path):
-        script = load_script(path)
-        return max((_size(script, name, 1.0) for name in getattr(script, "SIZES", {})), default=None)
+    return max(named_sizes(part.name, path).values(), default=None)
 
 
 def fixture_surface(fixture: Any, folder: Path) -> Surface:
@@ -142,7 +157,8 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
         path = folder / fixture.mesh
         if not path.is_file():
             raise SceneError(f"fixture {fixture.name!r}: mesh: there is no file {path}; correct the name")
-        return _read(f"fixture {fixture.name!r}", path, fixture.mesh)
+        surface, _, inputs = _read(f"fixture {fixture.name!r}", path, fixture.mesh)
+        return surface, inputs
     n = np.array(fixture.normal)
     t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
     t /= np.linalg.norm(t)
@@ -152,41 +168,78 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
     return Surface(np.vstack([np.zeros(3), rim]) + fixture.point, triangles), {}
 
 
-def load_script(path: Path) -> ModuleType:
-    """A geometry script as a module; whatever it raises is passed on.
+def _filled(part, deck):
+    """The part with what it leaves open filled in by what its deck tells.
 
-    Raises
-    ------
-    ValueError
-        If it is no Python file, or defines no ``build``.
+    Of a deck in metres the modulus is in Pa, in millimetres in MPa; one that is no stiffness of a sheet in that unit,
+    such as 210 for GPa, is refused rather than guessed at.
     """
-    name = f"mic_geometry_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ValueError("a geometry script must be a Python file, NAME.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
+    found: dict[str, Any] = {}
+    for key, (low, high) in LIKELY.items():
+        if getattr(part, key) is not None:
+            continue
+        values = [getattr(sheet, key) for sheet in deck.told()]
+        told = [value for value in values if value is not None]
+        if len(set(values)) > 1:
+            listed = ", ".join("nothing" if value is None else f"{value:g}" for value in dict.fromkeys(values))
+            raise SceneError(
+                f"part {part.name!r}: {key}: {part.mesh} tells several, {listed}, and a part has one; give {key}, or "
+                "choose among its element sets by `set`"
+            )
+        value = told[0] if told else USUAL.get(key)
+        if value is None:
+            raise SceneError(f"part {part.name!r}: {key}: neither the scene nor {part.mesh} tells it; add {key}")
+        found[key] = value
+        if told and not low <= value <= high:
+            raise SceneError(
+                f"part {part.name!r}: {key}: {part.mesh} tells {value:g} if its unit is {part.unit!r}, which no sheet "
+                f"has; correct unit, or give {key}"
+            )
+    return part.model_copy(update=found) if found else part
+
+
+def _one_piece(part, surface):
+    """Refuse a part that does not hang together: nothing would hold the rest."""
+    n = len(surface.points)
+    start = surface.triangles.ravel()
+    graph = coo_matrix((np.ones(len(start)), (start, np.roll(surface.triangles, -1, axis=1).ravel())), shape=(n, n))
+    count, piece = connected_components(graph, directed=False)
+    piece = piece[surface.triangles[:, 0]]
+    sizes = np.bincount(piece, minlength=count)
+    many = np.count_nonzero(sizes)
+    if many == 1:
+        return
+    largest = np.argsort(-sizes, kind="stable")[: min(PIECES, many)]
+    told = []
+    for one in largest:
+        place = ", ".join(f"{x:.1f}" for x in surface.corners[piece == one].mean(axis=(0, 1)))
+        told.append(f"{sizes[one]} triangles about ({place})")
+    raise SceneError(
+        f"part {part.name!r}: {'mesh' if part.mesh is not None else 'geometry'}: it is in {many} pieces that share no "
+        f"point: {'; '.join(told)}{', …' if many > PIECES else ''}; make each a part of its own (`set` chooses among "
+        "the sets of a file), or join their points"
+    )
+
+
+def _middle(part, surface):
+    """The surface moved to the middle of the sheet."""
     try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    if not callable(getattr(module, "build", None)):
-        raise ValueError("a geometry script must define build(part, size) -> (points, triangles)")
-    return module
+        return moved(surface, part.offset * part.thickness)
+    except ValueError as problem:
+        raise SceneError(f"part {part.name!r}: offset: {problem}") from problem
 
 
-def _read(owner, path, name):
+def _read(owner, path, name, sets=(), unit="mm", size=None):
     from mic.geometry.readers import read_mesh  # the libraries behind it are slow to import; scripts do not need them
 
     try:
         with opened_files() as heard:  # a mesh file may include others
-            surface, _ = read_mesh(path)
+            surface, deck = read_mesh(path, sets, unit, size)
         read = Dependencies.of(path, [path.name], heard)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem
     others = {other: content for other, content in read.files.items() if other != path.name and content is not None}
-    return surface, {name: fingerprint(path.read_bytes())} | others
+    return surface, deck, {name: fingerprint(path.read_bytes())} | others
 
 
 def _generated(part, path, cache, size, share=1.0):
@@ -196,7 +249,7 @@ def _generated(part, path, cache, size, share=1.0):
     read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
     if found is not None and read is not None and read.unchanged(path):
         return _surface_of(found[1]), read
-    surface, read = _generate(part, path, size, share)
+    surface, read = build(part.name, path, size, share)
     meshes.keep(key, read.header(), _arrays(surface))
     return surface, read
 
@@ -208,92 +261,6 @@ def _key(part, path, size, share):
     contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
     graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
     return fingerprint([part.name, size, graded, share, path.name, contents])
-
-
-def _generate(part, path, size, share):
-    """Run a geometry script. Surface, and what the script read."""
-    with _told(part, path):
-        with opened_files() as heard:
-            script = load_script(path)
-            surface = _surface(script.build(part.name, _size(script, size, share)))
-        return surface, Dependencies.of(path, _declared(script), heard)
-
-
-@contextmanager
-def _told(part, path):
-    """Whatever goes wrong in a script ends in one sentence."""
-    try:
-        yield
-        return
-    except ImportError as problem:
-        missing = (problem.name or "").split(".")[0]
-        if (path.parent / f"{missing}.py").is_file():
-            reason = f"imports {missing}, a file beside it; write the script as one file"
-        elif not isinstance(problem, ModuleNotFoundError) or not missing:
-            reason = f"{problem}; see that it is installed as the script needs it"
-        else:
-            reason = f"needs the package {missing}; install it: pip install {PACKAGES.get(missing, missing)}"
-        cause: BaseException = problem
-    except SystemExit as problem:
-        reason, cause = "the script exits instead of returning a mesh; take the exit out", problem
-    except Exception as problem:  # a script is the user's own program and may raise anything
-        reason, cause = _words(problem, path), problem
-    raise SceneError(f"part {part.name!r}: geometry: {path}: {reason}") from cause
-
-
-def _words(problem, path):
-    """What an error in a script says, with its kind and line unless it was raised on purpose."""
-    text = " ".join(str(problem).split())
-    lines = [frame.lineno for frame in traceback.extract_tb(problem.__traceback__) if frame.filename == str(path)]
-    where = f" (line {lines[-1]} of the script)" if lines else ""
-    if isinstance(problem, ValueError) and text:
-        return text + where
-    return f"{type(problem).__name__}: {text}{where}" if text else f"{type(problem).__name__}{where}"
-
-
-def _size(script, size, share):
-    """A share of an element size, in mm."""
-    if isinstance(size, GradedSize):
-        return size.times(share)
-    if not isinstance(size, str):
-        return share * size
-    sizes = getattr(script, "SIZES", {})
-    if not isinstance(sizes, dict):
-        raise ValueError(f"SIZES must be a dict of mm by name, not {type(sizes).__name__}")
-    if size not in sizes:
-        raise ValueError(f"there is no size called {size!r}; known: {', '.join(map(str, sizes)) or 'none, give mm'}")
-    return share * sizes[size]
-
-
-def _declared(script):
-    """The files that a script declares to read."""
-    names = getattr(script, "DEPENDS", [])
-    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
-        raise ValueError("DEPENDS must be a list of file names, relative to the script")
-    for name in names:
-        if not (Path(script.__file__).parent / name).is_file():
-            raise ValueError(f"DEPENDS names {name}, and there is no such file beside the script")
-    return list(names)
-
-
-def _surface(built):
-    """The surface that ``build`` returned, its arrays checked: they come from anywhere."""
-    names = ("points", "triangles", "normals")
-    if not isinstance(built, (tuple, list)) or len(built) not in (2, 3):
-        raise ValueError(
-            "build must return two arrays, points and triangles, or three, with the normals at the triangles' corners, "
-            f"not {type(built).__name__}"
-        )
-    try:
-        points, triangles, *normals = (np.asarray(array) for array in built)
-    except ValueError:
-        raise ValueError("build returned points or triangles whose rows differ in length") from None
-    for name, array in zip(names, (points, triangles, *normals)):
-        if array.dtype.kind not in "iuf":
-            raise ValueError(f"build returned {name} that are no numbers ({array.dtype})")
-    if triangles.dtype.kind == "f" and not (np.isfinite(triangles) & (triangles == np.rint(triangles))).all():
-        raise ValueError("build returned triangles that are no whole numbers")
-    return Surface(points, triangles, *normals)
 
 
 def _arrays(surface):

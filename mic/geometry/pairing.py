@@ -634,6 +634,9 @@ def _nearest_part(cloud, sampled, other):
 def _pair(cloud, area, sampled, other, swap):
     weight = cloud.area / cloud.area.sum()
     n = weight @ cloud.normal
+    if not np.linalg.norm(n) > 0.1:
+        where = ", ".join(f"{x:.1f}" for x in weight @ cloud.point)
+        raise ValueError(f"the surfaces pass through each other at ({where}); correct the meshes")
     n /= np.linalg.norm(n)
     apart = cloud.distance - sampled.half_thickness - other.half_thickness
     overlaps = apart < -max(sampled.surface.tie, other.surface.tie)

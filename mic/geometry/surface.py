@@ -290,7 +290,7 @@ class Surface:
         """
         # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
         cosine = np.cos(max_angle)
-        bound = self._tree.query(x)[0] if normal is None else self._nearest_aligned(x, normal, cosine)
+        bound = self._tree.query(x)[0] if normal is None else self._nearest_aligned(x, normal, cosine, reach)
         bound = np.where(np.isfinite(bound), np.minimum(bound, reach), -np.inf)
         search = np.where(bound >= 0, bound + self.reach.max() * (1 + 1e-9) + self.tie, 0.0)
         candidates = self._tree.query_ball_point(x, search)
@@ -309,9 +309,13 @@ class Surface:
     def _aligned(self, triangle, normal, cosine):
         return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine - EQUAL)  # NaN passes
 
-    def _nearest_aligned(self, x, normal, cosine):
-        """(n,) distance of each point to the nearest centroid whose triangle passes the normal filter; inf if none."""
+    def _nearest_aligned(self, x, normal, cosine, reach):
+        """(n,) distance of each point to the nearest centroid whose triangle passes the normal filter.
+
+        Infinite where there is none that could hold a point within reach.
+        """
         bound, todo, count = np.full(len(x), np.inf), np.arange(len(x)), 4
+        farthest = reach + self.reach.max() * (1 + 1e-9) + self.tie
         while len(todo):
             count = min(count, len(self.triangles))
             distance, triangle = (table.reshape(len(todo), count) for table in self._tree.query(x[todo], k=count))
@@ -320,7 +324,7 @@ class Surface:
             )
             found, first = aligned.any(1), aligned.argmax(1)
             bound[todo[found]] = distance[found, first[found]]
-            todo = todo[~found] if count < len(self.triangles) else todo[:0]
+            todo = todo[~found & (distance[:, -1] <= farthest)] if count < len(self.triangles) else todo[:0]
             count *= 8
         return bound
 

@@ -169,8 +169,8 @@ def estimate_accuracy(
     """
     kept, found = Cache(cache, "influence", KEPT), []
     for p, part in enumerate(assembly.parts):
-        if parts is not None and part.name not in parts:
-            continue
+        if (parts is not None and part.name not in parts) or part.superelement is not None:
+            continue  # a superelement has no mesh that could be finer
         question = _Question.of(assembly, p)
         finer = finer_surface(assembly.scene.parts[p], assembly.scene.folder, cache, assembly.sizes.get(part.name))
         if not len(finer.triangles) > len(part.surface.triangles):

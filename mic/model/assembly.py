@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from mic.compliance.matrices import read_matrix
 from mic.compliance.part import Part
+from mic.compliance.superelement import ELEMENT, Superelement, superelement
 from mic.contact.friction import Friction
 from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
-from mic.errors import SceneError
-from mic.geometry.load import load_fixture, load_part
+from mic.errors import FormatError, Problems, SceneError
+from mic.geometry.deck import UNITS, Deck
+from mic.geometry.load import LoadedPart, load_fixture, load_part
 from mic.geometry.pairing import (
     ContactPair,
     Pressed,
@@ -26,6 +29,7 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
+from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
@@ -33,6 +37,8 @@ from mic.model.rows import AXES, Rows
 from mic.model.sources import sources
 from mic.product import one_thread
 from mic.scene import Scene
+from mic.scene.checks import entry
+from mic.store import fingerprint
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
@@ -102,9 +108,9 @@ class Contacts:
         """Whether anything gives any pair friction."""
         return bool(self.friction.any() or self.pressure.shape[1])
 
-    def out(self, welds: Sequence[int]) -> np.ndarray:
-        """(m,) candidates that take no part once these welds are made."""
-        return np.isin(self.nugget, welds)
+    def out(self, welds: Sequence[int], away: Sequence[int] = ()) -> np.ndarray:
+        """(m,) candidates that take no part once these welds are made, and pairs of zones that are not there."""
+        return np.isin(self.nugget, welds) | np.isin(self.zone, away)
 
     def friction_in(self, stage: str) -> Friction:
         """What the laws know of the pairs' friction in a stage."""
@@ -150,7 +156,8 @@ class Assembly:
     Attributes
     ----------
     scene : Scene
-        Placed on its meshes (:mod:`mic.model.placing`): points and directions are vectors, clamps single ones.
+        What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
+        and directions are vectors, clamps single ones.
     parts : tuple of Part
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
@@ -168,6 +175,8 @@ class Assembly:
         Element sizes, mm, of the parts that state an accuracy.
     spacing : tuple of float or None
         Distance between the candidates of each zone, mm; None where a zone states its pairs.
+    decks : dict of str to Deck
+        What the mesh files of the parts tell beside the mesh.
     placed : tuple of str
         What was found for each node, set, hole and tong that the scene names.
     """
@@ -183,6 +192,7 @@ class Assembly:
     inputs: dict[str, str | None]
     sizes: Mapping[str, float] = field(default_factory=dict)
     spacing: tuple[float | None, ...] = ()
+    decks: Mapping[str, Deck] = field(default_factory=dict)
     placed: tuple[str, ...] = ()
 
     @property
@@ -223,44 +233,67 @@ def assemble(
 
 def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, float]) -> Assembly:
     inputs: dict[str, str | None] = {}
-    surfaces, fixtures = {}, {}
+    fixtures = {}
+    problems, loaded = Problems(), []
     for part in scene.parts:
-        surfaces[part.name], read = load_part(part, scene.folder, cache, sizes.get(part.name))
-        inputs |= read
+        with problems:
+            loaded.append(load_part(part, scene.folder, cache, sizes.get(part.name)))
     for fixture in scene.fixtures:
-        fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
-        inputs |= read
-    scene, placed = place(scene, surfaces, dict.fromkeys(surfaces))
+        with problems:
+            fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
+            inputs |= read
+    problems.tell()
+    read = {name: kept for one in loaded for name, kept in one.inputs.items()}
+    surfaces, inputs = {one.part.name: one.surface for one in loaded}, read | inputs
+    if any(one.part is not part for one, part in zip(loaded, scene.parts)):
+        scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
+    scene, placed = place(scene, surfaces, {one.part.name: one.deck for one in loaded})
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
     bodies |= {name: Side(surface, disc=discs.get(name)) for name, surface in fixtures.items()}
     rows = Rows(surfaces)
     for i, locator in enumerate(scene.locators):
-        rows.point("locator", f"locators[{i}]", locator)
+        with problems:
+            rows.point("locator", f"locators[{i}]", locator)
     for i, clamp in enumerate(scene.clamps):
-        rows.point("clamp", f"clamps[{i}]", clamp)
-    drawn = [_weld_rows(f"welds[{i}]", weld, bodies, rows) for i, weld in enumerate(scene.welds)]
-    pairs = _zone_pairs(scene, bodies, every_node)
-    contacts = _contact_rows(scene, bodies, rows, pairs, every_node)
-    between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
-    weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn])
+        with problems:
+            rows.point("clamp", f"clamps[{i}]", clamp)
+    drawn = []
+    for i, weld in enumerate(scene.welds):
+        with problems:
+            drawn.append(_weld_rows(f"welds[{i}]", weld, bodies, rows))
+    pairs = _zone_pairs(scene, bodies, every_node, problems)
+    if not problems:
+        contacts = _contact_rows(scene, bodies, rows, pairs, every_node, problems)
+    if not problems:
+        between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
+        weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn], problems)
     for source in sources(scene):
-        source.retain(rows)
+        with problems:
+            source.retain(rows)
     for i, measurement in enumerate(scene.measurements):
-        rows.point("measurement", f"measurements[{i}]", measurement)
+        with problems:
+            rows.point("measurement", f"measurements[{i}]", measurement)
+    bodies_elsewhere = {}
+    for one in loaded:
+        with problems:
+            bodies_elsewhere[one.part.name] = _superelement(scene, one, inputs)
+    problems.tell()
     parts = tuple(
         Part(
             part.name,
             surfaces[part.name],
-            part.thickness,
-            part.young,
-            part.poisson,
-            scene.element,
+            *part.sheet,
+            scene.element if bodies_elsewhere[part.name] is None else ELEMENT,
             rows.functionals(part.name),
+            bodies_elsewhere[part.name],
         )
         for part in scene.parts
     )
+    for body in parts:
+        if body.superelement is not None:
+            body.superelement.readings(body)  # what it cannot read is told before anything is computed
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
     for zone in scene.zones:
@@ -279,8 +312,34 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         inputs,
         sizes,
         tuple(spacing),
+        {one.part.name: one.deck for one in loaded if one.deck is not None},
         placed,
     )
+
+
+def _superelement(scene: Scene, one: LoadedPart, inputs: dict[str, str | None]) -> Superelement | None:
+    """The matrix that stands for a part, if the scene gives one; its files are inputs of the run."""
+    part = one.part
+    key = "stiffness" if part.stiffness is not None else "compliance"
+    name = getattr(part, key)
+    if name is None:
+        return None
+    if scene.report.fields or scene.report.accuracy:
+        raise SceneError(
+            f"part {part.name!r}: {key}: a superelement knows its own nodes alone; leave fields and accuracy out of "
+            "[report]"
+        )
+    path = scene.folder / name
+    try:
+        given = read_matrix(path)
+    except FormatError as problem:
+        raise SceneError(f"part {part.name!r}: {key}: {problem}") from problem
+    for file in (path, path.with_suffix(".csv")):
+        if file.is_file():
+            inputs[str(Path(name).with_name(file.name))] = fingerprint(file.read_bytes())
+    deck = one.deck
+    numbered = {} if deck is None else dict(zip(deck.nodes.tolist(), one.drawn.points[deck.node_points]))
+    return superelement(part.name, given, key == "stiffness", UNITS[part.unit], one.drawn, numbered)
 
 
 def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
@@ -296,11 +355,11 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
     turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
     """
     for name in weld.parts:
-        rows.on_part(key, weld.point, name)
+        rows.on_part(key, weld, name)
     try:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
-        raise SceneError(f"{key}.point: {error}; correct the coordinates") from None
+        raise SceneError(f"{key}.point ({weld.name}): {error}; correct the coordinates") from None
     moments = _moments(pair, bodies[weld.parts[0]].surface, weld.radius) if weld.fused and weld.moment else {}
     functional: list[list[int]] = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
@@ -332,20 +391,22 @@ def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
     return {f"{axis}-moment ": patch.weight * (step @ pair.frame[:, j]) / radius for j, axis in ((1, "t1"), (2, "t2"))}
 
 
-def _zone_pairs(scene, bodies, every_node) -> list[list[ContactPair]]:
+def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[ContactPair]]:
     """The pairs of each zone; none where no stage resolves contact."""
     resolved = any(stage.kind != "locate" for stage in scene.stages)
     landmarks = np.array([locator.point for locator in scene.locators])
     found = []
     for i, zone in enumerate(scene.zones if resolved else ()):
         a, b = (bodies[name] for name in zone.parts)
-        try:
-            if every_node:
-                found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
-            else:
-                found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
-        except ValueError as error:
-            raise SceneError(f"zones[{i}] ({zone.name}): {error}") from None
+        with problems:
+            try:
+                if every_node:
+                    found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
+                else:
+                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
+            except ValueError as error:
+                raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
+            refuse_untold(entry("zones", i, zone), zone.parts, found[-1], a, b)
     return found
 
 
@@ -373,7 +434,9 @@ def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     at = np.array([one.point for one in points]).reshape(-1, 3)
     zone_of, gap = np.array(zones, dtype=np.int64), np.array([one.gap for one in points])
     for i, zone in enumerate(scene.zones):
-        if zone.nominal_overlap != "keep":
+        if zone.gap is not None:
+            gap[zone_of == i] = zone.gap
+        elif zone.nominal_overlap != "keep":
             gap[zone_of == i] = np.maximum(gap[zone_of == i], 0.0)
     return Between(zone_of, gap, np.array([one.nugget for one in points], dtype=np.int64), at)
 
@@ -394,7 +457,7 @@ def _joint_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimens
         rows.add(kind, f"{label} {AXES[j]}", *terms[j])
 
 
-def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
+def _contact_rows(scene, bodies, rows: Rows, found, every_node, problems: Problems) -> Contacts:
     """Rows of all contact pairs, and what is known of the pairs."""
     friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
@@ -408,11 +471,16 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     zone_of = np.array(zones, dtype=np.int64)
     area = np.array([pair.area for pair in pairs])
     gap = np.array([pair.gap for pair in pairs])
+    drawn = np.array([[pair.overlap, pair.overlapping * pair.area] for pair in pairs]).reshape(-1, 2)
     point = np.array([pair.point for pair in pairs]).reshape(-1, 3)
     for i, zone in enumerate(scene.zones):
         own = zone_of == i
+        if zone.gap is not None:
+            gap[own], drawn[own] = zone.gap, 0.0
+            continue
         key = f"zones[{i}] ({zone.name}): nominal_overlap"
-        gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
+        with problems:
+            gap[own] = closed(key, zone.nominal_overlap, gap[own], _thinner(scene, zone), point[own])
     by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
     stages = sorted({stage for one in by_stage for stage in one} - {"default"})
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
@@ -430,8 +498,8 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
         _pressure_pieces(scene, zone_of, bearing),
         np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
         gap,
-        np.array([p.overlap for p in pairs]),
-        np.array([p.overlapping for p in pairs]) * area,
+        drawn[:, 0],
+        drawn[:, 1],
         area,
         watched,
         np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
@@ -443,13 +511,17 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node) -> Contacts:
     )
 
 
-def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float]) -> np.ndarray:
+def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float], problems: Problems) -> np.ndarray:
     """(w,) gaps of the welds, overlap closed as at the pairs about them."""
     gaps = np.array(drawn)
     for i, weld in enumerate(scene.welds):
-        rule = joined_by(scene.zones, contacts.zone, contacts.point, weld)
-        at = np.array([weld.point])
-        gaps[[i]] = closed(f"welds[{i}] ({weld.name})", rule, gaps[[i]], _thinner(scene, weld), at)
+        zone = joined_by(scene.zones, contacts.zone, contacts.point, weld)
+        if zone is not None and zone.gap is not None:
+            gaps[i] = zone.gap
+            continue
+        rule, at = "close" if zone is None else zone.nominal_overlap, np.array([weld.point])
+        with problems:
+            gaps[[i]] = closed(entry("welds", i, weld), rule, gaps[[i]], _thinner(scene, weld), at)
     return gaps
 
 

@@ -80,7 +80,7 @@ def chosen_sizes(
         if part.name in asked:
             size = coarsest_size(part, scene.folder) or _extent(scene, part.name) / 20
             sizes[part.name] = _graded(scene, part.name, size)
-            inputs |= load_part(part, scene.folder, cache, sizes[part.name])[1]
+            inputs |= load_part(part, scene.folder, cache, sizes[part.name]).inputs
     identity = fingerprint(
         [GENERATION, scene.model_dump_json(exclude={"name", "description", "monte_carlo", "report"}), inputs]
     )

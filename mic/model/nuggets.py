@@ -32,6 +32,6 @@ def nuggets(scene: Scene, zone: np.ndarray, point: np.ndarray, normal: np.ndarra
         step = point - np.array(weld.point)
         along = np.einsum("ij,ij->i", step, normal)
         sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
-        reach = max(part.thickness for part in scene.parts if part.name in weld.parts) + weld.radius
+        reach = max(part.sheet[0] for part in scene.parts if part.name in weld.parts) + weld.radius
         found[np.isin(zone, alike) & (sideways <= radii * weld.radius) & (np.abs(along) <= reach)] = i
     return found

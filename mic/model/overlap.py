@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mic.errors import SceneError
+from mic.scene.schema import Zone
 
 __all__ = ["CLOSED", "closed", "frozen_gaps", "joined_by"]
 
@@ -51,15 +52,15 @@ def closed(key: str, rule: str | float, gap: np.ndarray, thinner: float, point: 
         where = ", ".join(f"{x:.1f}" for x in point[worst])
         raise SceneError(
             f"{key}: the surfaces are drawn into each other by {-gap[worst]:.3g} mm at ({where}), and up to "
-            f"{limit:.3g} mm of nominal overlap is closed; correct the meshes (mid-surfaces stand half a thickness off "
-            "the facing surfaces) or the thickness, or let nominal_overlap of the zone be a larger limit, or "
-            '"keep" where the overlap is meant'
+            f"{limit:.3g} mm of nominal overlap is closed; correct the thickness or the meshes (mid-surfaces stand "
+            "half a thickness off the facing surfaces: a part that is drawn on its skin needs `offset`), or let "
+            'nominal_overlap of the zone be a larger limit, or "keep" where the overlap is meant'
         )
     return np.maximum(gap, 0.0)
 
 
-def joined_by(zones: Sequence, of_pair: np.ndarray, points: np.ndarray, weld) -> str | float:
-    """The rule of the zone that a weld lies in: of those that join its parts, the one with the nearest pair.
+def joined_by(zones: Sequence, of_pair: np.ndarray, points: np.ndarray, weld) -> Zone | None:
+    """The zone that a weld lies in: of those that join its parts, the one with the nearest pair.
 
     Parameters
     ----------
@@ -73,9 +74,9 @@ def joined_by(zones: Sequence, of_pair: np.ndarray, points: np.ndarray, weld) ->
     alike = [i for i, zone in enumerate(zones) if set(zone.parts) == set(weld.parts)]
     own = np.flatnonzero(np.isin(of_pair, alike))
     if not len(own):
-        return "close"
+        return None
     nearest = own[np.argmin(np.linalg.norm(points[own] - np.array(weld.point), axis=1))]
-    return zones[of_pair[nearest]].nominal_overlap
+    return zones[of_pair[nearest]]
 
 
 def frozen_gaps(model) -> list[str]:

@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 
 from mic.errors import SceneError
+from mic.geometry.deck import Deck
 from mic.geometry.holes import Hole, find_holes
 from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
 from mic.model.rows import REACH
 from mic.scene import Scene
-from mic.scene.checks import check_held, check_references
+from mic.scene.checks import problems
 from mic.scene.schema import ClampDeviation
 
 __all__ = ["place"]
@@ -36,7 +37,9 @@ TOGETHER = 0.5  # cosine between a tong's direction and the normal from its firs
 LONGEST = 60  # letters of a name
 
 
-def place(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Any]) -> tuple[Scene, tuple[str, ...]]:
+def place(
+    scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]
+) -> tuple[Scene, tuple[str, ...]]:
     """Put a scene's items where it says.
 
     Parameters
@@ -76,18 +79,16 @@ def place(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Any
         moved = changes.get("deviations", scene.deviations)
         changes["deviations"] = [work.deviation(item) for item in moved]
     placed = scene.model_copy(update=changes)
-    try:
-        check_references(placed)
-        check_held(placed)
-    except ValueError as error:
-        raise SceneError(str(error)) from None
+    wrong = problems(placed)
+    if wrong:
+        raise SceneError("\n".join(wrong))
     return placed, tuple(work.sentences)
 
 
 class _Placing:
     """The items of a scene, one after the other, and what is wrong with them."""
 
-    def __init__(self, scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Any]):
+    def __init__(self, scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]):
         self.surfaces, self.decks = surfaces, decks
         self.sides = {part.name: Side(surfaces[part.name], part.thickness) for part in scene.parts}
         self.problems: list[str] = []
@@ -150,7 +151,7 @@ class _Placing:
             return _vector(hole.centre), hole
         return item.point, None
 
-    def _node(self, key, number, part, surface: Surface, deck: Any):
+    def _node(self, key, number, part, surface: Surface, deck: Deck | None):
         if deck is None or not len(deck.nodes):
             raise _Misplaced(f"{key}: the mesh of part {part!r} has no node numbers; give point = [x, y, z]")
         found = deck.points_of(number)
@@ -168,7 +169,7 @@ class _Placing:
         self.sentences.append(f"{key} {number}: {_words(point)}")
         return _vector(point)
 
-    def _set(self, key, name, part, surface: Surface, deck: Any):
+    def _set(self, key, name, part, surface: Surface, deck: Deck | None):
         sets = deck.node_sets if deck is not None else {}
         if name not in sets or not len(sets[name]):
             near = difflib.get_close_matches(name, sets, 1, cutoff=0.0)

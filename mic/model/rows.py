@@ -99,18 +99,20 @@ class Rows:
         if item.hole is not None:
             patch = self.patch(item.part, _rim(surface, item.hole))
         else:
-            self.on_part(key, item.point, item.part)
+            self.on_part(key, item, item.part)
             patch = self.patch(item.part, surface.patch(item.point, item.radius))
         functional = self.functional(item.part, patch, item.direction, f"{kind} {item.name}")
         self.add(kind, item.name, (item.part, functional, 1.0))
 
-    def on_part(self, key: str, point, part: str) -> None:
-        """Raise :class:`SceneError` for a point farther than `REACH` from a part."""
-        distance = float(self.surfaces[part].project(point).distance[0])
+    def on_part(self, key: str, item, part: str) -> None:
+        """Raise :class:`SceneError` for an item whose point lies farther than `REACH` from a part."""
+        foot = self.surfaces[part].project(item.point)
+        distance = float(foot.distance[0])
         if distance > REACH:
+            nearest = ", ".join(f"{x:.6g}" for x in foot.point[0])
             raise SceneError(
-                f"{key}.point: {list(point)} lies {distance:.3g} mm off part {part!r} (at most {REACH} mm is allowed); "
-                "correct the coordinates or the part"
+                f"{key}.point ({item.name}): {list(item.point)} lies {distance:.3g} mm off part {part!r} (at most "
+                f"{REACH} mm is allowed), its nearest point is [{nearest}]; correct the coordinates or the part"
             )
 
     def functionals(self, part: str) -> Functionals:

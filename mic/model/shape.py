@@ -16,6 +16,7 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.compliance.support import motion_size, statically_determinate
 from mic.model.sources import sources
+from mic.scene.stages import set_down_in
 
 __all__ = ["datum_locators", "shape_readings"]
 
@@ -33,7 +34,7 @@ def datum_locators(assembly, part: str, rigid: np.ndarray, size: np.ndarray) -> 
         As :func:`mic.compliance.elimination.statically_determinate` wants it.
     """
     scene = assembly.scene
-    first = scene.stages[0].name
+    first = set_down_in(scene)[part]
     own = np.array([i for i, item in enumerate(scene.locators) if item.part == part and item.stage == first])
     return own[statically_determinate(rigid[own], size)]
 

@@ -13,19 +13,25 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mic.scene.stages import moves_assembly
+
 __all__ = [
     "SUGAR",
     "Action",
+    "Arrive",
     "Close",
     "Fixture",
     "Hold",
     "Joints",
     "Move",
     "Open",
+    "Press",
     "Push",
     "Read",
+    "Retract",
     "SetDown",
     "Settle",
+    "Transfer",
     "Withdraw",
     "moves_of",
     "together",
@@ -49,14 +55,23 @@ class Fixture:
         Clamp rows that hold a position.
     forces : tuple of int
         Clamp rows that push with a force.
+    limited : tuple of int
+        Clamp rows that push towards a position, with a limited force.
+    guns : tuple of int
+        Welds whose gun presses.
     welds : tuple of int
         Welds made.
+    waiting : tuple of int
+        Locator rows that hold parts which later stages set down: where they will stand, touching nothing.
     """
 
     locators: tuple[int, ...] = ()
     strokes: tuple[int, ...] = ()
     forces: tuple[int, ...] = ()
+    limited: tuple[int, ...] = ()
+    guns: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
+    waiting: tuple[int, ...] = ()
 
 
 class Action(Protocol):
@@ -75,6 +90,31 @@ class SetDown:
 
     def apply(self, fixture):
         return replace(fixture, locators=fixture.locators + self.locators)
+
+
+@dataclass(frozen=True)
+class Arrive:
+    """Set down parts that were waiting, beside the others, which stay as they are; they touch nothing yet."""
+
+    locators: tuple[int, ...]
+
+    def apply(self, fixture):
+        waiting = tuple(i for i in fixture.waiting if i not in self.locators)
+        return replace(fixture, locators=fixture.locators + self.locators, waiting=waiting)
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Open all that holds the assembly, and set it down on other locators; parts that wait for these join it.
+
+    The assembly moves as it is, its contacts active; it touches nothing of the new station yet.
+    """
+
+    locators: tuple[int, ...]
+
+    def apply(self, fixture):
+        waiting = tuple(i for i in fixture.waiting if i not in self.locators)
+        return Fixture(locators=self.locators, welds=fixture.welds, waiting=waiting)
 
 
 @dataclass(frozen=True)
@@ -99,6 +139,27 @@ class Push:
 
 
 @dataclass(frozen=True)
+class Press:
+    """Close clamps that push towards a position with a limited force, and guns, which press sheets until they touch."""
+
+    limited: tuple[int, ...] = ()
+    guns: tuple[int, ...] = ()
+
+    def apply(self, fixture):
+        return replace(fixture, limited=fixture.limited + self.limited, guns=fixture.guns + self.guns)
+
+
+@dataclass(frozen=True)
+class Retract:
+    """Open guns: the welds made under them take over what they carried."""
+
+    guns: tuple[int, ...]
+
+    def apply(self, fixture):
+        return replace(fixture, guns=tuple(i for i in fixture.guns if i not in self.guns))
+
+
+@dataclass(frozen=True)
 class Close:
     """Make welds: each freezes the relative position that it finds, or closes its gap first where `gap` names it.
 
@@ -120,12 +181,19 @@ class Withdraw:
 
     strokes: tuple[int, ...] = ()
     forces: tuple[int, ...] = ()
+    limited: tuple[int, ...] = ()
+
+    @property
+    def clamps(self) -> tuple[int, ...]:
+        """All of them."""
+        return self.strokes + self.forces + self.limited
 
     def apply(self, fixture):
         return replace(
             fixture,
             strokes=tuple(i for i in fixture.strokes if i not in self.strokes),
             forces=tuple(i for i in fixture.forces if i not in self.forces),
+            limited=tuple(i for i in fixture.limited if i not in self.limited),
         )
 
 
@@ -189,7 +257,11 @@ def _of_stage(items, stage) -> tuple[int, ...]:
 
 
 def _locate(scene, stage, before) -> list[Move]:
-    return [(SetDown(_of_stage(scene.locators, stage)),)]
+    """The first sets the parts down; a later one sets further ones down, or is another station."""
+    own = _of_stage(scene.locators, stage)
+    if not before:
+        return [(SetDown(own),)]
+    return [(Transfer(own) if moves_assembly(scene, stage) else Arrive(own),)]
 
 
 def _clamp(scene, stage, before) -> list[Move]:
@@ -206,8 +278,13 @@ def _clamp(scene, stage, before) -> list[Move]:
 
 def _close(scene, clamps, locators=()) -> Move:
     pushing = tuple(i for i in clamps if scene.clamps[i].force is not None)
-    holding = tuple(i for i in clamps if scene.clamps[i].force is None)
-    return (Hold(locators, holding),) * bool(locators or holding) + (Push(pushing),) * bool(pushing)
+    limited = tuple(i for i in clamps if scene.clamps[i].limit is not None)
+    holding = tuple(i for i in clamps if i not in pushing and i not in limited)
+    return (
+        (Hold(locators, holding),) * bool(locators or holding)
+        + (Push(pushing),) * bool(pushing)
+        + (Press(limited),) * bool(limited)
+    )
 
 
 def tongs(scene, clamps: Sequence[int]) -> list[tuple[int, ...]]:
@@ -230,13 +307,21 @@ def _facing(a, b) -> bool:
 
 
 def _weld(scene, stage, before) -> list[Move]:
-    """All welds together; one after the other in a `sequence`, or in the groups of `order`."""
+    """All welds together; one after the other in a `sequence`, or in the groups of `order`.
+
+    The guns of a group press together before its welds are made, and open once they are.
+    """
     welds = _of_stage(scene.welds, stage)
     if stage.order is not None:
         groups = [_among(scene.welds, welds, names) for names in stage.order]
     else:
         groups = [(i,) for i in welds] if stage.sequence else [welds]
-    return [(Close(group, tuple(i for i in group if scene.welds[i].close)),) for group in groups]
+    moves: list[Move] = []
+    for group in groups:
+        guns = tuple(i for i in group if scene.welds[i].gun is not None)
+        made = Close(group, tuple(i for i in group if scene.welds[i].close))
+        moves += [(Press(guns=guns),), (made, Retract(guns))] if guns else [(made,)]
+    return moves
 
 
 def _release(scene, stage, before) -> list[Move]:
@@ -253,10 +338,14 @@ def _release(scene, stage, before) -> list[Move]:
         groups = [_closed(move) for move in reversed(before)]
     moves = []
     for clamps, locators in groups:
-        strokes = tuple(i for i in clamps if i in fixture.strokes and i not in kept_clamps)
-        forces = tuple(i for i in clamps if i in fixture.forces and i not in kept_clamps)
+        withdrawn = Withdraw(
+            *(
+                tuple(i for i in clamps if i in held and i not in kept_clamps)
+                for held in (fixture.strokes, fixture.forces, fixture.limited)
+            )
+        )
         opened = tuple(i for i in locators if i in fixture.locators and i not in kept_locators)
-        move = (Withdraw(strokes, forces),) * bool(strokes or forces) + (Open(opened),) * bool(opened)
+        move = (withdrawn,) * bool(withdrawn.clamps) + (Open(opened),) * bool(opened)
         moves += [move] if move else []
     return moves
 
@@ -270,7 +359,9 @@ def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
             clamps, locators = clamps + action.strokes, locators + action.locators
         elif isinstance(action, Push):
             clamps += action.forces
-        elif isinstance(action, SetDown):
+        elif isinstance(action, Press):
+            clamps += action.limited
+        elif isinstance(action, SetDown | Arrive | Transfer):
             locators += action.locators
     return clamps, locators
 
@@ -295,7 +386,9 @@ def together(moves: Sequence[Move]) -> list[Move]:
 
 
 def _measure(scene, stage, before) -> list[Move]:
-    return [(Read(),)]
+    """Read, on locators of its own if any name it."""
+    own = _of_stage(scene.locators, stage)
+    return [(Transfer(own), Read()) if own else (Read(),)]
 
 
 #: Kind of a scene's stage → ``moves(scene, stage, before)``, with the moves of the stages before.

@@ -9,7 +9,9 @@ import numpy as np
 
 from mic.contact.path import Trace
 
-__all__ = ["Evaluation", "Resolution"]
+__all__ = ["REACHED", "Evaluation", "Resolution"]
+
+REACHED = 1e-3  # mm: a way that no gauge reads
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,13 @@ class Resolution:
         Deepest penetration at the end at points between the pairs, where no pair sees it, mm; 0 where there is none.
     unseen_at : (n,) int array
         Which of the model's points between the pairs; -1 where there is none.
+    pushed : (n, p) array
+        What the clamps and guns of limited force push with where they are judged
+        (:attr:`mic.process.plan.StagePlan.judged`), N.
+    left : (n, p) array
+        The way that each has left to its position, mm; 0 where it is reached.
+    needed : (n, p) array
+        Where a position is not reached, what each would push with if none of that sample had a limit, N; else NaN.
     """
 
     stage: str
@@ -58,6 +67,14 @@ class Resolution:
     reaction: np.ndarray
     unseen: np.ndarray
     unseen_at: np.ndarray
+    pushed: np.ndarray
+    left: np.ndarray
+    needed: np.ndarray
+
+    @property
+    def reached(self) -> np.ndarray:
+        """(n, p) whether each clamp and gun of limited force reached its position."""
+        return ~(self.left > REACHED)
 
     @classmethod
     def join(cls, pieces: Sequence[Resolution]) -> Resolution:
@@ -93,6 +110,12 @@ class Evaluation:
     failed: np.ndarray
     functional_force: np.ndarray
     motion: np.ndarray
+
+    @property
+    def built(self) -> np.ndarray:
+        """(n,) whether every clamp and gun of limited force reached its position; true where there is none."""
+        every = [resolution.reached.all(axis=1) for resolution in self.resolutions.values()]
+        return np.logical_and.reduce([np.ones(len(self.failed), dtype=bool), *every])
 
     @classmethod
     def join(cls, pieces: Sequence[Evaluation]) -> Evaluation:

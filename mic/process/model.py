@@ -11,7 +11,7 @@ import numpy as np
 from mic.model.reduction import Reduction
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
-from mic.process.plan import Step
+from mic.process.plan import Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.product import one_thread
@@ -34,7 +34,7 @@ class ReducedModel(Reduction):
     @one_thread
     def eliminations(self) -> dict[str, list[EliminatedStep]]:
         """The steps of every stage with their bilateral rows eliminated, once for all contact laws."""
-        return eliminate_steps(self)
+        return eliminate_steps(self, plan_stages(self.scene, self.weld_size))
 
     @cached_property
     @one_thread

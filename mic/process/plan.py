@@ -7,11 +7,57 @@ share what the stages mean, and nothing of how they are solved.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
-from mic.process.actions import Close, Fixture, Joints, Move, Read, Row, SetDown, Settle, moves_of, together
+from mic.process.actions import (
+    Arrive,
+    Close,
+    Fixture,
+    Joints,
+    Move,
+    Read,
+    Row,
+    SetDown,
+    Settle,
+    Transfer,
+    moves_of,
+    together,
+)
 from mic.process.freedom import check_held
+from mic.scene.stages import set_down_in
 
-__all__ = ["StagePlan", "Step", "plan_stages"]
+__all__ = ["Limit", "StagePlan", "Step", "plan_stages"]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A row that is pushed towards its position, by a limited force.
+
+    It is a load F along the row, against a stop at the position that carries what is not needed to get there: with f
+    the stop's force and u the way that is left,
+
+        0 <= u  ⟂  f >= 0,        the force on the row is F - f.
+
+    The position is reached, by F − f, or the force is at its limit.
+
+    Attributes
+    ----------
+    row : (str, int)
+        A clamp's, or the first of a weld: its gun.
+    sign : {1, -1}
+        Whether it pushes along the row, or against it, as a gun does: it closes the gap that the row reads.
+    force : float
+        F, N.
+    """
+
+    row: Row
+    sign: int
+    force: float
+
+    @property
+    def load(self) -> float:
+        """Force along the row when nothing stops it, N."""
+        return self.sign * self.force
 
 
 @dataclass(frozen=True)
@@ -29,12 +75,18 @@ class Step:
         Rows held before that this step lets go.
     dropped_loads : tuple of int
         Clamp rows whose force ends here.
+    limits : tuple of Limit
+        Rows that are pushed towards their position by a limited force.
+    dropped_limits : tuple of Limit
+        Those that open here.
     made : tuple of int
         Weld rows that freeze here what they find.
     closing : tuple of int
         Welds that close their gap here.
     welds : tuple of int
         Welds that hold, those made here among them.
+    away : tuple of int
+        Zones one of whose bodies is not there: a part of a later station, a fixture of another.
     sets_down : bool
         Whether the parts are set down one by one, touching nothing yet.
     settles : bool
@@ -48,17 +100,31 @@ class Step:
     loads: tuple[int, ...] = ()
     released: tuple[Row, ...] = ()
     dropped_loads: tuple[int, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    dropped_limits: tuple[Limit, ...] = ()
     made: tuple[int, ...] = ()
     closing: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
+    away: tuple[int, ...] = ()
     sets_down: bool = False
     settles: bool = False
     resolves: bool = False
 
     @property
+    def stops(self) -> tuple[Limit, ...]:
+        """Limits that may be reached: all, unless the plan was made without them."""
+        return tuple(limit for limit in self.limits if limit.row not in self.bilateral)
+
+    @property
+    def nuggets(self) -> tuple[int, ...]:
+        """Welds in whose nuggets no contact is left: those made, and those that a gun without a limit closes."""
+        return self.welds + (self.closing if len(self.stops) < len(self.limits) else ())
+
+    @property
     def load_rows(self) -> tuple[Row, ...]:
-        """Rows that carry a load during the step: clamp forces, then rows let go, whose reactions fade."""
-        return tuple(("clamp", i) for i in self.loads + self.dropped_loads) + self.released
+        """Rows that carry a load during the step: clamp forces, limited ones, and rows let go, whose reactions fade."""
+        limited = tuple(limit.row for limit in self.stops + self.dropped_limits)
+        return tuple(("clamp", i) for i in self.loads + self.dropped_loads) + limited + self.released
 
 
 @dataclass(frozen=True)
@@ -115,28 +181,54 @@ class StagePlan:
         """Rows held at its end."""
         return self.steps[-1].bilateral
 
+    def judged_names(self, scene, weld_size) -> list[str]:
+        """Names of the clamps, and of the welds whose guns, :attr:`judged` lists."""
+        first = Joints(tuple(weld_size)).first.tolist()
+        return [
+            scene.clamps[limit.row[1]].name if limit.row[0] == "clamp" else scene.welds[first.index(limit.row[1])].name
+            for _, limit in self.judged
+        ]
 
-def plan_stages(scene, weld_size) -> list[StagePlan]:
+    @property
+    def judged(self) -> tuple[tuple[int, Limit], ...]:
+        """Where a limited force must have sufficed: clamps at the stage's end, guns when their weld is made; by the
+        number of the step."""
+        last = len(self.steps) - 1
+        return tuple(
+            (i, limit)
+            for i, step in enumerate(self.steps)
+            for limit in step.limits
+            if i == last or limit.row[0] == "weld"
+        )
+
+
+def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     """The stages of a scene.
 
     Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
     anything, before it does or (`settle` of the locate stage) while it does.  ``path = "one-step"`` does everything
-    that a stage does at once, what overlaps included.
+    that a stage does at once, what overlaps included. So it is in every later station, for what is new there.
 
     Parameters
     ----------
     scene : mic.scene.Scene
     weld_size : sequence of int
         Rows of each weld.
+    limited : bool
+        Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
 
     Raises
     ------
     SceneError
         If a step leaves a part free to move (`mic.process.freedom`).
     """
-    joints, fixture, plans = Joints(tuple(weld_size)), Fixture(), []
-    unsettled = False
-    first = all(stage.settle for stage in scene.stages)
+    rows = _Rows(scene, Joints(tuple(weld_size)), limited)
+    plans: list[StagePlan] = []
+    there = set_down_in(scene)
+    waiting = (i for i, one in enumerate(scene.locators) if one.stage == there[one.part] != scene.stages[0].name)
+    fixture = Fixture(waiting=tuple(waiting))
+    away = tuple(range(len(scene.zones)))
+    due, first, standing = False, True, set[str]()
     for stage, moves in moves_of(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
         if path == "one-step":
@@ -146,46 +238,102 @@ def plan_stages(scene, weld_size) -> list[StagePlan]:
             after = fixture
             for action in move:
                 after = action.apply(after)
-            step = _step(move, joints, fixture, after)
-            if unsettled and step.resolves:
-                unsettled = False
+            if any(isinstance(action, Transfer) for action in move):  # on its way the assembly touches no fixture
+                standing = set()
+                away = _away(scene, _parts_of(scene, fixture))
+            step = replace(_step(move, rows, fixture, after), away=away)
+            if due and step.resolves:
                 if first and path != "one-step":
-                    held = _bilateral(fixture, joints)
                     steps.append(
-                        Step((Settle(),), held, fixture.forces, welds=fixture.welds, settles=True, resolves=True)
+                        Step(
+                            (Settle(),),
+                            rows.held(fixture),
+                            fixture.forces,
+                            limits=rows.limits(fixture),
+                            welds=fixture.welds,
+                            away=away,
+                            settles=True,
+                            resolves=True,
+                        )
                     )
                 else:
                     step = replace(step, move=(Settle(), *move), settles=True)
-            unsettled |= step.sets_down
+                due = False
             steps.append(step)
+            if any(isinstance(action, SetDown | Arrive | Transfer) for action in move):
+                first, before = stage.settle, away
+                standing |= _standing(scene, stage)
+                away = _away(scene, _parts_of(scene, after) | standing)
+                due = due or not plans or not set(before) <= set(away)
             fixture = after
         reads = any(isinstance(action, Read) for move in moves for action in move)
         plans.append(StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads))
-        check_held(scene, joints, plans[-1])
+        check_held(scene, rows.joints, plans[-1])
     return plans
 
 
-def _step(move, joints: Joints, before: Fixture, after: Fixture) -> Step:
-    held, now = _bilateral(before, joints), _bilateral(after, joints)
-    added = [row for row in now if row not in held and row[0] != "weld"]  # a weld that is made moves nothing
+def _parts_of(scene, fixture: Fixture) -> set[str]:
+    """Names of the parts that are there."""
+    waiting = {scene.locators[i].part for i in fixture.waiting}
+    return {part.name for part in scene.parts} - waiting
+
+
+def _standing(scene, stage) -> set[str]:
+    """Names of the fixtures that stand in the station of a stage."""
+    first = scene.stages[0].name
+    return {fixture.name for fixture in scene.fixtures if (fixture.stage or first) == stage.name}
+
+
+def _away(scene, bodies: set[str]) -> tuple[int, ...]:
+    """Zones that these bodies leave without a partner."""
+    return tuple(i for i, zone in enumerate(scene.zones) if not set(zone.parts) <= bodies)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Which rows a fixture holds, and which it pushes by a limited force."""
+
+    scene: Any
+    joints: Joints
+    limited: bool
+
+    def limits(self, fixture: Fixture) -> tuple[Limit, ...]:
+        clamps, welds, first = self.scene.clamps, self.scene.welds, self.joints.first
+        return tuple(Limit(("clamp", i), 1, clamps[i].limit) for i in fixture.limited) + tuple(
+            Limit(("weld", int(first[i])), -1, welds[i].gun) for i in fixture.guns
+        )
+
+    def held(self, fixture: Fixture) -> tuple[Row, ...]:
+        rows = [("locator", i) for i in fixture.waiting + fixture.locators] + [("clamp", i) for i in fixture.strokes]
+        rows += [row for weld in fixture.welds for row in self.joints.rows(weld)]
+        return tuple(rows) + (() if self.limited else tuple(limit.row for limit in self.limits(fixture)))
+
+
+def _step(move, rows: _Rows, before: Fixture, after: Fixture) -> Step:
+    held, now = rows.held(before), rows.held(after)
+    limits, limits_now = rows.limits(before), rows.limits(after)
+    welded = {row for weld in after.welds for row in rows.joints.rows(weld)}
+    added = [row for row in now if row not in held and row not in welded]  # a weld that is made moves nothing
     released = tuple(row for row in held if row not in now)
+    dropped = tuple(limit for limit in limits if limit not in limits_now and rows.limited)
     closing = tuple(i for action in move if isinstance(action, Close) for i in action.gap)
+    if not rows.limited:  # a gun without a limit closes the gap
+        closing += tuple(i for i in after.guns if i not in before.guns)
     sets_down = any(isinstance(action, SetDown) for action in move)
-    changed = bool(added or released or closing or set(after.forces) != set(before.forces))
+    opened = any(limit.row not in now for limit in dropped)  # a weld takes its gun's force over, and nothing moves
+    pressed = any(limit not in limits for limit in limits_now)
+    changed = bool(added or released or closing or opened or pressed or set(after.forces) != set(before.forces))
     return Step(
         move=move,
         bilateral=now,
         loads=after.forces,
         released=released,
         dropped_loads=tuple(i for i in before.forces if i not in after.forces),
-        made=tuple(row for kind, row in now if kind == "weld" and ("weld", row) not in held),
+        limits=limits_now,
+        dropped_limits=dropped,
+        made=tuple(i for kind, i in now if (kind, i) in welded and (kind, i) not in held),
         closing=closing,
         welds=after.welds,
         sets_down=sets_down,
         resolves=changed and not sets_down,
     )
-
-
-def _bilateral(fixture: Fixture, joints: Joints) -> tuple[Row, ...]:
-    rows = [("locator", i) for i in fixture.locators] + [("clamp", i) for i in fixture.strokes]
-    return tuple(rows + [row for weld in fixture.welds for row in joints.rows(weld)])

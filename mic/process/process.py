@@ -14,7 +14,7 @@ from mic.contact.watched import WatchedSolver
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import Step, plan_stages
-from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, path_of
+from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
 from mic.product import one_thread, product
 
@@ -30,27 +30,39 @@ AHEAD = 8
 APART = 2.0
 
 
-def contact_solver(contacts, S: np.ndarray, friction: Friction, welds: Sequence[int], start: np.ndarray, **settings):
-    """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate.
+def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, start: np.ndarray, **settings):
+    """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate, or
+    takes no part.
 
     Parameters
     ----------
     contacts : mic.model.assembly.Contacts
-    S : (d m, d m) array
-        Compliance, mm/N.
+    S : (d m + s, d m + s) array
+        Compliance at the contacts and at the step's stops, mm/N.
     friction : Friction
-    welds : sequence of int
-        Those that hold.
+        Of the contacts.
+    step : Step
     start : (m,) bool array
         Candidates that take part from the beginning.
     **settings
         Law and others, as :class:`mic.contact.ContactSolver` takes them.
     """
     settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
-    if not contacts.watched.any():
+    stops = stops_of(contacts, step)
+    S, friction = stops.compliance(S), stops.friction(friction)
+    out = contacts.out(step.nuggets, step.away)
+    if not (contacts.watched.any() or out.any()):
         return ContactSolver(S, friction, **settings)
-    reach, allowed = APART * np.sqrt(contacts.area), ~contacts.out(welds)
-    return WatchedSolver(S, friction, contacts.point, reach, ~contacts.watched | start, allowed, **settings)
+    always = np.ones(stops.count, dtype=bool)
+    return WatchedSolver(
+        S,
+        friction,
+        np.concatenate([contacts.point, np.zeros((stops.count, 3))]),
+        np.concatenate([APART * np.sqrt(contacts.area), np.zeros(stops.count)]),
+        np.concatenate([~contacts.watched | start, always]),
+        np.concatenate([~out, always]),
+        **settings,
+    )
 
 
 class Process:
@@ -72,6 +84,8 @@ class Process:
     starts : mapping, optional
         Candidates (m,) that take part from the beginning, by stage and step; default:
         :attr:`mic.process.model.ReducedModel.likely`.
+    limited : bool
+        Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
 
     Attributes
     ----------
@@ -94,6 +108,7 @@ class Process:
         threads: int = 1,
         path_tolerance: float | None = None,
         starts: Mapping[tuple[str, Step], np.ndarray] | None = None,
+        limited: bool = True,
     ):
         self.model, self.law = model, law
         contacts = model.contacts
@@ -108,16 +123,18 @@ class Process:
             "threads": threads,
             "dimension": contacts.dimension,
         }
-        self._plans = plan_stages(model.scene, model.weld_size)
+        self._plans = plan_stages(model.scene, model.weld_size, limited)
+        self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
         self._starts = model.likely if starts is None else starts
         path_tolerance = path_tolerance or model.scene.path.tolerance
+        self._path_tolerance = path_tolerance
         self.stages = self._prepared([path_of(plan, obeyed, path_tolerance) for plan in self._plans])
 
     def _prepared(self, paths: Sequence[Path]) -> list[PreparedStage]:
         model = self.model
         return [
-            PreparedStage(plan, model.eliminations[plan.name], model, partial(self._solver, plan.name), path)
+            PreparedStage(plan, self._eliminations[plan.name], model, partial(self._solver, plan.name), path)
             for plan, path in zip(self._plans, paths)
         ]
 
@@ -125,11 +142,12 @@ class Process:
         """Of a step; those that hold the same rows under the same friction share it, where nothing is watched."""
         contacts, step = self.model.contacts, eliminated.step
         friction = contacts.friction_in(stage)
-        key = step.bilateral, friction.coefficient.tobytes(), (stage, step) if contacts.watched.any() else None
+        own = (stage, step) if contacts.watched.any() else None
+        key = step.bilateral, step.stops, step.away, friction.coefficient.tobytes(), own
         if key not in self._solvers:
             start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
             self._solvers[key] = contact_solver(
-                contacts, eliminated.response.S, friction, step.welds, start, **self._settings
+                contacts, eliminated.response.S, friction, step, start, **self._settings
             )
         return self._solvers[key]
 
@@ -153,7 +171,8 @@ class Process:
     @property
     def carried(self) -> dict[tuple[str, Step], np.ndarray]:
         """Candidates (m,) that carried force at the end of a step in any sample so far, by stage and step."""
-        return {key[-1]: one.carried for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
+        m = len(self.model.contacts)
+        return {key[-1]: one.carried[:m] for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
 
     @property
     def redundant(self) -> list[str]:
@@ -192,7 +211,33 @@ class Process:
             if stage.plan.reads:
                 read = state.reading["measurement"] + asked.measured
         force, motion = self._equilibrium(state, deviations)
-        return Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
+        found = Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
+        short = np.flatnonzero(~found.built)
+        if short.size:
+            self._tell_needs(found, short)
+        return found
+
+    def _tell_needs(self, found: Evaluation, short: np.ndarray) -> None:
+        """What the forces of these samples would be if none had a limit, into ``needed``; NaN where that fails."""
+        without = self._unlimited.attempt(found.deviations[short])
+        for stage, resolution in found.resolutions.items():
+            known = ~resolution.reached[short] & ~without.failed[:, None]
+            resolution.needed[short] = np.where(known, without.resolutions[stage].pushed, np.nan)
+
+    @cached_property
+    def _unlimited(self) -> Process:
+        """The same process without limits of forces."""
+        settings = {name: self._settings[name] for name in ("tol", "threads")}
+        backend = "native" if self._settings["backend"] == "native" else "paper"
+        return Process(
+            self.model,
+            self.law,
+            backend=backend,
+            path_tolerance=self._path_tolerance,
+            starts={},
+            limited=False,
+            **settings,
+        )
 
     def attempt(self, deviations: np.ndarray) -> Evaluation:
         """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
@@ -226,6 +271,9 @@ class Process:
                 reaction=nan(stage.bilateral.shape[0]),
                 unseen=nan(),
                 unseen_at=np.full(n, -1),
+                pushed=nan(len(stage.plan.judged)),
+                left=nan(len(stage.plan.judged)),
+                needed=nan(len(stage.plan.judged)),
             )
             for stage in self.stages
             if stage.resolves
@@ -271,6 +319,8 @@ class Process:
         push = np.zeros((n, model.rows["clamp"].shape[0]))
         for i, force in state.push.items():
             push[:, i] = force
+        for limit in last.plan.steps[-1].stops:
+            push[:, limit.row[1]] = limit.force - state.stop[limit.row]
         force = reaction @ last.bilateral + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
         own, AH, inverse = self._last_rows

@@ -8,13 +8,18 @@ loads p,
 S with what candidates yield through the sheets' thickness (`mic.model.assembly.Contacts.layer`) on its diagonal, and
 the contact law ties f to ``u = S f + b``, its slip measured from the contacts' anchors (`mic.contact.path`). With v and
 p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
-touching: ``b_n(s) = b_n + (1 − s) max(0, −b_n)``.
+touching: ``b_n(s) = b_n + (1 − s) max(0, −u_n)``, u_n under the forces of the contacts that touch already.
+
+A row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
+stop: one more contact, without friction, whose gap is the way that is left. Where the part lies beyond the position
+when the push begins, the stop brings it back, from where it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -29,13 +34,15 @@ from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.freedom import free
 from mic.process.path import Ramp
-from mic.process.plan import StagePlan, Step, plan_stages
+from mic.process.plan import Limit, StagePlan, Step
 from mic.process.state import ProcessState
+from mic.process.stops import Stops
 from mic.product import product
 
-__all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps"]
+__all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
 
 FLOOR = 2e-4  # mm: no gauge reads a step's error below it
+ROUNDING = 1e-9  # mm: a way left that is none
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
 
 
@@ -49,8 +56,9 @@ class EliminatedStep:
     bilateral : (b, F) csr_matrix
         Rows held.
     response : Response
-        Its output rows are those of all :data:`OUTPUTS`, in this order; its loads are the step's. Steps that hold the
-        same rows share all of it but the loads.
+        Its contact rows are those of the contacts, then those of the step's stops; its output rows those of all
+        :data:`OUTPUTS`, in this order; its loads are the step's. Steps that hold the same rows share all of it but the
+        loads.
     """
 
     step: Step
@@ -58,12 +66,13 @@ class EliminatedStep:
     response: Response
 
 
-def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
+def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[EliminatedStep]]:
     """Eliminate every step of every stage of a reduced model; all contact laws share the outcome.
 
     Parameters
     ----------
     model : mic.model.reduction.Reduction
+    plans : sequence of StagePlan
 
     Returns
     -------
@@ -81,28 +90,27 @@ def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
         return vstack([none, *(model.rows[kind][i] for kind, i in rows)], format="csr")
 
     output = vstack([model.rows[kind] for kind in OUTPUTS], format="csr")
-    plans = plan_stages(model.scene, model.weld_size)
-    yielding = np.zeros(model.rows["contact"].shape[0])
+    contact_rows = model.rows["contact"].shape[0]
+    yielding = np.zeros(contact_rows)
     yielding[:: model.contacts.dimension] = model.contacts.layer
-    loads: dict[tuple, dict] = {}  # by the rows held, all load rows that any step has with them
+    loads: dict[tuple, dict] = {}  # by the rows held and stopped, all load rows that any step has with them
     for plan in plans:
         for step in plan.steps:
-            loads.setdefault(step.bilateral, {}).update(dict.fromkeys(step.load_rows))
+            loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys(step.load_rows))
     shared: dict[tuple, tuple[csr_matrix, Response]] = {}
     eliminated: dict[str, list[EliminatedStep]] = {}
     for plan in plans:
         for step in plan.steps:
-            held = step.bilateral
+            held = step.bilateral, step.stops
             if held not in shared:
-                bilateral = rows_of(held)
+                bilateral = rows_of(step.bilateral)
+                contact = vstack([model.rows["contact"], *(stop_row(model.rows, stop) for stop in step.stops)])
                 try:
-                    response = eliminate(
-                        model.compliance, bilateral, model.rows["contact"], rows_of(loads[held]), output
-                    )
+                    response = eliminate(model.compliance, bilateral, contact.tocsr(), rows_of(loads[held]), output)
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
-                response.S[np.diag_indices(len(response.S))] += yielding
+                response.S[np.diag_indices(contact_rows)] += yielding
                 shared[held] = bilateral, response
             bilateral, response = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
@@ -114,6 +122,17 @@ def eliminate_steps(model) -> dict[str, list[EliminatedStep]]:
             )
             eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response))
     return eliminated
+
+
+def stops_of(contacts, step: Step) -> Stops:
+    """The stops of a step among the contacts."""
+    return Stops(len(contacts), len(step.stops), contacts.dimension)
+
+
+def stop_row(rows: Mapping[str, csr_matrix], limit: Limit) -> csr_matrix:
+    """(1, F) what the stop of a limited force reads: its gap closes as the row moves the way it is pushed."""
+    kind, row = limit.row
+    return -limit.sign * rows[kind][row]
 
 
 class PreparedStage:
@@ -142,9 +161,21 @@ class PreparedStage:
     ):
         self.plan, self.steps, self.path, self._solver = plan, steps, path, solver
         self._contacts, self._between, self._weld_first = model.contacts, model.between, model.joints.first
+        self._dimension = model.contacts.dimension
         edges = np.concatenate([[0], np.cumsum([model.rows[kind].shape[0] for kind in OUTPUTS])])
         self._output = {kind: slice(a, b) for kind, a, b in zip(OUTPUTS, edges, edges[1:])}
-        self.resolves = plan.resolves and len(model.contacts) > 0
+
+    def _stops(self, eliminated: EliminatedStep) -> Stops:
+        return stops_of(self._contacts, eliminated.step)
+
+    def _solved(self, eliminated: EliminatedStep) -> bool:
+        """Whether a step has contacts or stops to solve for."""
+        return eliminated.step.resolves and self._stops(eliminated).total > 0
+
+    @cached_property
+    def resolves(self) -> bool:
+        """Whether contact is resolved, of parts or with a stop."""
+        return any(self._solved(each) for each in self._needed)
 
     @property
     def response(self) -> Response:
@@ -166,18 +197,41 @@ class PreparedStage:
         resolution : Resolution or None
             None where no contact is resolved.
         """
-        start, solutions = state, []
-        for eliminated in self._needed():
+        start, solutions, ends = state, [], {}
+        for eliminated in self._needed:
             state, solution = self._step(eliminated, state, drive)
             solutions += [] if solution is None else [solution]
-        return state, self._resolution(start, state, solutions, drive) if self.resolves else None
+            ends[eliminated.step] = state
+        if not self.resolves:
+            return state, None
+        pushed = [self._pushed(limit, ends[self.plan.steps[i]], drive) for i, limit in self.plan.judged]
+        return state, self._resolution(start, state, solutions, drive, pushed)
 
+    @cached_property
     def _needed(self) -> list[EliminatedStep]:
         """Without friction nothing remembers the way: of the steps, only those count that leave a weld behind."""
         steps = self.steps
-        if not self.resolves or any(self._solver(each).law.frictional for each in steps if each.step.resolves):
+        solved = [each for each in steps if self._solved(each)]
+        if not solved or any(self._solver(each).law.frictional for each in solved):
             return steps
         return [steps[i] for i in self.plan.remembered]
+
+    def _pushed(self, limit: Limit, state: ProcessState, drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+        """What a limited force pushes with (n,), N, and the way (n,) that is left to its position, mm."""
+        if limit.row in state.reaction:  # the plan has no limits
+            return limit.sign * state.reaction[limit.row], np.zeros(len(drive))
+        kind, row = limit.row
+        stop = state.stop[limit.row]
+        left = limit.sign * (self._position(limit, drive) - state.reading[kind][:, row])
+        # A gun presses with all its force, whatever of it the sheets carry about its weld, or its stop there.
+        return limit.force - stop * (kind == "clamp"), np.where(left > ROUNDING, left, 0.0)
+
+    def _position(self, limit: Limit, drive: Drive) -> np.ndarray:
+        """(n,) where a limited force pushes its row: a clamp to its target, a gun until its weld's gap is closed."""
+        kind, row = limit.row
+        if kind == "clamp":
+            return drive.target["clamp"][:, row]
+        return -drive.weld_gap[:, int(np.searchsorted(self._weld_first, row))]
 
     def _step(self, eliminated, state, drive):
         """The state after a step, and the path that its contacts went; None where they were not resolved."""
@@ -186,8 +240,9 @@ class PreparedStage:
         ramp = self._ramp(step, state, drive, frozen)
         v, p = ramp.at(1.0)
         force, left, anchor, solution = state.force, state.left, state.anchor, None
-        if step.resolves and len(self._contacts):
-            solution = self._resolve(eliminated, state, drive, ramp)
+        stop = self._stopped(step, state)
+        if self._solved(eliminated):
+            solution, stop = self._resolve(eliminated, state, drive, ramp)
             force = solution.force.reshape(force.shape)
             left = solution.displacement.reshape(force.shape).copy()
             left[:, :, 0] -= drive.gap
@@ -195,7 +250,7 @@ class PreparedStage:
         elif step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
             left = (product(v, response.T.T) + product(p, response.L.T)).reshape(left.shape)
             anchor = left[:, :, 1:]
-        reading, reaction = self._outcome(response, v, p, force)
+        reading, reaction = self._outcome(response, v, p, np.column_stack([force.reshape(len(force), -1), stop]))
         after = ProcessState(
             reading=reading,
             force=force,
@@ -205,6 +260,7 @@ class PreparedStage:
             value={row: v[:, j] for j, row in enumerate(step.bilateral)},
             reaction={row: reaction[:, j] for j, row in enumerate(step.bilateral)},
             push={i: drive.push[:, i] for i in step.loads},
+            stop={limit.row: stop[:, j] for j, limit in enumerate(step.stops)},
             frozen=frozen,
         )
         return after, solution
@@ -224,68 +280,93 @@ class PreparedStage:
 
         start = [state.value.get(row, state.reading[row[0]][:, row[1]]) for row in step.bilateral]
         end = [frozen[i] if kind == "weld" else drive.target[kind][:, i] for kind, i in step.bilateral]
-        fading = [none] * (len(step.dropped_loads) + len(step.released))
         before = [state.push.get(i, none) for i in step.loads + step.dropped_loads]
+        before += [none + limit.load * (limit.row in state.stop) for limit in step.stops]
+        before += [limit.load - limit.sign * state.stop[limit.row] for limit in step.dropped_limits]
+        after = [drive.push[:, i] for i in step.loads] + [none] * len(step.dropped_loads)
+        after += [none + limit.load for limit in step.stops] + [none] * len(step.dropped_limits + step.released)
         return Ramp(
             columns(start),
             columns(end),
             columns(before + [state.reaction[row] for row in step.released]),
-            columns([drive.push[:, i] for i in step.loads] + fading),
+            columns(after),
         )
 
-    def _resolve(self, eliminated, state, drive, ramp) -> PathSolution:
-        """Follow the ramp, or the overlaps that close."""
-        response, n = eliminated.response, len(drive)
+    def _stopped(self, step: Step, state: ProcessState) -> np.ndarray:
+        """(n, s) forces of a step's stops before it; none of those that are new."""
+        none = np.zeros(len(state.failed))
+        return np.column_stack([np.zeros((len(none), 0)), *(state.stop.get(stop.row, none) for stop in step.stops)])
+
+    def _resolve(self, eliminated, state, drive, ramp) -> tuple[PathSolution, np.ndarray]:
+        """Follow the ramp, or the overlaps that close: the contacts' path, and the forces (n, s) of the stops."""
+        response, step, n = eliminated.response, eliminated.step, len(drive)
+        stops, contacts = self._stops(eliminated), state.left[0].size
+        position = [limit.sign * self._position(limit, drive) for limit in step.stops]
 
         def unloaded(s):
             v, p = ramp.at(s)
-            b = (product(v, response.T.T) + product(p, response.L.T)).reshape(state.left.shape)
-            b[:, :, 0] += drive.gap
+            b = product(v, response.T.T) + product(p, response.L.T)
+            b[:, : contacts : self._dimension] += drive.gap
+            b[:, contacts:] += np.column_stack([np.zeros((n, 0)), *position])
             return b
 
         start, end = unloaded(0.0), unloaded(1.0)
-        if eliminated.step.settles:
-            start[:, :, 0] = np.maximum(start[:, :, 0], 0.0)
-        way = np.stack([start.reshape(n, -1), end.reshape(n, -1)], axis=1)
-        return self._solver(eliminated).follow(way, state.force.reshape(n, -1), state.anchor, self.path)
+        if step.settles:
+            normal = slice(0, contacts, self._dimension)
+            apart = start[:, normal] + product(state.force.reshape(n, -1), response.S[normal, :contacts].T)
+            start[:, normal] += np.maximum(0.0, -apart)
+        for j, limit in enumerate(step.stops):
+            if limit.row not in state.stop:  # from where the part is, should it lie beyond
+                kind, row = limit.row
+                start[:, contacts + j] += np.maximum(0.0, limit.sign * state.reading[kind][:, row] - position[j])
+        way = np.stack([stops.spread(start), stops.spread(end)], axis=1)
+        force = stops.spread(np.column_stack([state.force.reshape(n, -1), self._stopped(step, state)]))
+        anchor = np.concatenate([state.anchor, np.zeros((n, stops.count, self._dimension - 1))], axis=1)
+        return stops.split(self._solver(eliminated).follow(way, force, anchor, self.path))
 
-    def _resolution(self, start, end, solutions, drive) -> Resolution:
+    def _resolution(self, start, end, solutions, drive, pushed) -> Resolution:
         whole, n = PathSolution.join(solutions), len(end.force)
         displacement = whole.displacement.reshape(end.force.shape).copy()
         displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
-        resolving = next(each for each in reversed(self.steps) if each.step.resolves)
-        solver = self._solver(resolving)
+        resolving = next(each for each in reversed(self.steps) if self._solved(each))
+        normal = np.column_stack([end.force[..., 0], np.zeros((n, self._stops(resolving).count))])
+        bound = self._solver(resolving).bound(normal)[:, : end.force.shape[1]]
         unseen, at = self._unseen(end, drive)
+        none = np.zeros((n, 0))
         return Resolution(
             stage=self.plan.name,
             force=end.force.copy(),
             displacement=displacement,
-            state=classify(end.force, solver.bound(end.force[..., 0])),
+            state=classify(end.force, bound),
             trace=whole.trace,
             residual=whole.residual,
             converged=whole.converged,
             iterations=whole.iterations,
             status=whole.status,
             rung=whole.rung,
-            reaction=np.column_stack([np.zeros((n, 0)), *(end.reaction[row] for row in self.plan.bilateral)]),
+            reaction=np.column_stack([none, *(end.reaction[row] for row in self.plan.bilateral)]),
             unseen=unseen,
             unseen_at=at,
+            pushed=np.column_stack([none, *(force for force, _ in pushed)]),
+            left=np.column_stack([none, *(way for _, way in pushed)]),
+            needed=np.full((n, len(pushed)), np.nan),
         )
 
     def _unseen(self, end, drive) -> tuple[np.ndarray, np.ndarray]:
         """Deepest penetration (n,) between the pairs, and at which point (n,); what welds have fused does not count."""
-        fused = np.isin(self._between.nugget, self.steps[-1].step.welds)
+        last = self.steps[-1].step
+        fused = np.isin(self._between.nugget, last.welds) | np.isin(self._between.zone, last.away)
         depth = np.where(fused, 0.0, -(drive.between + end.reading["between"]))
         depth = np.column_stack([np.zeros(len(depth)), depth])
         at = depth.argmax(axis=1)
         return depth[np.arange(len(depth)), at], at - 1
 
     def _outcome(self, response, v, p, force):
-        """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows."""
-        f = force.reshape(len(force), -1)
-        reading = product(v, response.T_out.T) + product(p, response.L_out.T) + product(f, response.S_out.T)
+        """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows, under the forces
+        (n, d m + s) of contacts and stops."""
+        reading = product(v, response.T_out.T) + product(p, response.L_out.T) + product(force, response.S_out.T)
         reaction = product(v, response.reaction_T.T) + product(p, response.reaction_L.T)
-        reaction += product(f, response.reaction_S.T)
+        reaction += product(force, response.reaction_S.T)
         return {kind: reading[:, own] for kind, own in self._output.items()}, reaction
 
 

@@ -36,6 +36,8 @@ class ProcessState:
         Forces of the bilateral rows on the parts, N or N mm.
     push : dict of int to (n,) array
         Forces of the clamp rows that push, N.
+    stop : dict of (str, int) to (n,) array
+        Forces by which stops hold back the rows that are pushed by a limited force (`mic.process.plan.Limit`), N.
     frozen : dict of int to (n,) array
         Relative displacement that each weld row keeps.
     failed : (n,) bool array
@@ -50,6 +52,7 @@ class ProcessState:
     value: Mapping[Row, np.ndarray] = field(default_factory=dict)
     reaction: Mapping[Row, np.ndarray] = field(default_factory=dict)
     push: Mapping[int, np.ndarray] = field(default_factory=dict)
+    stop: Mapping[Row, np.ndarray] = field(default_factory=dict)
     frozen: Mapping[int, np.ndarray] = field(default_factory=dict)
 
     @classmethod

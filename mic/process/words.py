@@ -3,9 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
-from mic.process.actions import Action, Close, Hold, Open, Push, Read, SetDown, Settle, Withdraw
+from mic.process.actions import (
+    Action,
+    Arrive,
+    Close,
+    Hold,
+    Open,
+    Press,
+    Push,
+    Read,
+    Retract,
+    SetDown,
+    Settle,
+    Transfer,
+    Withdraw,
+)
 from mic.process.plan import StagePlan, Step
+from mic.scene.stages import set_down_in
 
 __all__ = ["opening", "sentences"]
 
@@ -24,7 +40,7 @@ def opening(plan: StagePlan, contacts: bool) -> str:
     if not contacts:
         return "no contact"
     if not plan.resolves:
-        return "parts touch nothing yet" if any(step.sets_down for step in plan.steps) else "nothing moves"
+        return "nothing moves" if plan.kind != "locate" else "parts touch nothing yet"
     if plan.path == "followed":
         return "contact active, path followed"
     if plan.path == "one-step":
@@ -51,13 +67,19 @@ def _sentence(scene, step: Step) -> str:
     clauses = [clause for action in step.move for clause in _clauses(scene, action)]
     if step.settles and len(clauses) > 1:
         return f"{', '.join(clauses[1:])}; meanwhile {clauses[0]}"
-    return ("; " if step.sets_down else ", ").join(clauses)
+    return ("; " if any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move) else ", ").join(
+        clauses
+    )
 
 
 def _clauses(scene, action: Action) -> Iterable[str]:
-    if isinstance(action, SetDown):
+    if isinstance(action, SetDown | Arrive | Transfer):
+        there, locators = set_down_in(scene), [scene.locators[i] for i in action.locators]
+        others = [one.name for one in locators if there[one.part] != one.stage]
+        if others:
+            yield f"all that holds the assembly opens, it is set down on {_listed(others)}"
         for part in scene.parts:
-            own = [scene.locators[i].name for i in action.locators if scene.locators[i].part == part.name]
+            own = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
             if own:
                 yield f"{part.name} is set down on {_listed(own)}"
     elif isinstance(action, Settle):
@@ -71,6 +93,15 @@ def _clauses(scene, action: Action) -> Iterable[str]:
         for force, own in _alike(action.forces, lambda i: scene.clamps[i].force):
             each = " each" * (len(own) > 1)
             yield _do("clamp", _names(scene.clamps, own), "close", "closes") + f" ({force:g} N{each})"
+    elif isinstance(action, Press):
+        for (stroke, limit), own in _alike(action.limited, lambda i: (scene.clamps[i].stroke, scene.clamps[i].limit)):
+            yield _do("clamp", _names(scene.clamps, own), "close", "closes") + _towards(stroke, limit, len(own))
+        for force, own in _alike(action.guns, lambda i: scene.welds[i].gun):
+            each = " each" * (len(own) > 1)
+            yield _do("gun", _names(scene.welds, own), "press", "presses") + f" ({force:g} N{each})"
+    elif isinstance(action, Retract):
+        if action.guns:
+            yield _do("gun", _names(scene.welds, action.guns), "open", "opens")
     elif isinstance(action, Close):
         found = [i for i in action.welds if i not in action.gap]
         if found:
@@ -78,7 +109,7 @@ def _clauses(scene, action: Action) -> Iterable[str]:
         if action.gap:
             yield _do("weld", _names(scene.welds, action.gap), "close their gaps", "closes its gap")
     elif isinstance(action, Withdraw):
-        own = sorted(action.strokes + action.forces)
+        own = sorted(action.clamps)
         yield _do("clamp", _names(scene.clamps, own), "open", "opens")
     elif isinstance(action, Open):
         yield _do("locator", _names(scene.locators, action.locators), "open", "opens")
@@ -87,7 +118,11 @@ def _clauses(scene, action: Action) -> Iterable[str]:
         yield "1 key characteristic is read" if count == 1 else f"{count} key characteristics are read"
 
 
-def _alike(numbers: Sequence[int], value) -> Iterable[tuple[float, list[int]]]:
+def _towards(stroke: float, limit: float, count: int) -> str:
+    return f" to {stroke:g} mm, with at most {limit:g} N{' each' * (count > 1)}"
+
+
+def _alike(numbers: Sequence[int], value) -> Iterable[tuple[Any, list[int]]]:
     """Numbers of items of one value together, in their order."""
     for one in dict.fromkeys(value(i) for i in numbers):
         yield one, [i for i in numbers if value(i) == one]

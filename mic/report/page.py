@@ -134,6 +134,8 @@ def _validity(outcome: Outcome) -> list[dict[str, Any]]:
                 "failed": len(outcome.failed[law]),
                 "residual": outcome.worst_residual(law) if run else float("nan"),
                 "rescued": len(outcome.rescued[law]),
+                "not_built": len(outcome.unbuilt[law]),
+                "short": [row for row in _records(outcome.limit_statistics) if row["law"] == law and row["short"]],
                 "reasons": [
                     {
                         "status": status,

@@ -26,7 +26,13 @@ __all__ = [
 
 STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
 STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
-MARK_COLOURS = {"locator": "#1b1f24", "clamp": "#c1121f", "weld": "#f4d35e", "measurement": "#ffffff"}
+MARK_COLOURS = {
+    "locator": "#1b1f24",
+    "clamp": "#c1121f",
+    "weld": "#f4d35e",
+    "measurement": "#ffffff",
+    "force": "#2a9d8f",
+}
 RULE_COLOURS = dict(zip(Rule, ("#6a8fb5", "#8fbf9a", "#dfe4ea", "#c8553d")))
 RULE_WORDS = dict(zip(Rule, ("given", "estimated from the edges", "flat", "refused: too far off")))
 PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")

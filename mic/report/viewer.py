@@ -1,20 +1,24 @@
-"""Data of the interactive view of the assembly and its fields, which ``viewer.html`` hands to Plotly."""
+"""Data of the interactive views of an assembly and its fields, which ``viewer.html`` hands to Plotly."""
 
 from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
+from mic.geometry.surface import Surface
 from mic.report.context import Context
 from mic.report.space_pictures import ARROW, viewpoint
 from mic.report.style import MARK_COLOURS, part_colour, zone_colour
 from mic.results.outcome import Outcome
+from mic.scene import Scene
 
-__all__ = ["viewer_data"]
+__all__ = ["as_json", "drawable", "view", "viewer_data"]
 
 
 def viewer_data(outcome: Outcome, context: Context) -> str | None:
@@ -23,22 +27,52 @@ def viewer_data(outcome: Outcome, context: Context) -> str | None:
     Arrays are base64 of little-endian bytes: ``points`` (v, 3) and fields (v,) as 4-byte floats in mm, ``triangles``
     (t, 3) as 4-byte integers.
     """
-    surfaces = context.surfaces
+    surfaces, scene = context.surfaces, outcome.model.scene
     if not surfaces:
         return None
+    data = view(surfaces, scene)
+    for part in data["parts"]:
+        part["fields"] = {
+            field.law: _field(field, surfaces[field.part]) for field in context.fields if field.part == part["name"]
+        }
+    data["points"] = _zones(scene, outcome.model.contacts) + data["points"]
+    data["laws"] = [law for law in outcome.laws if context.fields_of(law)]
+    return as_json(data)
+
+
+def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
+    """What :func:`viewer_data` says of surfaces and of what a scene places on them; no contact pairs, no fields."""
     length = ARROW * max(surface.diameter for surface in surfaces.values())
     everything = np.concatenate([surface.points for surface in surfaces.values()])
     low, high = everything.min(axis=0) - length, everything.max(axis=0) + length
-    data = {
+    return {
         "scales": {name: _scale(name) for name in ("viridis", "YlOrRd", "RdBu_r")},
         "eye": dict(zip("xyz", 1.9 * viewpoint(surfaces.values()))),
         "arrow": length,
         "range": np.column_stack([low, high]).tolist(),
-        "parts": [_part(i, name, context) for i, name in enumerate(surfaces)],
-        "arrows": _arrows(outcome.model.scene),
-        "points": _points(outcome.model.scene, outcome.model.contacts),
-        "laws": [law for law in outcome.laws if context.fields_of(law)],
+        "parts": [
+            {
+                "name": name,
+                "colour": part_colour(i),
+                "points": _packed(surface.points, "<f4"),
+                "triangles": _packed(surface.triangles, "<i4"),
+                "fields": {},
+            }
+            for i, (name, surface) in enumerate(surfaces.items())
+        ],
+        "arrows": _arrows(scene),
+        "points": _marks(scene),
+        "laws": [],
     }
+
+
+def drawable(item: Any) -> bool:
+    """Whether it is known where an item stands, and which way it acts."""
+    return item.point is not None and not isinstance(getattr(item, "direction", None), str)
+
+
+def as_json(data: Mapping[str, Any]) -> str:
+    """Data as a script element may hold it."""
     return json.dumps(data).replace("<", "\\u003c")
 
 
@@ -47,23 +81,12 @@ def _scale(name):
     return [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)]
 
 
-def _part(i, name, context):
-    surface = context.surfaces[name]
+def _field(field, surface):
     return {
-        "name": name,
-        "colour": part_colour(i),
-        "points": _packed(surface.points, "<f4"),
-        "triangles": _packed(surface.triangles, "<i4"),
-        "fields": {
-            field.law: {
-                "mean": _packed(np.linalg.norm(field.mean, axis=1), "<f4"),
-                "mean_normal": _packed(np.einsum("vi,vi->v", field.mean, surface.vertex_normals), "<f4"),
-                "six_sigma": _packed(field.six_sigma_magnitude, "<f4"),
-                "six_sigma_normal": _packed(field.six_sigma_normal, "<f4"),
-            }
-            for field in context.fields
-            if field.part == name
-        },
+        "mean": _packed(np.linalg.norm(field.mean, axis=1), "<f4"),
+        "mean_normal": _packed(np.einsum("vi,vi->v", field.mean, surface.vertex_normals), "<f4"),
+        "six_sigma": _packed(field.six_sigma_magnitude, "<f4"),
+        "six_sigma_normal": _packed(field.six_sigma_normal, "<f4"),
     }
 
 
@@ -75,13 +98,14 @@ def _arrows(scene):
             "colour": MARK_COLOURS[kind],
             "items": [{"name": item.name, "head": item.point, "direction": item.direction} for item in items],
         }
-        for items, kind in ((scene.locators, "locator"), (scene.clamps, "clamp"))
+        for kind in ("locator", "clamp")
+        for items in [[item for item in getattr(scene, f"{kind}s") if drawable(item)]]
         if items
     ]
 
 
-def _points(scene, contacts):
-    """Contact pairs by zone, welds and measurement points."""
+def _zones(scene, contacts):
+    """Contact pairs by zone."""
     groups = []
     for z, zone in enumerate(scene.zones):
         own = contacts.zone == z
@@ -94,17 +118,23 @@ def _points(scene, contacts):
                 "labels": [f"{zone.name}, contact {k}" for k in np.flatnonzero(own)],
             }
         )
-    for items, kind in ((scene.welds, "weld"), (scene.measurements, "measurement")):
-        groups.append(
-            {
-                "name": f"{kind}s",
-                "colour": MARK_COLOURS[kind],
-                "size": 5,
-                "points": [item.point for item in items],
-                "labels": [item.name for item in items],
-            }
-        )
     return [group for group in groups if group["points"]]
+
+
+def _marks(scene):
+    """Welds and measurement points."""
+    return [
+        {
+            "name": f"{kind}s",
+            "colour": MARK_COLOURS[kind],
+            "size": 5,
+            "points": [item.point for item in items],
+            "labels": [item.name for item in items],
+        }
+        for kind in ("weld", "measurement")
+        for items in [[item for item in getattr(scene, f"{kind}s") if item.point is not None]]
+        if items
+    ]
 
 
 def _packed(array, dtype):

@@ -93,6 +93,11 @@ class BlockSamples:
             values = values.cat.set_categories(STATES).cat.codes
         return values.to_numpy().reshape(len(self.valid), self.contacts)[self.valid]
 
+    @property
+    def unbuilt(self) -> np.ndarray:
+        """Numbers of the valid samples that are not built."""
+        return self.numbers[~self.tables["samples"]["built"].to_numpy()[self.valid]]
+
     def failures(self) -> pd.DataFrame:
         """See :meth:`mic.results.outcome.Outcome.failures`."""
         table = self.tables["resolutions"]
@@ -112,6 +117,8 @@ class Digest:
         Stages that resolve contact.
     rescued : list of int
         Numbers of the valid samples that plain increments had to rescue, since their path could not be followed.
+    unbuilt : list of int
+        Numbers of the valid samples in which a clamp or gun of limited force did not reach its position.
     unseen : tuple of (float, str, int, int)
         Deepest penetration between the pairs, mm, the stage at whose end, the sample, and the model's point between the
         pairs; of the first where several are as deep, point −1 where there is none.
@@ -120,14 +127,17 @@ class Digest:
         per zone with the columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage, column)``, (m,) with the
         columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, one per zone: the sum of the normal
         forces of ``"all"`` pairs, and of those ``"clear"`` of every weld by three nugget radii; ``("resolutions",
-        stage, column)``, scalar: ``residual``, ``path_error``, ``steps`` and ``factorisations``.
+        stage, column)``, scalar: ``residual``, ``path_error``, ``steps`` and ``factorisations``; ``("limits", stage,
+        name, column)``, scalar: ``pushed``, ``left`` and ``needed``.
     counts : dict of tuple to int array
-        Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("states", stage)``, (3, m) by state.
+        Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("states", stage)``, (3, m) by state;
+        ``("short", stage, name)``, () clamps and guns short of their position.
     """
 
     found: int = 0
     stages: set[str] = field(default_factory=set)
     rescued: list[int] = field(default_factory=list)
+    unbuilt: list[int] = field(default_factory=list)
     unseen: tuple[float, str, int, int] = (0.0, "", -1, -1)
     moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
     counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
@@ -195,6 +205,13 @@ class Digest:
             self._join(("pressed", stage, "clear"), pressed[:, clear] @ zone_of[clear])
             state = block.contact(stage, "state")
             self._count(("states", stage), np.stack([(state == code).sum(axis=0) for code in range(len(STATES))]))
+        self.unbuilt += [int(number) for number in block.unbuilt]
+        limited = block.tables["limits"][["stage", "name"]].drop_duplicates()
+        for stage, name in limited.itertuples(index=False):
+            for column in ("pushed", "left", "needed"):
+                self._join(("limits", stage, name, column), block.column("limits", column, stage=stage, name=name))
+            reached = block.column("limits", "reached", stage=stage, name=name)
+            self._count(("short", stage, name), np.array((~reached).sum()))
         self.rescued += [int(number) for number in block.numbers[rescued]]
 
     def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:

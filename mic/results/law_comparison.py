@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +47,8 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
     coefficient = contacts.friction_in(stage).coefficient
     prepared = next(one for one in outcome.model.process("coulomb").stages if one.plan.name == stage)
-    S, welds = prepared.response.S, prepared.plan.steps[-1].welds
+    rows = contacts.dimension * len(contacts)
+    S, step = prepared.response.S[:rows, :rows], replace(prepared.plan.steps[-1], limits=())  # stops push as they did
     force, displacement = (
         np.stack(
             [outcome.contact("coulomb", stage, f"{quantity}_{axis}", chosen) for axis in ("n", "t1", "t2")], axis=2
@@ -57,7 +59,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     carries = (force[:, ::3] > 0).any(axis=0)
 
     def solver(S, coefficient, **settings):
-        return contact_solver(contacts, S, Friction.of(coefficient, len(contacts)), welds, carries, **settings)
+        return contact_solver(contacts, S, Friction.of(coefficient, len(contacts)), step, carries, **settings)
 
     return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS, solver=solver)
 

@@ -100,6 +100,11 @@ class Outcome:
         return {law: digest.rescued for law, digest in self.digests.items()}
 
     @property
+    def unbuilt(self) -> dict[str, list[int]]:
+        """Numbers of the valid samples in which a clamp or gun of limited force did not reach its position, by law."""
+        return {law: digest.unbuilt for law, digest in self.digests.items()}
+
+    @property
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
         return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
@@ -226,6 +231,11 @@ class Outcome:
     def measurement_statistics(self) -> pd.DataFrame:
         """Key characteristics against their limits: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
         return summary.measurement_statistics(self)
+
+    @cached_property
+    def limit_statistics(self) -> pd.DataFrame:
+        """Clamps and guns of limited force: :data:`mic.results.schema.LIMIT_STATISTICS`."""
+        return summary.limit_statistics(self)
 
     @cached_property
     def path_study(self) -> PathStudy | None:

@@ -25,6 +25,8 @@ __all__ = [
     "FIELDS",
     "FORCES",
     "FRICTION",
+    "LIMITS",
+    "LIMIT_STATISTICS",
     "MEASUREMENTS",
     "MEASUREMENT_STATISTICS",
     "PATH",
@@ -189,8 +191,13 @@ _ZONE = Column("zone", "category", "", "contact zone")
 SAMPLES = _dataset(
     "samples",
     "one sample",
-    (_SAMPLE, Column("failed", "bool", "", "whether contact missed its tolerance in some stage")),
+    (
+        _SAMPLE,
+        Column("failed", "bool", "", "whether contact missed its tolerance in some stage"),
+        Column("built", "bool", "", "whether every clamp and gun of limited force reached its position, see `limits`"),
+    ),
     "Samples that are finished. Written last of a block: once it stands, the block is whole.",
+    version=2,
 )
 DEVIATIONS = _dataset(
     "deviations",
@@ -306,8 +313,28 @@ CONTACTS = _dataset(
     "neither stuck nor slipped, it was open. The shares of the path are NaN without friction.",
     version=2,
 )
+LIMITS = _dataset(
+    "limits",
+    "one sample, stage and clamp or gun of limited force",
+    (
+        _SAMPLE,
+        _STAGE,
+        Column("name", "category", "", "clamp with a limit, or weld with a gun"),
+        Column("pushed", "float64", "N", "force that it pushes with"),
+        Column("left", "float64", "mm", "way that is left to its position: to its stroke, or of the weld's gap"),
+        Column("reached", "bool", "", "whether that is less than 1 µm"),
+        Column(
+            "needed",
+            "float64",
+            "N",
+            "force that its position takes where it is not reached, all others of the sample at theirs; else NaN",
+        ),
+    ),
+    "Clamps with a limit at the end of each stage that leaves them closed, guns when their weld is made. No rows where "
+    "the scene has none.",
+)
 #: The Parquet datasets; :data:`SAMPLES` stands last, as it is written last.
-DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, CONTACTS, SAMPLES)
+DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, CONTACTS, LIMITS, SAMPLES)
 
 FORCES = Table(
     "forces",
@@ -434,6 +461,24 @@ MEASUREMENT_STATISTICS = _statistic(
     "Key characteristics against their limits.",
     version=2,
 )
+LIMIT_STATISTICS = _statistic(
+    "limits",
+    "one law, stage and clamp or gun of limited force",
+    (
+        _LAW,
+        Column("stage", "str", "", "stage"),
+        Column("name", "str", "", "clamp with a limit, or weld with a gun"),
+        Column("limit", "float64", "N", "its force at most"),
+        _USED,
+        Column("short", "int64", "", "samples in which it does not reach its position: those are not built"),
+        *_estimate("share_short", "1", "their share"),
+        *_estimate("mean_pushed", "N", "mean of the force that it pushes with"),
+        Column("max_left", "float64", "mm", "most of the way that is left"),
+        Column("max_needed", "float64", "N", "most of the forces that the position would take where it is not reached"),
+    ),
+    "Clamps and guns of limited force. Only where the scene has any. Samples that are not built enter all statistics "
+    "as they are, held with what force there is.",
+)
 PATH = _statistic(
     "path",
     "one law, repeated sample and quantity",
@@ -511,7 +556,15 @@ ACCURACY = _statistic(
     "What meshes leave (`mic.model.accuracy`). Only where the report asks for `accuracy`; written by the run.",
 )
 #: The CSV tables of statistics.
-STATISTICS = (ZONE_STATISTICS, CONTACT_STATISTICS, MEASUREMENT_STATISTICS, PATH, PATH_ERRORS, FRICTION)
+STATISTICS = (
+    ZONE_STATISTICS,
+    CONTACT_STATISTICS,
+    MEASUREMENT_STATISTICS,
+    LIMIT_STATISTICS,
+    PATH,
+    PATH_ERRORS,
+    FRICTION,
+)
 
 
 def reference() -> str:

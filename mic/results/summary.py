@@ -17,6 +17,7 @@ from mic.results.path_study import Effect, study_path
 from mic.results.schema import (
     CONTACT_STATISTICS,
     FRICTION,
+    LIMIT_STATISTICS,
     MEASUREMENT_STATISTICS,
     PATH,
     PATH_ERRORS,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "contact_statistics",
+    "limit_statistics",
     "measurement_statistics",
     "summary",
     "write_path_study",
@@ -153,6 +155,26 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
     return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
 
 
+def limit_statistics(outcome: Outcome) -> pd.DataFrame:
+    """Clamps and guns of limited force, :data:`mic.results.schema.LIMIT_STATISTICS`."""
+    scene, rows = outcome.model.scene, []
+    limit = {clamp.name: clamp.limit for clamp in scene.clamps if clamp.limit is not None}
+    limit |= {weld.name: weld.gun for weld in scene.welds if weld.gun is not None}
+    for law in outcome.laws:
+        digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
+        for key, short in digest.counts.items():
+            if key[0] != "short":
+                continue
+            _, stage, name = key
+            pushed, left, needed = (digest.moments["limits", stage, name, of] for of in ("pushed", "left", "needed"))
+            row = {"law": law, "stage": stage, "name": name, "limit": float(limit[name]), "samples": samples}
+            row |= {"short": int(short)} | _spread("share_short", statistics.share(short, samples))
+            row |= _spread("mean_pushed", statistics.mean(pushed))
+            most = float(needed.high) if needed.n > 0 else math.nan
+            rows.append(row | {"max_left": float(left.high), "max_needed": most})
+    return _frame(LIMIT_STATISTICS, pd.DataFrame(rows))
+
+
 def summary(outcome: Outcome) -> dict[str, Any]:
     """The outcome in one JSON-ready dict (``summary.json``).
 
@@ -178,6 +200,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "samples": len(outcome.sample_numbers(law)),
             "worst_residual": outcome.worst_residual(law),
             "failed": len(outcome.failed[law]),
+            "not_built": len(outcome.unbuilt[law]),
             "rescued": len(outcome.rescued[law]),
             "unseen_penetration": _unseen(outcome, law),
             "path": _path(outcome, law) | {"repeated": study.repeated(law) if study else 0},
@@ -186,6 +209,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
                 row["measurement"]: {"lower": row["lower"], "upper": row["upper"]} | _with_intervals(row, _MEASURED)
                 for row in _rows(outcome.measurement_statistics, law)
             },
+            "limits": [
+                {name: value for name, value in row.items() if name != "law"}
+                for row in _rows(outcome.limit_statistics, law)
+            ],
         }
     return _json_ready(
         {
@@ -194,6 +221,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "samples": outcome.record["samples"],
             "seed": outcome.record["seed"],
             "failed_samples": outcome.failed,
+            "not_built_samples": outcome.unbuilt,
             "rescued_samples": outcome.rescued,
             "missing_samples": outcome.missing,
             "confidence_level": statistics.LEVEL,
@@ -252,6 +280,7 @@ def write_tables(outcome: Outcome) -> None:
     _write(outcome.folder, ZONE_STATISTICS, outcome.zone_statistics)
     _write(outcome.folder, CONTACT_STATISTICS, outcome.contact_statistics)
     _write(outcome.folder, MEASUREMENT_STATISTICS, outcome.measurement_statistics)
+    _write(outcome.folder, LIMIT_STATISTICS, outcome.limit_statistics)
     _write(outcome.folder, FRICTION, study_friction(outcome))
 
 

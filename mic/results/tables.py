@@ -9,7 +9,7 @@ from mic.contact.laws import LAWS
 from mic.contact.states import OPEN, SLIP, STATES, STICK
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import plan_stages
-from mic.results.schema import CONTACTS, DEVIATIONS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
+from mic.results.schema import CONTACTS, DEVIATIONS, LIMITS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
 
 __all__ = ["tables"]
 
@@ -43,7 +43,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     ]
     status = np.array([str(getattr(value, "value", value)) for r in resolutions for value in r.status], dtype=object)
     found = {
-        SAMPLES: {"sample": number, "failed": evaluation.failed},
+        SAMPLES: {"sample": number, "failed": evaluation.failed, "built": evaluation.built},
         DEVIATIONS: {
             "sample": np.tile(number, len(model.parameters)),
             "deviation": _named(np.repeat(np.arange(len(model.parameters)), n), model.parameters),
@@ -77,7 +77,25 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
         },
         CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
     }
+    found[LIMITS] = _limits(model, resolutions, number, stages)
     return {table.name: pd.DataFrame(columns) for table, columns in found.items()}
+
+
+def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: list[str]):
+    """Clamps and guns of limited force, stage by stage."""
+    judged = {
+        plan.name: plan.judged_names(model.scene, model.weld_size) for plan in plan_stages(model.scene, model.weld_size)
+    }
+    names = list(dict.fromkeys(name for stage in stages for name in judged[stage]))
+    rows = [(i, names.index(name), j) for i, stage in enumerate(stages) for j, name in enumerate(judged[stage])]
+    columns = {
+        "sample": np.tile(number, len(rows)),
+        "stage": _named(np.repeat([i for i, _, _ in rows], len(number)), stages if rows else []),
+        "name": _named(np.repeat([k for _, k, _ in rows], len(number)), names),
+    }
+    for column, dtype in (("pushed", float), ("left", float), ("reached", bool), ("needed", float)):
+        columns[column] = _joined([getattr(resolutions[i], column)[:, j] for i, _, j in rows], dtype)
+    return columns
 
 
 def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:

@@ -2,104 +2,152 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+
 import numpy as np
 
 from mic.contact.laws import LAWS
-from mic.scene.stages import check_stages, known
+from mic.scene.stages import check_stages, known, set_down_in
 
-__all__ = ["check_held", "check_references"]
+__all__ = ["entry", "problems"]
+
+NAMED = ("locators", "clamps", "welds", "zones", "deviations", "measurements", "stages")  # tables of items with names
 
 
-def check_references(scene) -> None:
-    """Every name that the scene uses exists, and its stages make a process.
+def problems(scene, whole: bool = True) -> list[str]:
+    """All that is wrong between the scene's tables: names that exist, stages that make a process, parts that are held.
+
+    Parameters
+    ----------
+    scene : mic.scene.schema.Scene
+    whole : bool
+        Whether every item is valid in itself. Else numbers are not looked at, and what cannot be told is not told.
+
+    Returns
+    -------
+    list of str
+        One line a problem, with the key, the name of the item and the remedy.
+    """
+    found: list[str] = []
+    for check in (check_names, check_references, check_stages, check_friction, *(check_held,) * whole):
+        try:
+            found += told(check, scene)
+        except (AttributeError, KeyError, TypeError, IndexError):  # of items that lack keys, or have others
+            if whole:
+                raise
+    return found
+
+
+def check_names(scene) -> None:
+    """Every name stands once in its table.
 
     Raises
     ------
     ValueError
-        Naming the key and the remedy.
+        Here as below, one line a problem, naming the key and the remedy.
     """
-    part_names = _unique("parts", scene.parts + scene.fixtures)
+    _raise(
+        f"{key}: the name {name!r} stands more than once; give each its own"
+        for key, items in (
+            ("parts", [*scene.parts, *scene.fixtures]),
+            *((key, getattr(scene, key)) for key in NAMED),
+        )
+        for name, count in Counter(item.name for item in items).items()
+        if count > 1
+    )
+
+
+def check_references(scene) -> None:
+    """Every part, locator and clamp that another table names exists, and what is joined are two bodies."""
     bodies = {part.name for part in scene.parts}
-    for key in ("locators", "clamps", "welds", "zones", "deviations", "measurements"):
-        _unique(key, getattr(scene, key))
-    _unique("stages", scene.stages)
+    every = bodies | {fixture.name for fixture in scene.fixtures}
+    found = []
     for key in ("locators", "clamps", "measurements", "deviations"):
         for i, item in enumerate(getattr(scene, key)):
             if getattr(item, "part", None) is not None:
-                known(f"{key}[{i}].part", item.part, bodies, "part")
-    tongs = [(i, clamp) for i, clamp in enumerate(scene.clamps) if clamp.parts is not None]
-    for key, allowed, items in (
-        ("welds", bodies, enumerate(scene.welds)),
-        ("clamps", bodies, tongs),
-        ("zones", part_names, enumerate(scene.zones)),
-    ):
-        for i, item in items:
-            for name in item.parts:
-                known(f"{key}[{i}].parts", name, allowed, "part")
+                found += told(known, entry(key, i, item, "part"), item.part, bodies, "part")
+    for key, allowed in (("welds", bodies), ("clamps", bodies), ("zones", every)):
+        for i, item in enumerate(getattr(scene, key)):
+            if getattr(item, "parts", None) is None:
+                continue  # a clamp that is no tong
+            at = entry(key, i, item, "parts")
+            found += [line for name in item.parts for line in told(known, at, name, allowed, "part")]
             if item.parts[0] == item.parts[1]:
-                raise ValueError(f"{key}[{i}].parts: a part cannot be joined to itself, name two different parts")
-            if not bodies & set(item.parts):
-                raise ValueError(f"{key}[{i}].parts: at least one of the two must be a part, not a fixture")
+                found.append(f"{at}: a part cannot be joined to itself, name two different parts")
+            elif set(item.parts) <= every - bodies:
+                found.append(f"{at}: at least one of the two must be a part, not a fixture")
     for i, item in enumerate(scene.deviations):
-        if item.moves is not None:
+        if getattr(item, "moves", None) is not None:
             targets = {target.name for target in getattr(scene, item.moves)}
+            at = entry("deviations", i, item, "target")
             for name in [item.target] if isinstance(item.target, str) else item.target:
-                known(f"deviations[{i}].target", name, targets, item.moves.removesuffix("s"))
-    check_stages(scene)
-    _check_friction(scene)
+                found += told(known, at, name, targets, item.moves.removesuffix("s"))
+    _raise(found)
 
 
 #: Keys of a zone that give a law what it reads beyond a coefficient (`mic.contact.laws.Law.reads`).
 READ = {"pressure": ("friction_table", "friction_power"), "compliance": ("tangential_stiffness",)}
 
 
-def _check_friction(scene) -> None:
+def check_friction(scene) -> None:
     """Friction by stage names stages, and no law asks in vain for what a zone may give it."""
     stages = {stage.name for stage in scene.stages}
+    found = []
     for i, zone in enumerate(scene.zones):
         for name in zone.friction if isinstance(zone.friction, dict) else ():
             if name != "default":
-                known(f"zones[{i}].friction", name, stages, "stage")
+                found += told(known, entry("zones", i, zone, "friction"), name, stages, "stage")
     for law in scene.report.laws:
         keys = READ.get(LAWS[law].reads, ())
         if keys and all(getattr(zone, key) is None for zone in scene.zones for key in keys):
-            raise ValueError(
+            found.append(
                 f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
                 'zone, or ask for "coulomb"'
             )
+    _raise(found)
 
 
 def check_held(scene) -> None:
     """Every part needs six independent locators when it is set down, before anything can be computed.
 
     Of a part whose locators are not placed yet nothing is said.
-
-    Raises
-    ------
-    ValueError
-        Naming the part and how many of its motions are held.
     """
+    found, stations = [], set_down_in(scene)
     for i, part in enumerate(scene.parts):
-        own = [
-            locator for locator in scene.locators if locator.part == part.name and locator.stage == scene.stages[0].name
-        ]
+        stage = stations[part.name]
+        own = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
         if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
             continue  # told once the scene is placed on its meshes
-        points = np.array([locator.point for locator in own]).reshape(-1, 3)
-        scale = max(1.0, float(np.ptp(points, axis=0).max(initial=0.0)))
-        arms = (points - points.mean(0)) / scale if len(own) else points
-        rows = np.array([[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)])
-        rank = np.linalg.matrix_rank(rows, tol=1e-6) if len(own) else 0
+        rank = 0
+        if own:
+            points = np.array([locator.point for locator in own])
+            arms = (points - points.mean(0)) / max(1.0, float(np.ptp(points, axis=0).max()))
+            rows = [[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)]
+            rank = int(np.linalg.matrix_rank(rows, tol=1e-6))
         if rank < 6:
-            raise ValueError(
+            found.append(
                 f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {rank} of its 6 "
                 "rigid-body motions; add locators (at least a 3-2-1 scheme) until all six are held"
             )
+    _raise(found)
 
 
-def _unique(key, items):
-    names = [item.name for item in items]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"{key}: the name {name!r} stands more than once; give each its own")
-    return set(names)
+def entry(key: str, i: int, item, field: str = "") -> str:
+    """Where an item stands in the scene, with its name: ``locators[3].part (A4)``."""
+    return f"{key}[{i}]{field and '.' + field} ({item.name})"
+
+
+def told(check, *arguments) -> list[str]:
+    """The lines of what a check finds wrong."""
+    try:
+        check(*arguments)
+    except ValueError as error:
+        return str(error).splitlines()
+    return []
+
+
+def _raise(found: Iterable[str]) -> None:
+    lines = list(found)
+    if lines:
+        raise ValueError("\n".join(lines))

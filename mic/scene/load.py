@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from mic.errors import SceneError
-from mic.scene.schema import Scene
+from mic.scene.checks import problems
+from mic.scene.schema import TABLES, Scene
+from mic.scene.tables import written_out
 
-__all__ = ["load_scene"]
+__all__ = ["load_scene", "read_table"]
 
 
 def load_scene(path) -> Scene:
@@ -42,17 +46,63 @@ def load_scene(path) -> Scene:
         ) from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
+    return read_table(table, path)
+
+
+def read_table(table: dict[str, Any], path: Path) -> Scene:
+    """The scene that a table states, as it would stand in the file `path`.
+
+    Raises
+    ------
+    SceneError
+        As :func:`load_scene`.
+    """
     if "folder" in table:
         raise SceneError(f"{path}: folder: unknown key; remove it")
     try:
         return Scene(**table, folder=path.parent.resolve())
     except ValidationError as error:
-        raise SceneError("\n".join(_explain(path, item) for item in error.errors())) from None
+        try:
+            table = written_out(table | {"folder": path.parent.resolve()}, TABLES)
+        except SceneError:  # which is what is told
+            lines = [line for item in error.errors() for line in _explain({}, item)]
+        else:
+            lines = [line for item in error.errors() for line in _explain(table, item)]
+            lines += [line for line in _between_tables(table) if line not in lines]
+    raise SceneError("\n".join(f"{path}: {line}" for line in lines))
 
 
-def _explain(path, item) -> str:
-    """One line for one problem found by the validation."""
-    key = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in _keys(item["loc"])).lstrip(".")
+def _between_tables(table: dict[str, Any]) -> list[str]:
+    """What is wrong between the tables of a scene of which not every table can be read, as far as can be told.
+
+    An item that is wrong in itself still has its name, and what it names.
+    """
+    items: dict[str, Any] = {}
+    for key, field in Scene.model_fields.items():
+        kinds = [kind for kind in get_args(field.annotation) if "mic.scene.schema" in str(kind)]
+        given = table.get(key)
+        if not kinds or not isinstance(given, list):
+            continue
+        items[key] = [_as_it_stands(kinds[0], item) for item in given if isinstance(item, dict)]
+    scene = Scene.model_construct(**items)
+    return problems(scene, whole=False) if "parts" in items and "stages" in items else []
+
+
+def _as_it_stands(kind: Any, item: dict[str, Any]) -> Any:
+    """An item; one that is wrong in itself with its keys as they are given, and the defaults of the others."""
+    try:
+        return TypeAdapter(kind).validate_python(item)
+    except ValidationError:
+        fields = getattr(kind, "model_fields", {}).items()
+        defaults = {name: field.default for name, field in fields if not field.is_required()}
+        return SimpleNamespace(**{**defaults, "name": item.get("kind"), **item})
+
+
+def _explain(table: dict[str, Any], item) -> list[str]:
+    """The lines for one problem found by the validation."""
+    keys = _keys(item["loc"])
+    key = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in keys).lstrip(".")
+    key += _name(table, keys)
     message = item["msg"].removeprefix("Value error, ")
     given = item.get("input")
     remedy = {
@@ -66,9 +116,19 @@ def _explain(path, item) -> str:
         "value_error": message,
     }
     text = remedy.get(item["type"], f"{message}; got {given!r}, correct it")
-    if not key:
-        return "\n".join(f"{path}: {line}" for line in text.splitlines())
-    return f"{path}: {key}: {text}" if key else f"{path}: {text}"
+    return [f"{key}: {line}" if key else line for line in text.splitlines()]
+
+
+def _name(table: dict[str, Any], keys: list[str | int]) -> str:
+    """The name of the item that a problem lies in, in brackets; nothing where it has none."""
+    if len(keys) < 2 or not isinstance(keys[1], int) or keys[2:] == ["name"]:
+        return ""
+    try:
+        item = table[str(keys[0])][keys[1]]
+        name = item.get("name", item.get("kind") if keys[0] == "stages" else None)
+    except (AttributeError, KeyError, IndexError, TypeError):
+        return ""
+    return f" ({name})" if isinstance(name, str) else ""
 
 
 #: How pydantic, and this schema, tell the alternatives of one key apart.

@@ -16,7 +16,6 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
-    FiniteFloat,
     Tag,
     WrapValidator,
     field_validator,
@@ -25,7 +24,7 @@ from pydantic import (
 
 from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.path import Followed
-from mic.scene.checks import check_held, check_references
+from mic.scene.checks import problems
 from mic.scene.settings import fill_in
 from mic.scene.tables import written_out
 
@@ -51,11 +50,20 @@ __all__ = [
 # Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
 FINEST, COARSEST = 1e-5, 0.1
 
+#: Suffixes of CAD files, which are meshed when they are read.
+CAD = (".step", ".stp", ".iges", ".igs", ".brep")
+#: What a sheet is where neither the scene nor a mesh file tells it: drawn in its middle, of steel; MPa.
+USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
+
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
 
 
+# A number is a number: neither true, which Python takes for 1, nor the text of one.
+FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Count = Annotated[int, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.+-]+$")]
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
@@ -109,7 +117,7 @@ class _OnSheet(_Table):
 
     name: Name = Field(description="names it")
     point: Place = Field(UNPLACED, description="where, mm, at most 5 mm off the part")
-    node: int | None = Field(None, description="or a node by its number in the part's mesh file")
+    node: Count | None = Field(None, description="or a node by its number in the part's mesh file")
     set: Annotated[str, Field(min_length=1)] | None = Field(
         None, description="or a set of nodes by its name in the part's mesh file: their middle"
     )
@@ -140,7 +148,16 @@ class Part(_Table):
     name: Name = Field(description="names the part in every other table")
     mesh: str | None = Field(
         None,
-        description="mesh file of the mid-surface, triangles or quadrilaterals: gmsh, Abaqus, Nastran, STL, VTK, …",
+        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …; "
+        "or a CAD file of its mid-surface, STEP, IGES",
+    )
+    set: str | Annotated[list[str], Field(min_length=1)] | None = Field(
+        None,
+        description="with `mesh`: the element sets, properties or physical groups of the file that are this part; "
+        "left out, all of it",
+    )
+    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = Field(
+        "mm", description="with `mesh`: of length in the file; its stresses are in the unit that goes with it"
     )
     geometry: str | None = Field(
         None,
@@ -148,24 +165,60 @@ class Part(_Table):
         "(k, 3, 3) at the corners of the triangles as a third; it is executed",
     )
     size: str | Positive | None = Field(
-        None, description="with `geometry`: element size in mm, or a name from its `SIZES`"
+        None, description="with `geometry`: element size in mm, or a name from its `SIZES`; with a CAD file in mm"
     )
     accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
         None,
         description="or the share by which influence coefficients may be off, such as 0.01: the size is then found by "
         "solving the part on finer and finer meshes",
     )
-    thickness: Positive = Field(description="of the sheet, mm")
-    young: Positive = Field(210e3, description="Young's modulus, MPa")
-    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] = Field(0.3, description="Poisson's ratio, −1 < ν < ½")
+    thickness: Positive | None = Field(
+        None, description="of the sheet, mm; may be left out where the mesh file tells it"
+    )
+    offset: Annotated[FiniteFloat, Field(ge=-5, le=5)] | None = Field(
+        None,
+        description="from the surface as drawn to the middle of the sheet, as a share of the thickness, positive along "
+        "the normals of the mesh: ±0.5 where it is drawn on a skin; left out, what the mesh file tells, else 0",
+    )
+    young: Positive | None = Field(
+        None, description="Young's modulus, MPa; left out, what the mesh file tells, else 210 000"
+    )
+    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
+        None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
+    )
+
+    stiffness: str | None = Field(
+        None,
+        description="with `mesh`: file of the part's reduced stiffness on named nodes, in place of finite elements: a "
+        "Matrix Market file with a node table beside it (`a.mtx`, `a.csv` with node, x, y, z), Nastran `DMIG`, output "
+        "of Abaqus `*MATRIX GENERATE`; free of supports",
+    )
+    compliance: str | None = Field(
+        None, description="or of its reduced compliance, on any statically determinate support; the same formats"
+    )
 
     @model_validator(mode="after")
     def _one_source(self):
+        if self.stiffness is not None and self.compliance is not None:
+            raise ValueError("give stiffness or compliance, not both")
+        for key in ("stiffness", "compliance"):
+            if self.mesh is None and getattr(self, key) is not None:
+                raise ValueError(f"{key} needs mesh: the surface of the part, for pairs and pictures; add it")
         if (self.mesh is None) == (self.geometry is None):
             raise ValueError('give either mesh = "file" or geometry = "file.py", not both and not neither')
+        for key in ("set", "unit"):
+            if self.mesh is None and getattr(self, key) not in (None, "mm"):
+                raise ValueError(f"{key} applies to mesh files only: remove it, or give mesh instead of geometry")
+        if self.geometry is not None:
+            if self.thickness is None:
+                raise ValueError("a geometry source needs thickness, mm: add it")
+            for key, usual in USUAL.items():  # nobody else will be asked for them
+                object.__setattr__(self, key, usual if getattr(self, key) is None else getattr(self, key))
         for key in ("size", "accuracy"):
-            if self.geometry is None and getattr(self, key) is not None:
+            if self.geometry is None and getattr(self, key) is not None and not (key == "size" and self._cad):
                 raise ValueError(f"{key} applies to geometry sources only: remove it, or give geometry instead of mesh")
+        if self._cad and not isinstance(self.size, float):
+            raise ValueError("a CAD file is meshed here and needs size, mm: add it")
         if self.geometry is not None and self.size is None and self.accuracy is None:
             raise ValueError(
                 "a geometry source needs size: an element size in mm, or one of the geometry's named sizes; or accuracy"
@@ -173,6 +226,17 @@ class Part(_Table):
         if self.size is not None and self.accuracy is not None:
             raise ValueError("give either size or accuracy, not both: accuracy finds the size")
         return self
+
+    @property
+    def _cad(self) -> bool:
+        return self.mesh is not None and self.mesh.lower().endswith(CAD)
+
+    @property
+    def sheet(self) -> tuple[float, float, float]:
+        """Thickness, mm, Young's modulus, MPa, and Poisson's ratio, once what the mesh file tells is filled in."""
+        if self.thickness is None or self.young is None or self.poisson is None:
+            raise ValueError(f"part {self.name}: its mesh file has not been asked for thickness and material")
+        return self.thickness, self.young, self.poisson
 
 
 class Fixture(_Table):
@@ -183,6 +247,7 @@ class Fixture(_Table):
     point: Vector | None = Field(None, description="or the centre of a flat round pad, mm")
     normal: Vector | None = Field(None, description="the pad's outward normal")
     radius: Positive | None = Field(None, description="the pad's radius, mm")
+    stage: Name | None = Field(None, description="the locate stage in whose station it stands; if left out, the first")
 
     _normal = field_validator("normal")(_unit)
 
@@ -198,7 +263,8 @@ class Locator(_OnPart):
     """A bilateral support of a part in one direction, over a pad of the given radius.
 
     It engages in the named stage: those of the locate stage place the part (a 3-2-1 scheme), further ones of an N-2-1
-    scheme close when the clamps do and force the part.
+    scheme close when the clamps do and force the part. Those of a later locate stage, or of the measure stage, hold an
+    assembly that is set down there: all that held it before opens.
     """
 
     name: Name = Field(description="names the locator in `keep` and in deviations")
@@ -228,6 +294,11 @@ class Clamp(_OnPart):
     stroke: FiniteFloat | None = Field(
         None, description="or the position that it enforces along `direction`, mm from nominal"
     )
+    limit: Positive | None = Field(
+        None,
+        description="with `stroke`: the most that it pushes with, N; where its position takes more, it stops short of "
+        "it and pushes with its limit, the assembly counts as not built, and the force that it would need is told",
+    )
     radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
     stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
@@ -235,6 +306,8 @@ class Clamp(_OnPart):
     def _force_or_stroke(self):
         if (self.force is None) == (self.stroke is None):
             raise ValueError("give either force (N) or stroke (mm from the nominal position), not both and not neither")
+        if self.limit is not None and self.stroke is None:
+            raise ValueError("limit goes with stroke; a clamp with a force pushes with just that: remove limit")
         return self
 
     @model_validator(mode="after")
@@ -259,14 +332,26 @@ class Weld(_OnSheet):
     name: Name = Field(description="names the weld in results")
     parts: tuple[Name, Name] = Field(description="the two parts that it joins; nodes and sets are those of the first")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
-    close: bool = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
-    moment: bool = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
-    fused: bool = Field(
+    close: Flag = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
+    gun: Positive | None = Field(
+        None,
+        description="force with which the gun presses the two parts together while the weld is made, N; it opens "
+        "after. Where it leaves a gap, the weld keeps it, the assembly counts as not built, and the force that the gun "
+        "would need is told",
+    )
+    moment: Flag = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
+    fused: Flag = Field(
         True,
         description="whether all of the nugget is one piece; `false` ties its mean displacement and rotation, which is "
         "softer",
     )
     stage: Name = Field("weld", description="the weld stage that makes it")
+
+    @model_validator(mode="after")
+    def _one_way_to_close(self):
+        if self.close and self.gun is not None:
+            raise ValueError("close closes the gap whatever that takes, a gun with its force: remove one of them")
+        return self
 
 
 class PressurePower(_Table):
@@ -323,13 +408,16 @@ class Zone(_Table):
         description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
         "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii",
     )
-    pairs: Annotated[int, Field(gt=0)] | None = Field(
+    pairs: Annotated[Count, Field(gt=0)] | None = Field(
         None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
     )
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
         None, description="or the contact points themselves, mm, and no others"
     )
     max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
+    gap: NonNegative | None = Field(
+        None, description="nominal gap between the facing surfaces, mm, in place of the one that the meshes have"
+    )
     max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
         30.0, description="largest angle between the two surfaces"
     )
@@ -342,7 +430,7 @@ class Zone(_Table):
     patch: Literal["tributary"] | NonNegative = Field(
         "tributary", description="area that a pair averages over: its tributary area, or a disc of this radius, mm"
     )
-    mid_surface: bool = Field(
+    mid_surface: Flag = Field(
         False,
         description="read the mid-surfaces instead of the facing surfaces: stuck sheets then do not act as one",
     )
@@ -353,6 +441,8 @@ class Zone(_Table):
             raise ValueError("give box or path, not both")
         if (self.path is None) != (self.within is None):
             raise ValueError("path and within (mm) belong together")
+        if any(start == end for start, end in zip(self.path or [], (self.path or [])[1:])):
+            raise ValueError("path stands still: two points that follow each other are one, remove one of them")
         if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
             raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
@@ -402,9 +492,12 @@ class Zone(_Table):
 class Stage(_Table):
     """One stage of the process; in order. The first is ``locate``, ``measure`` may only come last.
 
-    ``locate`` sets the parts down on the locators that name it; ``clamp`` closes the clamps and further locators that
+    ``locate`` sets the parts down on the locators that name it: further parts beside the others; or, where the others
+    have locators in it too, in another station, all that held them open; ``clamp`` closes the clamps and further
+    locators that
     name it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`;
-    ``measure`` reads the measurements. What each of them does is a list of steps, one after the other, in each of which
+    ``measure`` reads the measurements, of the assembly as it is held, or where locators name the stage, set down on
+    these alone. What each of them does is a list of steps, one after the other, in each of which
     actions happen together (`mic.process.actions`); `mic check` prints them.
     """
 
@@ -419,19 +512,19 @@ class Stage(_Table):
         "together. Left out, further locators close first and together, then clamps as the file has them, neighbours "
         "that press two parts together as one; welds are made together; a release opens last what closed first",
     )
-    sequence: bool = Field(False, description="weld only: one weld after the other, in the order of the file")
-    settle: bool = Field(
+    sequence: Flag = Field(False, description="weld only: one weld after the other, in the order of the file")
+    settle: Flag = Field(
         True,
         description="locate only: parts that overlap where they were set down come to rest on each other before "
         "anything closes; `false`: while the first thing closes",
     )
     path: Literal["followed", "increments", "one-step"] | None = Field(
         None,
-        description="clamp, weld, release: how friction's path is followed: `followed`, the default, by steps of "
-        "controlled error; `increments`, so many for each step of the stage, short at both its ends; `one-step`, all "
-        "that the stage does at once, overlaps included, as the paper has it",
+        description="how friction's path is followed where something closes or opens: `followed`, the default, by "
+        "steps of controlled error; `increments`, so many for each step of the stage, short at both its ends; "
+        "`one-step`, all that the stage does at once, overlaps included, as the paper has it",
     )
-    increments: Annotated[int, Field(ge=1)] | None = Field(
+    increments: Annotated[Count, Field(ge=1)] | None = Field(
         None, description='of each step of the stage; means path = "increments"'
     )
 
@@ -441,8 +534,8 @@ class Stage(_Table):
         "order": ("clamp", "weld", "release"),
         "sequence": ("weld",),
         "settle": ("locate",),
-        "path": ("clamp", "weld", "release"),
-        "increments": ("clamp", "weld", "release"),
+        "path": ("locate", "clamp", "weld", "release", "measure"),
+        "increments": ("locate", "clamp", "weld", "release", "measure"),
     }
 
     @model_validator(mode="after")
@@ -535,16 +628,16 @@ class Report(_Table):
     laws: Annotated[list[str], Field(min_length=1)] = Field(
         ["coulomb"], description="contact laws: " + ", ".join(f"`{law.name}` ({law.title})" for law in LAWS.values())
     )
-    slip: bool = Field(
+    slip: Flag = Field(
         False,
         description="report tangential motion even where no law with friction is asked for; "
         "without either, a third of the contact functionals suffices",
     )
-    accuracy: bool = Field(
+    accuracy: Flag = Field(
         False,
         description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
     )
-    fields: bool = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
+    fields: Flag = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
 
     @field_validator("laws")
     @classmethod
@@ -560,8 +653,8 @@ class Report(_Table):
 class MonteCarlo(_Table):
     """Size and seed of the Monte Carlo, and who solves the contacts."""
 
-    samples: Annotated[int, Field(ge=1)] = Field(500, description="number of assemblies")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
+    samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
+    seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
     backend: Literal["native", "paper"] = Field(
         "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as the paper did"
     )
@@ -613,8 +706,9 @@ class Scene(_Table):
 
     @model_validator(mode="after")
     def _check(self):
-        check_references(self)
-        check_held(self)
+        found = problems(self)
+        if found:
+            raise ValueError("\n".join(found))
         return self
 
 

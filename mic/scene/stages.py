@@ -5,10 +5,32 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
-__all__ = ["check_stages", "known"]
+__all__ = ["check_stages", "known", "moves_assembly", "set_down_in"]
 
 #: What stages close, by the scene's table, and the kinds of stages that may.
-CLOSING = {"locators": ("locate", "clamp"), "clamps": ("clamp",), "welds": ("weld",)}
+CLOSING = {"locators": ("locate", "clamp", "measure"), "clamps": ("clamp",), "welds": ("weld",)}
+
+
+def set_down_in(scene) -> dict[str, str]:
+    """The stage in which each part is set down: the first locate stage that one of its locators names; the first of all
+    where none does."""
+    stations = [str(stage.name) for stage in scene.stages if stage.kind == "locate"]
+    found = {}
+    for part in scene.parts:
+        named = {locator.stage for locator in scene.locators if locator.part == part.name}
+        found[part.name] = next((name for name in stations if name in named), str(scene.stages[0].name))
+    return found
+
+
+def moves_assembly(scene, stage) -> bool:
+    """Whether a stage sets down what stands already, on locators of its own: all that holds it opens."""
+    if stage is scene.stages[0]:
+        return False
+    there = set_down_in(scene)
+    own = [locator for locator in scene.locators if locator.stage == stage.name]
+    return stage.kind in ("locate", "measure") and any(
+        there.get(locator.part, stage.name) != stage.name for locator in own
+    )
 
 
 def check_stages(scene) -> None:
@@ -28,6 +50,7 @@ def check_stages(scene) -> None:
                     f"{key}[{i}].stage: no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
                     f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
                 )
+    _check_present(scene)
     held: list[str] = []  # names of the locators and clamps that are closed, those of all stages so far
     for i, stage in enumerate(scene.stages):
         if stage.kind == "release":
@@ -36,19 +59,67 @@ def check_stages(scene) -> None:
             held = [name for name in held if name in kept]
         else:
             own = [item.name for key in CLOSING for item in getattr(scene, key) if item.stage == stage.name]
+            if moves_assembly(scene, stage):
+                held = []
             held += own if stage.kind != "weld" else []
         if stage.order is not None:
             _check_order(scene, f"stages[{i}].order", stage, own)
+        if (
+            stage.kind in ("locate", "measure")
+            and (stage.path or stage.increments)
+            and not moves_assembly(scene, stage)
+        ):
+            raise ValueError(
+                f"stages[{i}].{'path' if stage.path else 'increments'}: nothing moves in this stage: remove it"
+            )
+        if stage.path == "one-step":
+            _check_guns(scene, f"stages[{i}].path", stage)
+
+
+def _check_guns(scene, key, stage) -> None:
+    guns = [weld.name for weld in scene.welds if weld.stage == stage.name and weld.gun is not None]
+    if guns:
+        raise ValueError(
+            f"{key}: the gun of weld {guns[0]!r} presses before its weld is made, and one-step does all at once; give "
+            "the stage increments, or remove path"
+        )
 
 
 def _check_kinds(scene) -> None:
     sequence = [stage.kind for stage in scene.stages]
-    if sequence[0] != "locate" or sequence.count("locate") != 1:
-        raise ValueError("stages: the first stage, and only the first, must be of kind 'locate'")
+    if sequence[0] != "locate":
+        raise ValueError("stages: the first stage must be of kind 'locate': it sets the parts down")
     if "measure" in sequence[:-1]:
         raise ValueError("stages: 'measure' may only come last, once")
     if scene.measurements and "measure" not in sequence:
         raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
+
+
+def _check_present(scene) -> None:
+    """Later locate stages set something down, and nothing is done to a part before it is there."""
+    place = {stage.name: i for i, stage in enumerate(scene.stages)}
+    there = set_down_in(scene)
+    for i, stage in enumerate(scene.stages[1:], 1):
+        if stage.kind == "locate" and all(locator.stage != stage.name for locator in scene.locators):
+            raise ValueError(
+                f"stages[{i}] ({stage.name}): no locator names it, so nothing is set down in it; give locators "
+                f"stage = {stage.name!r}, or remove it"
+            )
+    for key in ("locators", "clamps", "welds"):
+        for i, item in enumerate(getattr(scene, key)):
+            for name in item.parts if key == "welds" else (item.part,):
+                if name in there and place[item.stage] < place[there[name]]:
+                    raise ValueError(
+                        f"{key}[{i}].stage: part {name!r} is set down in stage {there[name]!r}, after {item.stage!r}; "
+                        "name a later stage, or set the part down before"
+                    )
+    for i, fixture in enumerate(scene.fixtures):
+        stations = [stage.name for stage in scene.stages if stage.kind == "locate"]
+        if fixture.stage is not None and fixture.stage not in stations:
+            raise ValueError(
+                f"fixtures[{i}].stage: no stage of kind locate is called {fixture.stage!r}; name one of: "
+                f"{', '.join(stations)}"
+            )
 
 
 def _check_keep(scene, key, stage, held: Sequence[str]) -> set[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["annulus", "extruded", "grid", "write_deck"]
+__all__ = ["annulus", "arc", "drilled", "extruded", "grid", "write_deck"]
 
 
 def grid(length: float, width: float, size: float, z: float = 0.0, x: float = 0.0, y: float = 0.0):
@@ -45,6 +45,38 @@ def annulus(centre, inner: float, outer: float, around: int = 24, rings: int = 5
         for k in range(around)
     ]
     return points, np.array(quads)
+
+
+def drilled(length: float, width: float, radius: float, z: float = 0.0, around: int = 24, rings: int = 3):
+    """A flat rectangle from the origin, about twice as long as wide, with two round holes: points, quadrilaterals."""
+    points, quads = [], []
+    for block in (0, 1):
+        half = np.array([length / 4, width / 2])
+        centre = np.array([length / 4 + block * length / 2, width / 2])
+        angle = 2 * np.pi * (np.arange(around) + 0.5) / around
+        circle = np.column_stack([np.cos(angle), np.sin(angle)])
+        square = circle / np.abs(circle).max(axis=1, keepdims=True)
+        for corner in np.pi / 4 + np.pi / 2 * np.arange(4):  # the ray nearest to each corner ends in it
+            square[np.argmin(np.abs(np.angle(np.exp(1j * (angle - corner)))))] = np.sign(
+                [np.cos(corner), np.sin(corner)]
+            )
+        first = len(points)
+        for ring in range(rings + 1):
+            share = ring / rings
+            flat = centre + (1 - share) * radius * circle + share * half * square
+            points += [[x, y, z] for x, y in flat]
+        for ring in range(rings):
+            a = first + ring * around + np.arange(around)
+            b = first + ring * around + (np.arange(around) + 1) % around
+            quads += np.column_stack([a, a + around, b + around, b]).tolist()
+    return np.array(points), np.array(quads)
+
+
+def arc(radius: float, low: float, high: float, size: float, centre=(0.0, 0.0)):
+    """A profile in (x, z) on a circle, from one angle in degrees to another."""
+    n = max(2, round(np.radians(high - low) * radius / size))
+    angle = np.radians(np.linspace(low, high, n + 1))
+    return [(centre[0] + radius * np.cos(a), centre[1] + radius * np.sin(a)) for a in angle]
 
 
 def write_deck(

@@ -12,7 +12,10 @@ same files alike with numpy 1.24 and 2.4.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,18 +23,27 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import UNITS, Deck, Sheet
-from mic.geometry.readers import abaqus, exchange, gmsh, graphics, nastran, vtk, vtu
+from mic.geometry.readers import abaqus, cad, dyna, exchange, gmsh, graphics, nastran, unv, vtk, vtu
 from mic.geometry.readers.raw import RawMesh
 from mic.geometry.repair import MeshReport, repair
 from mic.geometry.surface import Surface
+
+LIMIT = (
+    60.0  # s that a reader may take, and as much more for each MB of its file: libraries may look for an end forever
+)
+LIMIT_PER_MB = 30.0
 
 __all__ = ["READERS", "UNITS", "Deck", "RawMesh", "Sheet", "read_mesh", "read_raw"]
 
 READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".bdf": nastran.read,
     ".cdb": exchange.read_ansys,
+    ".dat": nastran.read,
+    ".dyn": dyna.read,
     ".fem": nastran.read,
     ".inp": abaqus.read,
+    ".k": dyna.read,
+    ".key": dyna.read,
     ".med": exchange.read_med,
     ".mesh": exchange.read_medit,
     ".meshb": exchange.read_medit,
@@ -42,13 +54,16 @@ READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".ply": graphics.read_ply,
     ".stl": graphics.read_stl,
     ".su2": exchange.read_su2,
+    ".unv": unv.read,
     ".vtk": vtk.read,
     ".vtu": vtu.read,
     ".xdmf": exchange.read_xdmf,
 }
 
 
-def read_mesh(path: Path | str, sets: Iterable[str] = (), unit: str = "mm") -> tuple[Surface, Deck]:
+def read_mesh(
+    path: Path | str, sets: Iterable[str] = (), unit: str = "mm", size: float | None = None
+) -> tuple[Surface, Deck]:
     """The repaired surface of a mesh file in any of the formats in `READERS`, and what else the file tells.
 
     Of elements with mid-side nodes the corners are taken; beams, masses and rigid elements are passed over, and
@@ -61,6 +76,8 @@ def read_mesh(path: Path | str, sets: Iterable[str] = (), unit: str = "mm") -> t
         Take the elements of these sets alone, such as one part of several, before anything is repaired.
     unit : str
         Of length in the file, one of `UNITS`. Surface and deck are in mm and MPa.
+    size : float, optional
+        Of the elements that a CAD file is meshed with, mm.
 
     Returns
     -------
@@ -75,7 +92,7 @@ def read_mesh(path: Path | str, sets: Iterable[str] = (), unit: str = "mm") -> t
         if a set is not there.
     """
     path = Path(path)
-    mesh = read_raw(path)
+    mesh = read_raw(path, size)
     try:
         if sets:
             mesh = mesh.selected(sets)
@@ -99,7 +116,7 @@ def read_mesh(path: Path | str, sets: Iterable[str] = (), unit: str = "mm") -> t
         raise FormatError(f"{path}: {problem}") from problem
 
 
-def read_raw(path: Path | str) -> RawMesh:
+def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
     """All that a mesh file holds, before anything is chosen or repaired: which sets there are, which of them are parts.
 
     Raises
@@ -110,14 +127,23 @@ def read_raw(path: Path | str) -> RawMesh:
     path = Path(path)
     if not path.is_file():
         raise FormatError(f"{path}: this mesh file does not exist; correct the name")
-    reader = READERS.get(path.suffix.lower())
+    suffix = path.suffix.lower()
+    if suffix in cad.SUFFIXES and size is None:
+        raise FormatError(f"{path}: a CAD file is meshed here and needs a size of elements; add size, mm")
+    reader = READERS.get(suffix) if suffix not in cad.SUFFIXES else lambda path: cad.read(path, float(size or 0))
     if reader is None:
         raise FormatError(
             f"{path}: there is no reader of {path.suffix or 'files without a suffix'}; "
-            f"save the mesh as one of {', '.join(READERS)}"
+            f"save the mesh as one of {', '.join((*READERS, *cad.SUFFIXES))}"
         )
     try:
-        return reader(path)
+        with limited(LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6):
+            return reader(path)
+    except TimeoutError:
+        raise FormatError(
+            f"{path}: this mesh file was not read in {LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6:.0f} s: it is "
+            "damaged or not what its suffix says; export it again, or in another format"
+        ) from None
     except ImportError as problem:
         raise FormatError(
             f"{path}: reading {path.suffix} files needs the package {problem.name}; install it (pip install "
@@ -130,6 +156,25 @@ def read_raw(path: Path | str) -> RawMesh:
             f"{path}: this mesh file cannot be read: it is cut short, damaged or not what its suffix says "
             f"({_words(problem)}); export it again, or in another format"
         ) from problem
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """A time limit: what runs longer ends in a TimeoutError. Only where signals reach, in the main thread."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def ring(number, frame):
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:

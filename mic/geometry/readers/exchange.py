@@ -1,4 +1,8 @@
-"""Formats in which further programs exchange meshes: Ansys, Salome, Medit, SU2, XDMF. Salome and XDMF need h5py."""
+"""Formats in which further programs exchange meshes: Ansys, Salome, Medit, SU2, XDMF. MED and XDMF need h5py.
+
+h5py is no dependency: its wheels bring an HDF5 of their own, which fails beside that of a distribution's dolfinx. Where
+finite elements are installed, the distribution's h5py is the right one.
+"""
 
 from __future__ import annotations
 

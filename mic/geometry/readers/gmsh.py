@@ -12,7 +12,7 @@ import numpy as np
 
 from mic.geometry.readers.raw import RawMesh, from_meshlane
 
-__all__ = ["read"]
+__all__ = ["read", "volumes"]
 
 # Geometry and physical groups: meshlane refuses a file in which some elements are in a group.
 GROUPS = re.compile(rb"\$(Entities|PhysicalNames)\s.*?\$End\1\s*\n", re.DOTALL)
@@ -25,7 +25,7 @@ def read(path: Path) -> RawMesh:
     content = path.read_bytes()
     with TemporaryDirectory() as folder:  # meshlane reads this format from files only
         bare = Path(folder) / "mesh.msh"
-        bare.write_bytes(GROUPS.sub(b"", content))
+        bare.write_bytes(_without_parameters(GROUPS.sub(b"", content)))
         mesh = meshlane.gmsh.read(bare)
     raw = from_meshlane(mesh)
     named = _section(content, "PhysicalNames").decode("utf-8", errors="replace")
@@ -47,9 +47,33 @@ def read(path: Path) -> RawMesh:
     return replace(raw, element_sets=sets, parts=tuple(sets))
 
 
+def _without_parameters(content: bytes) -> bytes:
+    """A text file of version 4.0, which gmsh calls 4 and meshlane takes for 4.1, called so, and without the places of
+    nodes on their curves and surfaces, which meshlane refuses."""
+    if _section(content, "MeshFormat").split()[:2] not in ([b"4", b"0"], [b"4.0", b"0"]):
+        return content
+    nodes = _section(content, "Nodes")
+    rows = [line.split() for line in nodes.splitlines()]
+    at = 1
+    while at < len(rows):
+        count = int(rows[at][3])
+        rows[at][2] = b"0"
+        rows[at + 1 : at + 1 + count] = [row[:4] for row in rows[at + 1 : at + 1 + count]]
+        at += 1 + count
+    content = content.replace(nodes, b"\n".join(b" ".join(row) for row in rows) + b"\n")
+    return re.sub(rb"(\$MeshFormat\s+)4\s", rb"\g<1>4.0 ", content)
+
+
 def _section(content: bytes, name: str) -> bytes:
     found = re.search(rb"\$%s[ \r]*\n(.*?)\$End%s" % (name.encode(), name.encode()), content, re.DOTALL)
     return found[1] if found else b""
+
+
+def volumes(path: Path) -> int:
+    """How many solids the geometry of a file of version 4.1 has."""
+    content = path.read_bytes()
+    binary = _section(content, "MeshFormat").split()[1] != b"0"
+    return _Numbers(_section(content, "Entities"), binary).sizes(4)[3]
 
 
 def _groups_of_surfaces(content: bytes) -> dict[int, list[int]]:

@@ -30,6 +30,7 @@ SHELLS: dict[str, tuple[Sequence[int], Sequence[int], int | None, int, Sequence[
     "CQUAD4": (range(3, 7), (), 8, 10, range(11, 15)),
     "CQUADR": (range(3, 7), (), 8, 10, range(11, 15)),
     "CQUAD8": (range(3, 7), range(7, 11), 16, 17, range(11, 15)),
+    "CQUAD9": (range(3, 7), range(7, 12), None, 0, ()),
     "CQUAD": (range(3, 7), range(7, 12), None, 0, ()),
 }
 SOLIDS = ("CTETRA", "CHEXA", "CPENTA", "CPYRA", "CPYRAM")
@@ -95,6 +96,8 @@ def read(path: Path) -> RawMesh:
                 materials[int(card[1])] = _material(card)
             elif name in SOLIDS or OTHERS.fullmatch(name):
                 _pass_over(gathered, name, card)
+            elif name.startswith(("CTRI", "CQUAD")):
+                raise FormatError(f"{name} is not known as a shell; known are {', '.join(SHELLS)}")
         except FormatError as problem:
             raise FormatError(f"{where}: {problem}") from None
         except ValueError:
@@ -258,6 +261,8 @@ class _Frames:
             else:
                 values = np.array([_real(field) for field in card[3:12]]).reshape(3, 3)
                 places = [self._through(card[2], place, (*above, number)) for place in values]
+        except FormatError:
+            raise
         except (ValueError, IndexError):
             raise FormatError(f"{where}: a field of this {name} is no number, or is missing") from None
         origin, on_z, in_xz = places

@@ -1,0 +1,200 @@
+"""Files of reduced stiffness or compliance on named nodes, as other finite-element programs write them.
+
+- Matrix Market (``.mtx``), with a node table beside it: ``lower.mtx`` and ``lower.csv``, a line ``node, x, y, z`` for
+  each node. The matrix has six freedoms a node in the order of the table, u_x, u_y, u_z, θ_x, θ_y, θ_z, or the three
+  displacements alone.
+- Nastran ``DMIG`` (punch files of superelements, ``KAAX``), and Abaqus ``*MATRIX GENERATE`` output in the format of
+  matrix input (``node, freedom, node, freedom, value``). Both name their nodes by number; where these stand, a node
+  table beside the file tells, or ``GRID`` cards in it, or the part's own mesh file.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.io import mmread
+from scipy.sparse import coo_matrix, csr_matrix
+
+from mic.errors import FormatError
+from mic.geometry.readers import nastran
+
+__all__ = ["NodalMatrix", "read_matrix"]
+
+NASTRAN = (".bdf", ".dat", ".dmig", ".nas", ".pch")
+SYMMETRIC = 1e-6  # of the largest entry: what the two halves of a matrix may differ by
+
+
+@dataclass(frozen=True)
+class NodalMatrix:
+    """A symmetric matrix over freedoms of nodes.
+
+    Attributes
+    ----------
+    node : (m,) int array
+        Number of the node of each freedom.
+    component : (m,) int array
+        0, 1, 2 for displacements along x, y, z, 3, 4, 5 for rotations about them.
+    matrix : (m, m) csr_matrix
+    places : dict of int to (3,) tuple
+        Coordinates of nodes, in the unit of the file, where it or the table beside it tells them.
+    """
+
+    node: np.ndarray
+    component: np.ndarray
+    matrix: csr_matrix
+    places: dict[int, tuple[float, ...]]
+
+
+def read_matrix(path: Path) -> NodalMatrix:
+    """Read a matrix and the table of its nodes.
+
+    Raises
+    ------
+    FormatError
+        Naming the file, if it is missing, of another kind, no square symmetric matrix of real numbers, or its table
+        does not fit to it.
+    """
+    if not path.is_file():
+        raise FormatError(f"{path}: there is no such file; correct the name")
+    table = path.with_suffix(".csv")
+    try:
+        places = _table(table) if table.is_file() else {}
+        with open(path, "rb") as file:
+            market = file.read(14) == b"%%MatrixMarket"
+        if market:
+            found = _market(path, places, table)
+        elif path.suffix.lower() in NASTRAN:
+            found = _dmig(path, places)
+        elif path.suffix.lower() in (".op4", ".sim"):
+            raise FormatError("binary matrices are not read; write DMIG cards, matrix input, or a Matrix Market file")
+        else:
+            found = _labelled(path, places)
+    except FormatError as problem:
+        raise FormatError(f"{path}: {problem}") from problem
+    return found
+
+
+def _table(path: Path) -> dict[int, tuple[float, ...]]:
+    places: dict[int, tuple[float, ...]] = {}
+    with open(path, newline="", encoding="utf-8", errors="replace") as file:
+        for line, row in enumerate(csv.reader(file), 1):
+            if not row or row[0].lstrip().startswith("#"):
+                continue
+            try:
+                number, place = int(row[0]), tuple(float(text) for text in row[1:4])
+            except ValueError:
+                if line == 1:
+                    continue  # names of the columns
+                number, place = 0, ()
+            if len(place) != 3 or not np.isfinite(place).all():
+                raise FormatError(f"line {line} of its node table {path.name} is not a number with x, y and z")
+            if number in places:
+                raise FormatError(f"line {line} of its node table {path.name} gives node {number} again")
+            places[number] = place
+    return places
+
+
+def _market(path: Path, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
+    if not places:
+        raise FormatError(f"a Matrix Market file needs the table of its nodes, node, x, y, z, beside it: {table.name}")
+    try:
+        matrix = csr_matrix(mmread(path))
+    except Exception as problem:  # SciPy raises whatever its parsing trips over
+        raise FormatError(f"it cannot be read ({' '.join(str(problem).split())}); write it again") from problem
+    n, m = len(places), matrix.shape[0]
+    each = {6 * n: 6, 3 * n: 3}.get(m)
+    if each is None or matrix.shape != (m, m):
+        raise FormatError(
+            f"it has {matrix.shape[0]} × {matrix.shape[1]} entries, and the {n} nodes of {table.name} have {6 * n} "
+            f"freedoms, or {3 * n} displacements"
+        )
+    node = np.repeat(np.fromiter(places, dtype=np.int64), each)
+    return NodalMatrix(node, np.tile(np.arange(each), n), _symmetric(matrix), places)
+
+
+def _dmig(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
+    found: dict[str, dict[tuple[tuple[int, int], tuple[int, int]], float]] = {}
+    forms: dict[str, str] = {}
+    for where, card in nastran.cards(path):
+        try:
+            if card[0] == "GRID":
+                if card[2] not in ("", "0"):
+                    raise FormatError(f"grid points in coordinate system {card[2]}; give a node table beside it")
+                places.setdefault(int(card[1]), tuple(_real(text) for text in card[3:6]))
+            elif card[0] == "DMIG" and card[2] == "0":
+                forms[card[1]] = card[3]
+                if card[4] not in ("", "1", "2"):
+                    raise FormatError(f"{card[1]} is complex; a stiffness is real")
+            elif card[0] == "DMIG":
+                column, entries = (int(card[2]), int(card[3])), found.setdefault(card[1], {})
+                for first in range(5, len(card) - 2, 4):
+                    if card[first]:
+                        entries[(int(card[first]), int(card[first + 1])), column] = _real(card[first + 2])
+        except FormatError as problem:
+            raise FormatError(f"{where}: {problem}") from None
+        except (ValueError, IndexError):
+            raise FormatError(f"{where}: a field of this {card[0]} is no number, or is missing") from None
+    names = [name for name in found if name.startswith("K")] or list(found)
+    if len(names) != 1:
+        raise FormatError(
+            f"it holds {', '.join(found) or 'no DMIG'}, and one stiffness is wanted; leave the others out"
+            if found
+            else "it holds no DMIG cards; it is no punched superelement"
+        )
+    if forms.get(names[0], "6") not in ("1", "6"):
+        raise FormatError(f"{names[0]} is rectangular; a stiffness is square")
+    return _of_entries(found[names[0]], places)
+
+
+def _labelled(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
+    entries: dict[tuple[tuple[int, int], tuple[int, int]], float] = {}
+    for line, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        if not text.strip() or text.lstrip().startswith("*"):
+            continue
+        fields = text.replace(",", " ").split()
+        try:
+            row, column, value = (int(fields[0]), int(fields[1])), (int(fields[2]), int(fields[3])), _real(fields[4])
+        except (ValueError, IndexError):
+            raise FormatError(
+                f"line {line}: this is no entry of a matrix, node, freedom, node, freedom, value; let Abaqus write "
+                "it by *MATRIX OUTPUT, FORMAT=MATRIX INPUT"
+            ) from None
+        entries[row, column] = value
+    if not entries:
+        raise FormatError("it holds no entries of a matrix")
+    return _of_entries(entries, places)
+
+
+def _of_entries(entries, places) -> NodalMatrix:
+    """A matrix of entries by freedoms (node, component from 1); half of it stands for all."""
+    freedoms = sorted({freedom for pair in entries for freedom in pair})
+    wrong = next((freedom for freedom in freedoms if not 1 <= freedom[1] <= 6), None)
+    if wrong is not None:
+        raise FormatError(f"node {wrong[0]} has a freedom {wrong[1]}; those of a node are 1 to 6")
+    number = {freedom: i for i, freedom in enumerate(freedoms)}
+    whole = dict(entries)
+    for (row, column), value in entries.items():
+        whole.setdefault((column, row), value)
+    rows, columns = ([number[pair[end]] for pair in whole] for end in (0, 1))
+    m = len(freedoms)
+    matrix = coo_matrix((list(whole.values()), (rows, columns)), shape=(m, m)).tocsr()
+    table = np.array(freedoms)
+    return NodalMatrix(table[:, 0], table[:, 1] - 1, _symmetric(matrix), places)
+
+
+def _symmetric(matrix: csr_matrix) -> csr_matrix:
+    if np.iscomplexobj(matrix.data) or not np.isfinite(matrix.data).all():
+        raise FormatError("it holds entries that are no finite real numbers")
+    largest = abs(matrix).max() if matrix.nnz else 0.0
+    if not largest > 0:
+        raise FormatError("all its entries are zero")
+    if abs(matrix - matrix.T).max() > SYMMETRIC * largest:
+        raise FormatError("it is not symmetric, as every stiffness and compliance is; write it again")
+    return csr_matrix(0.5 * (matrix + matrix.T))
+
+
+def _real(text: str) -> float:
+    return float(nastran.REAL.sub(r"\1e\2", text.upper().replace("D", "E")) if "E" not in text.upper() else text)

@@ -1,0 +1,80 @@
+"""What no rule of the scene forbids and no workshop would build: warnings, each with the usual range and a remedy.
+
+Two tables say all of it (:mod:`mic.judgement.table`): what the scene file alone shows, and what needs the parts' meshes
+and the contact pairs. A rule says where it looks, what is usual and why, and what to do. Usual is what production of
+sheet-metal assemblies knows, with room on both sides: a scene of cars, cabins or white goods passes without a word. A
+warning changes nothing that is computed; who is strict takes it for an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+from mic.errors import SceneError
+from mic.geometry.load import LoadedPart, load_part
+from mic.geometry.surface import Surface
+from mic.judgement.rule import Rule, Warned
+from mic.judgement.table import FILE, MESHES, PARTS
+
+if TYPE_CHECKING:
+    from mic.model.assembly import Assembly
+    from mic.scene import Scene
+
+__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "refuse", "surfaces_of", "suspect"]
+
+
+def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
+    """The warnings of a scene, in the order of the rules.
+
+    Parameters
+    ----------
+    scene : Scene
+    assembly : Assembly, optional
+        The scene on its meshes; without it, what the file alone shows, of items that are not placed yet only numbers.
+    """
+    found = [warned for rule in FILE for warned in rule.judge(assembly.scene if assembly is not None else scene)]
+    if assembly is not None:
+        found += [warned for rule in PARTS for warned in rule.judge(assembly.parts)]
+        found += [warned for rule in MESHES for warned in rule.judge(assembly)]
+    return tuple(found)
+
+
+def suspect(scene: Scene, cache: Path) -> tuple[Warned, ...]:
+    """The warnings of a scene that could not be put on its meshes: what is unusual may be why.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path
+        Folder of generated meshes.
+    """
+    parts = [
+        SimpleNamespace(name=one.part.name, thickness=one.part.thickness, surface=one.surface)
+        for one in _loaded(scene, cache)
+    ]
+    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+
+
+def surfaces_of(scene: Scene, cache: Path) -> dict[str, Surface]:
+    """Surfaces of those parts of a scene that can be had, by name; a part whose size is to be found is none of them."""
+    return {one.part.name: one.surface for one in _loaded(scene, cache)}
+
+
+def _loaded(scene: Scene, cache: Path) -> list[LoadedPart]:
+    found = []
+    for part in scene.parts:
+        try:
+            if part.accuracy is None:
+                found.append(load_part(part, scene.folder, cache))
+        except SceneError:
+            continue  # it is told already
+    return found
+
+
+def refuse(warnings: Sequence[Warned]) -> None:
+    """Raise :class:`~mic.errors.SceneError` if there are any warnings, with one line for each."""
+    if warnings:
+        raise SceneError("\n".join(str(warned) for warned in warnings))

@@ -1,0 +1,315 @@
+"""What the parts' meshes and the contact pairs show to be unusual; :mod:`mic.judgement.table` says what is usual."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from mic.geometry.surface import Surface
+from mic.judgement.rule import Place, Seen, of
+
+EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
+SLENDER = 20.0  # extents of a part in thicknesses, at least
+COARSE = 6.0  # elements along the extent, at least
+OFF = 1.0  # mm: farther off its sheet's surface no point is meant
+PAD = 0.15  # of the part's area, at most
+INCLINED = 0.7  # cosine of 45°
+AMPLIFIED = 12.0  # mm at the part for a millimetre at one locator
+GAP = 1.0  # mm under a weld
+FAR = 100.0  # mm from a weld to the next contact pair
+SHARED = 0.5  # of the smaller zone
+BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
+CROSSED = 0.05  # mm on either side
+SMALL = 20.0  # mm²
+
+PADS = ("locators", "clamps", "welds", "deviations", "measurements")
+
+
+def _surfaces(assembly) -> dict[str, Surface]:
+    return {part.name: part.surface for part in assembly.parts}
+
+
+def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
+    """Everything that stands at a point of a part, not in a hole of it: its table, the item, the part."""
+    parts = {part.name: part for part in assembly.parts}
+    for table in PADS:
+        for item in getattr(assembly.scene, table):
+            if getattr(item, "hole", None) is not None:
+                continue
+            names = item.parts if table == "welds" else [item.part] if hasattr(item, "part") else []
+            for name in names:
+                yield table, item, parts[name]
+
+
+def extent_odd(parts) -> Iterator[Seen]:
+    """Parts of the size of a grain or of a house."""
+    for part in parts:
+        size = part.surface.diameter
+        if not EXTENT[0] <= size <= EXTENT[1]:
+            yield of("parts", part), f"measures {size:.3g} mm across", None
+
+
+def no_sheet(parts) -> Iterator[Seen]:
+    """Parts that are no sheets."""
+    for part in parts:
+        size = part.surface.diameter / part.thickness
+        if size < SLENDER:
+            yield of("parts", part), f"measures {size:.3g} thicknesses across", None
+
+
+def coarse(parts) -> Iterator[Seen]:
+    """Meshes that cannot bend."""
+    for part in parts:
+        count = part.surface.diameter / float(np.median(part.surface.edge_lengths))
+        if count < COARSE:
+            yield of("parts", part), f"has {count:.2g} elements along its diagonal", None
+
+
+def off_the_sheet(assembly) -> Iterator[Seen]:
+    """Points that are not where their part is."""
+    for table, item, part in _on_parts(assembly):
+        foot = part.surface.project(item.point)
+        gap = float(foot.distance[0]) - part.thickness / 2
+        at = tuple(float(x) for x in foot.point[0])
+        if gap > OFF:
+            near = ", ".join(f"{x:.4g}" for x in at)
+            yield of(table, item), f"stands {gap:.2g} mm off part {part.name}, nearest point [{near}]", item.point
+
+
+def pad_large(assembly) -> Iterator[Seen]:
+    """Discs that cover much of their part."""
+    for table, item, part in _on_parts(assembly):
+        share = np.pi * item.radius**2 / part.surface.areas.sum()
+        if share > PAD:
+            said = f"radius = {item.radius:g} mm covers {100 * min(share, 9.99):.0f} % of part {part.name}"
+            yield of(table, item), said, item.point
+
+
+def nugget_over_edge(assembly) -> Iterator[Seen]:
+    """Nuggets that run over the edge of a sheet."""
+    for table, item, part in _on_parts(assembly):
+        if table == "welds" and item.radius > 0:
+            apart = _to_border(part.surface, part.surface.project(item.point).point[0])
+            if apart < item.radius:
+                said = f"lies {apart:.2g} mm from the edge of part {part.name}, less than its radius {item.radius:g} mm"
+                yield of(table, item), said, item.point
+
+
+def clamp_inclined(assembly) -> Iterator[Seen]:
+    """Clamps that push along their sheet."""
+    for table, item, part in _on_parts(assembly):
+        if table == "clamps":
+            foot = part.surface.project(item.point)
+            cosine = abs(float(part.surface.normals[foot.triangle[0]] @ item.direction))
+            if cosine < INCLINED:
+                angle = np.degrees(np.arccos(min(1.0, cosine)))
+                yield of(table, item), f"pushes at {angle:.0f}° to the normal of part {part.name}", item.point
+
+
+def _pressed(assembly, clamp) -> tuple[str, np.ndarray] | None:
+    """The body that a clamp's part has opposite there, and the way to it; None where it has none."""
+    contacts, scene = assembly.contacts, assembly.scene
+    own = [i for i, zone in enumerate(scene.zones) if clamp.part in zone.parts]
+    pairs = np.flatnonzero(np.isin(contacts.zone, own))
+    if not len(pairs):
+        return None
+    distance = np.linalg.norm(contacts.point[pairs] - clamp.point, axis=1)
+    near = pairs[np.argmin(distance)]
+    if distance.min() > clamp.radius + np.sqrt(contacts.area[near]):
+        return None
+    first, second = scene.zones[contacts.zone[near]].parts
+    sign, other = (1.0, second) if first == clamp.part else (-1.0, first)
+    return other, sign * contacts.frame[near, :, 0]
+
+
+def clamp_pulls(assembly) -> Iterator[Seen]:
+    """Clamps that pull their part away from the one that it shall touch."""
+    for clamp in assembly.scene.clamps:
+        pressed = _pressed(assembly, clamp)
+        if pressed is not None:
+            other, way = pressed
+            along = float(np.dot(clamp.direction, way))
+            if along * np.sign(1.0 if clamp.force is None else clamp.force) < -0.5:
+                yield (
+                    of("clamps", clamp),
+                    f"pulls part {clamp.part} away from {other}, drawn on its other side",
+                    clamp.point,
+                )
+
+
+def presses_one_side(assembly) -> Iterator[Seen]:
+    """Clamps with a force beside everything that holds the other part against it."""
+    scene = assembly.scene
+    fixtures = {fixture.name for fixture in scene.fixtures}
+    for clamp in scene.clamps:
+        pressed = _pressed(assembly, clamp) if clamp.force else None
+        if pressed is None or pressed[0] in fixtures:
+            continue
+        direction = np.array(clamp.direction)
+        against = [
+            item.point
+            for item in scene.locators
+            if item.part == pressed[0] and abs(item.direction @ direction) > INCLINED
+        ]
+        for item in scene.clamps:
+            along = float(np.dot(item.direction, direction))
+            if item.part == pressed[0] and (along < -INCLINED or (item.force is None and abs(along) > INCLINED)):
+                against.append(item.point)
+        for zone in scene.zones:
+            if pressed[0] in zone.parts and fixtures & set(zone.parts):
+                against += assembly.contacts.point[assembly.contacts.zone == scene.zones.index(zone)].tolist()
+        beside = _beside(np.array(against).reshape(-1, 3), np.array(clamp.point), direction)
+        if beside > clamp.radius + BESIDE:
+            where = f"{beside:.0f} mm beside" if np.isfinite(beside) else "without"
+            said = f"presses on part {pressed[0]} {where} what holds that part: it presses one side only"
+            yield of("clamps", clamp), said, clamp.point
+
+
+def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
+    """How far a point lies outside the hull of others, seen along a direction, mm."""
+    if not len(points):
+        return np.inf
+    flat = points - at
+    flat = flat - np.outer(flat @ direction, direction)
+    scale = max(1.0, float(np.abs(flat).max()))
+    share = nnls(np.vstack([flat.T / scale, np.full(len(flat), 1e3)]), np.array([0.0, 0, 0, 1e3]))[0]
+    return float(np.linalg.norm(share @ flat / share.sum()))
+
+
+def locators_in_line(assembly) -> Iterator[Seen]:
+    """Parts that a small error of a locator throws far: its locators stand nearly in line, or close together."""
+    scene, first = assembly.scene, assembly.scene.stages[0].name
+    for part in assembly.parts:
+        own = [item for item in scene.locators if item.part == part.name and item.stage == first]
+        centre = np.mean([item.point for item in own], axis=0)
+        rows = [[*item.direction, *np.cross(np.subtract(item.point, centre), item.direction)] for item in own]
+        scale = np.array([1.0] * 3 + [part.surface.diameter] * 3)
+        motion = np.linalg.pinv(np.array(rows) / scale, rcond=1e-9) / scale[:, None]
+        arm = part.surface.points - centre
+        moved = motion[None, :3] + np.cross(motion[None, 3:].transpose(0, 2, 1), arm[:, None]).transpose(0, 2, 1)
+        far = np.linalg.norm(moved, axis=1)
+        vertex, worst = np.unravel_index(int(np.argmax(far)), far.shape)
+        if far[vertex, worst] > AMPLIFIED:
+            said = (
+                f"of which {own[worst].name} moves part {part.name} by {far[vertex, worst]:.3g} mm for 1 mm of its own"
+            )
+            where = ", ".join(item.name for item in own)
+            yield of("parts", part), f"is set down on locators {where}, {said}", own[worst].point
+
+
+def weld_over_gap(assembly) -> Iterator[Seen]:
+    """Welds over gaps that no gun closes."""
+    for weld, gap in zip(assembly.scene.welds, assembly.weld_gap):
+        if abs(gap) > GAP:
+            yield of("welds", weld), f"lies over a gap of {gap:.2g} mm", weld.point
+
+
+def weld_off_zone(assembly) -> Iterator[Seen]:
+    """Welds far from every contact pair of the parts that they join."""
+    scene, contacts = assembly.scene, assembly.contacts
+    for weld in scene.welds:
+        joining = [i for i, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
+        own = contacts.point[np.isin(contacts.zone, joining)]
+        if len(own):
+            apart = float(np.linalg.norm(own - weld.point, axis=1).min())
+            if apart > FAR:
+                yield of("welds", weld), f"lies {apart:.0f} mm from the next contact pair", weld.point
+
+
+def zones_alike(assembly) -> Iterator[Seen]:
+    """Zones that count the same contact twice."""
+    scene, contacts = assembly.scene, assembly.contacts
+    for i, j in itertools.combinations(range(len(scene.zones)), 2):
+        a, b = np.flatnonzero(contacts.zone == i), np.flatnonzero(contacts.zone == j)
+        if set(scene.zones[i].parts) != set(scene.zones[j].parts) or not len(a) or not len(b):
+            continue
+        if contacts.area[a].sum() < contacts.area[b].sum():
+            a, b = b, a
+        distance, near = cKDTree(contacts.point[a]).query(contacts.point[b])
+        inside = distance < 0.75 * np.sqrt(contacts.area[a[near]])
+        share = float(contacts.area[b[inside]].sum() / contacts.area[b].sum())
+        if share > SHARED:
+            turned = ", turned round," if scene.zones[i].parts != scene.zones[j].parts else ""
+            said = f"lies{turned} over zone {scene.zones[i].name} with {100 * share:.0f} % of the smaller one's area"
+            yield of("zones", scene.zones[j]), said, tuple(contacts.point[b[0]].tolist())
+
+
+def zone_small(assembly) -> Iterator[Seen]:
+    """Zones of next to no area."""
+    for i, zone in enumerate(assembly.scene.zones):
+        own = assembly.contacts.zone == i
+        area = float(assembly.contacts.area[own].sum())
+        if own.any() and area < SMALL:
+            yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
+
+
+def overlap_kept(assembly) -> Iterator[Seen]:
+    """Overlap that is kept, and too deep to be meant."""
+    scene, contacts = assembly.scene, assembly.contacts
+    thickness = {part.name: part.thickness for part in assembly.parts}
+    for i, zone in enumerate(scene.zones):
+        own = np.flatnonzero(contacts.zone == i)
+        if zone.nominal_overlap == "keep" and len(own):
+            thinner = min(thickness[name] for name in zone.parts if name in thickness)
+            worst = own[np.argmax(contacts.overlap[own])]
+            if contacts.overlap[worst] > 0.5 * thinner:
+                said = f"keeps an overlap of {contacts.overlap[worst]:.2g} mm"
+                yield of("zones", zone), said, tuple(contacts.point[worst].tolist())
+
+
+def fixture_turned(assembly) -> Iterator[Seen]:
+    """Pads whose normal points away from the part that they shall meet."""
+    scene, surfaces = assembly.scene, _surfaces(assembly)
+    for fixture in scene.fixtures:
+        if fixture.point is None:
+            continue
+        for zone in scene.zones:
+            for name in set(zone.parts) & set(surfaces) if fixture.name in zone.parts else ():
+                foot = surfaces[name].project(fixture.point)
+                height = float((foot.point[0] - fixture.point) @ fixture.normal)
+                if height < 0:
+                    said = f"looks away from part {name}, whose mid-surface lies {-height:.2g} mm behind it"
+                    yield of("fixtures", fixture), said, fixture.point
+
+
+def parts_cross(parts) -> Iterator[Seen]:
+    """Parts whose mid-surfaces pass through each other."""
+    for a, b in itertools.permutations(parts, 2):
+        at = _crossing(a.surface, b.surface)
+        if at is not None:
+            yield of("parts", a), f"passes through part {b.name}", at
+
+
+def _crossing(surface: Surface, other: Surface) -> Place | None:
+    """Where edges of one surface pass through another, deepest first; None if nowhere."""
+    reach = float(np.median(surface.edge_lengths))
+    low, high = other.points.min(axis=0) - reach, other.points.max(axis=0) + reach
+    near = np.flatnonzero(((surface.points >= low) & (surface.points <= high)).all(axis=1))
+    near = near[cKDTree(other.points).query(surface.points[near], distance_upper_bound=3 * reach)[0] < np.inf]
+    foot = other.project(surface.points[near], reach=3 * reach)
+    found = (foot.triangle >= 0) & ~foot.at_border & (foot.distance < 2 * reach)
+    height = np.full(len(surface.points), np.nan)
+    step = surface.points[near[found]] - foot.point[found]
+    height[near[found]] = np.einsum("ij,ij->i", step, other.normals[foot.triangle[found]])
+    ends = surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    with np.errstate(invalid="ignore"):
+        depth = np.where((height[ends].prod(axis=1) < 0), np.abs(height[ends]).min(axis=1), 0.0)
+    deepest = int(np.argmax(depth))
+    return tuple(surface.points[ends[deepest]].mean(axis=0).tolist()) if depth[deepest] > CROSSED else None
+
+
+def _to_border(surface: Surface, at: np.ndarray) -> float:
+    """Distance from a point to the nearest border edge, mm."""
+    triangle, corner = np.nonzero(surface.border)
+    if not len(triangle):
+        return np.inf
+    a = surface.points[surface.triangles[triangle, (corner + 1) % 3]]
+    b = surface.points[surface.triangles[triangle, (corner + 2) % 3]]
+    share = np.einsum("ij,ij->i", at - a, b - a) / np.einsum("ij,ij->i", b - a, b - a)
+    foot = a + np.clip(share, 0, 1)[:, None] * (b - a)
+    return float(np.linalg.norm(foot - at, axis=1).min())

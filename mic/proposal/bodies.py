@@ -1,0 +1,197 @@
+"""The parts of an assembly as mesh files give them: one a file, or one an element set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from mic.errors import SceneError
+from mic.geometry.deck import Deck, Sheet
+from mic.geometry.readers import RawMesh, read_mesh, read_raw
+from mic.geometry.surface import Surface
+
+__all__ = ["Body", "read_bodies"]
+
+METRES = 10.0  # a part that is smaller, in the file's unit, is not meant in mm
+YOUNG, POISSON = 210e3, 0.3  # steel, where a deck tells no material
+PLAUSIBLE = (1e3, 1e6)  # MPa: what a deck tells beyond is in other units
+
+
+@dataclass(frozen=True)
+class Body:
+    """One part.
+
+    Attributes
+    ----------
+    name : str
+    file : Path
+    sets : tuple of str
+        Element sets of the file that it consists of; empty for all of it.
+    unit : str
+        Of length in the file.
+    surface : Surface
+        mm, as it is drawn.
+    deck : Deck
+    thickness : float
+        mm.
+    thickness_from : str
+        Who tells it: the option, or the deck.
+    young, poisson : float
+        MPa.
+    material_from : str
+    offset : float or None
+        From the drawn surface to the middle of the sheet, in thicknesses along the normal, where the deck tells it.
+    """
+
+    name: str
+    file: Path
+    sets: tuple[str, ...]
+    unit: str
+    surface: Surface
+    deck: Deck
+    thickness: float
+    thickness_from: str
+    young: float
+    poisson: float
+    material_from: str
+    offset: float | None
+
+    @cached_property
+    def element(self) -> float:
+        """Median length of an edge, mm."""
+        return float(np.median(self.surface.edge_lengths))
+
+    @cached_property
+    def edge(self) -> tuple[np.ndarray, np.ndarray]:
+        """(q, 3) points along the free edges, no farther apart than half an element, mm, and the length of each."""
+        triangle, opposite = np.nonzero(self.surface.border)
+        at = self.surface.sample_edges(triangle, opposite, self.element / 2)
+        return self.surface.at(*at[:2]), at[2]
+
+    def off_edge(self, points: np.ndarray) -> np.ndarray:
+        """(n,) distances of points to the free edge, mm; infinite on a closed surface."""
+        edge = self.edge[0]
+        return cKDTree(edge).query(points)[0] if len(edge) else np.full(len(points), np.inf)
+
+
+def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) -> list[Body]:
+    """The parts that mesh files hold.
+
+    A file whose elements are divided into sets that share no nodes is as many parts; sets that do share nodes are one.
+
+    Parameters
+    ----------
+    files : sequence of Path
+    thickness : mapping of str or None to float
+        mm, by part; under None, of all that are not named and whose deck tells nothing.
+
+    Raises
+    ------
+    FormatError, SceneError
+        If a file cannot be read, a thickness is missing, or a part consists of pieces that nothing names.
+    """
+    found: list[tuple[str, Path, tuple[str, ...]]] = []
+    for file in files:
+        raw = read_raw(file)
+        groups = _groups(raw)
+        if len(groups) > 1:
+            found += [(_name(sets[0]), file, sets) for sets in groups]
+        else:
+            found.append((_name(file.stem), file, ()))
+    names = _unique([name for name, _, _ in found])
+    strange = [name for name in thickness if name is not None and name not in names]
+    if strange:
+        raise SceneError(f"--thickness {strange[0]}=…: there is no part of that name; the parts are {', '.join(names)}")
+    bodies = [_body(name, file, sets, thickness) for name, (_, file, sets) in zip(names, found)]
+    bare = [body.name for body in bodies if np.isnan(body.thickness)]
+    if bare:
+        raise SceneError(
+            f"nothing tells the thickness of {', '.join(bare)}: give it in mm, --thickness 1.5 for all, or "
+            f"--thickness {bare[0]}=1.5 for one"
+        )
+    return bodies
+
+
+def _groups(raw: RawMesh) -> list[tuple[str, ...]]:
+    """The sets that divide a file into parts, those together whose elements share nodes."""
+    sets = [name for name in raw.parts if len(raw.element_sets.get(name, ()))]
+    if len(sets) < 2:
+        return []
+    corners = [*raw.triangles, *raw.quadrilaterals]
+    nodes = [np.unique(np.concatenate([corners[i] for i in raw.element_sets[name]])) for name in sets]
+    owner = np.repeat(np.arange(len(sets)), [len(one) for one in nodes])
+    incidence = coo_matrix((np.ones(len(owner)), (owner, np.concatenate(nodes))), shape=(len(sets), len(raw.points)))
+    label = connected_components(incidence @ incidence.T, directed=False)[1]
+    return [tuple(name for name, one in zip(sets, label) if one == group) for group in range(label.max() + 1)]
+
+
+def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str | None, float]) -> Body:
+    surface, deck = read_mesh(file, sets)
+    unit = "mm"
+    if surface.diameter < METRES:
+        unit = "m"
+        surface, deck = read_mesh(file, sets, unit)
+    _in_one_piece(name, file, surface)
+    told = deck.told()
+    sheet = told[0] if len(told) == 1 else Sheet()
+    various = sorted({one.thickness for one in told if one.thickness is not None})
+    given = thickness.get(name, np.nan)
+    source = "as the command said"
+    if np.isnan(given) and various:
+        areas = {t: sum(_area(surface, deck, one) for one in told if one.thickness == t) for t in various}
+        given = max(areas, key=areas.__getitem__)
+        source = "as the mesh file tells"
+        if len(various) > 1:
+            source += f", of most of it: it tells {', '.join(f'{t:g}' for t in various)}"
+    if np.isnan(given):
+        given = thickness.get(None, np.nan)
+    young, poisson, material = YOUNG, POISSON, "steel: the mesh file tells no material"
+    if sheet.young is not None and sheet.poisson is not None:
+        if PLAUSIBLE[0] <= sheet.young <= PLAUSIBLE[1]:
+            young, poisson = sheet.young, sheet.poisson
+            material = f"as the mesh file tells{f' ({sheet.material})' if sheet.material else ''}"
+        else:
+            material = f"steel: the mesh file tells {sheet.young:.3g}, which is no MPa"
+    return Body(name, file, sets, unit, surface, deck, given, source, young, poisson, material, sheet.offset)
+
+
+def _area(surface: Surface, deck: Deck, sheet: Sheet) -> float:
+    own = [number for number, one in enumerate(deck.sheets) if one == sheet]
+    return float(surface.areas[np.isin(deck.sheet_of, own)].sum())
+
+
+def _in_one_piece(name: str, file: Path, surface: Surface) -> None:
+    corner = surface.triangles
+    a, b = corner[:, [0, 1]].ravel(), corner[:, [1, 2]].ravel()
+    count = len(surface.points)
+    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)[1]
+    pieces, sizes = np.unique(label[corner[:, 0]], return_counts=True)
+    if len(pieces) > 1:
+        largest = ", ".join(str(size) for size in sorted(sizes, reverse=True)[:5])
+        raise SceneError(
+            f"{file}: part {name!r} is in {len(pieces)} pieces that do not hang together (of {largest} triangles): "
+            "put each into an element set of its own, or join them in the mesh"
+        )
+
+
+def _name(text: str) -> str:
+    """A name as scenes take it."""
+    return re.sub(r"[^A-Za-z0-9_.+-]+", "_", text).strip("_")[:25] or "part"
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """The names, numbered where several are alike."""
+    counts: dict[str, int] = {}
+    found = []
+    for name in names:
+        counts[name] = counts.get(name, 0) + 1
+        found.append(name if names.count(name) == 1 else f"{name}-{counts[name]}")
+    return found

@@ -1,0 +1,124 @@
+"""Rigid bodies whose one face yields on springs: assemblies small enough to be solved by hand.
+
+Every part is rigid but for its face at `FACE`, which yields along z by 1/k per N and along x and y by half of that.
+What stands at the face (clamps, welds, contact pairs, measurements) reads it; everything else reads the rigid body, the
+moments of welds among it. All lies in one plane, gaps are along z.
+"""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+import mic
+from mic.compliance.blocks import Blocks
+from mic.model.assembly import Between, Contacts
+from mic.model.rows import KINDS
+from mic.process.model import ReducedModel
+
+STIFFNESS = 50.0  # N/mm, of a face along z
+FACE = (5.0, 5.0, 0.0)
+FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
+ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]
+
+
+def six(part, stage="locate", far=FAR):
+    """Six locators of a part."""
+    return [
+        {"name": f"{part}{stage[0]}{i}", "part": part, "point": point, "direction": direction, "stage": stage}
+        for i, (point, direction) in enumerate(zip(far, ALONG))
+    ]
+
+
+def at_face(part, direction=(0, 0, 1), **keys):
+    """What stands at the face of a part."""
+    return {"part": part, "point": list(FACE), "direction": list(direction)} | keys
+
+
+def spring_model(gap, weld_gap=(), **scene):
+    """Reduced model of a scene whose zones have one pair each, with these gaps, between the faces of their parts."""
+    names = [part["name"] for part in scene["parts"]]
+    scene = mic.Scene(name="springs", **scene)
+    functionals = {name: [(FACE, axis) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))] for name in names}
+
+    def reading(item):
+        """What a row reads, (part, functional, coefficient) each."""
+        if tuple(item.point) == FACE:
+            x, y, z = item.direction
+            return [(item.part, j, share) for j, share in enumerate((z, x, y)) if share]
+        functionals[item.part].append((item.point, item.direction))
+        return [(item.part, len(functionals[item.part]) - 1, 1.0)]
+
+    def joint(parts, axis):
+        return [(name, axis, sign) for name, sign in zip(parts, (-1.0, 1.0)) if name in names]
+
+    entries = {kind: [] for kind in KINDS}
+    for kind in ("locator", "clamp", "measurement"):
+        entries[kind] = [reading(item) for item in getattr(scene, f"{kind}s")]
+    entries["contact"] = [joint(zone.parts, axis) for zone in scene.zones for axis in range(3)]
+    turns = {name: {} for name in names}
+    if any(weld.moment for weld in scene.welds):
+        for name, own in functionals.items():
+            for axis in range(3):
+                turns[name][3 + axis] = len(own)
+                own.append((FACE, np.eye(3)[axis]))
+
+    def tied(parts, axis):
+        return joint(parts, axis) if axis < 3 else [(n, turns[n][axis], sign) for n, sign in zip(parts, (-1.0, 1.0))]
+
+    size = tuple(6 if weld.moment else 3 for weld in scene.welds)
+    entries["weld"] = [tied(weld.parts, axis) for weld, rows in zip(scene.welds, size) for axis in range(rows)]
+    blocks = []
+    for name, own in functionals.items():
+        H = np.zeros((len(own), len(own)))
+        H[0, 0], H[1, 1], H[2, 2] = 1 / STIFFNESS, 0.5 / STIFFNESS, 0.5 / STIFFNESS
+        G = np.array([[*d, *np.cross(p, d)] for p, d in own], dtype=float)
+        for axis, functional in turns[name].items():
+            G[functional] = np.eye(6)[axis]
+        blocks.append((H, G))
+    compliance = Blocks(*zip(*blocks))
+    rows, labels = {}, {}
+    for kind, lines in entries.items():
+        dense = np.zeros((len(lines), compliance.size))
+        for line, terms in zip(dense, lines):
+            for part, functional, share in terms:
+                line[compliance.offsets[names.index(part)] + functional] += share
+        rows[kind], labels[kind] = csr_matrix(dense), [f"{kind}{i}" for i in range(len(lines))]
+    for kind in ("locator", "clamp"):
+        labels[kind] = [item.name for item in getattr(scene, f"{kind}s")]
+    none, no_shape = np.zeros(0), np.zeros((compliance.size, len(scene.deviations)))
+    nowhere = Between(np.zeros(0, int), none, np.zeros(0, int), np.zeros((0, 3)))
+    return ReducedModel(
+        scene,
+        compliance,
+        rows,
+        labels,
+        _pairs([zone.coefficient("default") for zone in scene.zones], gap),
+        nowhere,
+        size,
+        np.array(weld_gap, dtype=float),
+        no_shape,
+        no_shape,
+        {},
+    )
+
+
+def _pairs(friction, gap) -> Contacts:
+    """One pair of 1 mm² for each zone, its frame z, x, y."""
+    m = len(gap)
+    return Contacts(
+        zone=np.arange(m),
+        stages=np.array([], dtype=str),
+        friction=np.array([friction], dtype=float).reshape(1, m),
+        pressure=np.zeros((m, 0, 5)),
+        compliance=np.zeros(m),
+        gap=np.array(gap, dtype=float),
+        overlap=np.zeros(m),
+        overlapping=np.zeros(m),
+        area=np.ones(m),
+        watched=np.zeros(m, bool),
+        layer=np.zeros(m),
+        nugget=np.full(m, -1),
+        bearing=np.ones(m),
+        point=np.tile(FACE, (m, 1)),
+        frame=np.tile(np.eye(3)[:, [2, 0, 1]], (m, 1, 1)),
+        dimension=3,
+    )

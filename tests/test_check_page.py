@@ -1,0 +1,98 @@
+"""The page of a check: one file, all that the scene places on the parts, gaps as a map, warnings beside it."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mic.commands import app
+
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def checked(tmp_path, cache, *edits, page=None):
+    """The page of a check of the lap joint, edited, on coarse meshes and with few pairs; what it draws; the output."""
+    text = (LAP / "scene.toml").read_text().replace("friction = 0.27", "friction = 0.27\npairs = 6")
+    for old, new in (('size = "medium"', 'size = "coarse"'), *edits):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "scene.toml").write_text(text)
+    (tmp_path / "scene" / "geometry.py").write_text((LAP / "geometry.py").read_text())
+    arguments = ["check", "scene"] + (["--page", str(page)] if page else [])
+    done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
+    page = page or tmp_path / "results" / "lap-joint" / "check.html"
+    html = page.read_text() if page.is_file() else ""
+    data = re.search(r'<script type="application/json" id="viewer-data">(.*?)</script>', html, re.S)
+    return html, json.loads(data.group(1)) if data else None, done.output
+
+
+def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
+    html, data, output = checked(tmp_path, cache)
+    assert "page: results/lap-joint/check.html" in output and "The scene is valid. </b>" not in html
+    assert not (tmp_path / "scene" / "check.html").exists()
+    assert [part["name"] for part in data["parts"]] == ["lower", "upper"]
+    arrows = {group["name"]: [item["label"] for item in group["items"]] for group in data["arrows"]}
+    assert len(arrows["locators"]) == 12 and arrows["clamps"][0] == "clamp C1-upper on upper, 60 N, stage clamp"
+    assert "locator upper-C1 on upper, stage locate, D1: 0.05 ± 0.02" in arrows["locators"]
+    assert arrows["corrective forces"] == ["force F1 on upper: -5 ± 1.5 N", "force F2 on lower: 2 ± 1 N"]
+    points = {group["name"]: group for group in data["points"]}
+    assert points["welds"]["labels"] == ["weld W1", "weld W2"] and len(points["measurements"]["points"]) == 2
+    assert len(points["lap: gap"]["points"]) == 6 and points["lap: gap"]["labels"][0] == "lap, pair 0: gap 0 mm"
+    assert "warnings" not in points and "<b>The scene is valid.</b>" in html
+    assert "clamps C1-upper and C1-lower close" in html
+    assert not re.search(r"(src|href)=[\"'](?!#)(?!data:)", html.split("<script>")[0]), "it needs another file"
+
+
+def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(tmp_path, cache):
+    """Sheets of 0.8 and 1.1 mm whose mid-surfaces are 1 mm apart: 0.05 mm of gap."""
+    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 0.9\nyoung = 210000"))
+    (group,) = [group for group in data["points"] if "values" in group]
+    assert group["values"] == pytest.approx(np.full(6, 0.1)) and group["first"]
+    assert data["map"] == {"scale": "viridis", "low": 0.0, "high": pytest.approx(0.1), "title": "gap (mm)"}
+
+
+def test_an_overlap_is_told_from_a_gap(tmp_path, cache):
+    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 1.2\nyoung = 210000"))
+    (group,) = [group for group in data["points"] if "values" in group]
+    assert group["values"] == pytest.approx(np.full(6, -0.2)) and "overlap 0.2 mm" in group["labels"][0]
+    assert data["map"]["low"] == pytest.approx(-0.2) and data["map"]["scale"] == "RdBu_r"
+
+
+def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
+    edits = (("force = 60", "force = 60000"), ("young = 210000", "young = 210"))
+    html, data, _ = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
+    assert "The scene is valid, 4 warnings." in html
+    items = re.findall(r"<li>([^:<]*): (?:young|force)", html)
+    assert items == ["part lower", "part upper", "clamp C1-upper", "clamp C1-lower"]
+    (group,) = [group for group in data["points"] if group["name"] == "warnings"]
+    assert [re.sub("<.*?>", "", text).strip() for text in group["numbers"]] == ["3, 4"]  # one ring: they are near
+    assert group["labels"] == ["3. clamp C1-upper<br>4. clamp C1-lower"] and group["points"] == [[72.0, 12.5, 1.0]]
+
+
+def test_a_scene_that_is_not_valid_is_drawn_as_far_as_it_can_be(tmp_path, cache):
+    html, data, output = checked(tmp_path, cache, ("point = [88, 6, 0.5]", "point = [88, 60, 0.5]"))
+    assert "Not valid: 1 error, 0 warnings." in html and "welds[0].point (W1)" in html
+    assert "its nearest point is [88, 25, 0]" in html
+    assert len(data["parts"]) == 2 and not [group for group in data["points"] if "values" in group]
+    assert "page: results/lap-joint/check.html" in output
+
+
+def test_without_any_part_the_page_says_so(tmp_path, cache):
+    html, data, _ = checked(tmp_path, cache, ('geometry = "geometry.py"', 'geometry = "none.py"'))
+    assert data is None and "No part\n  could be read" in html and html.count("there is no file") == 2
+
+
+def test_a_page_that_cannot_be_written_is_no_error_of_the_scene(tmp_path, cache):
+    (tmp_path / "results").write_text("a file, where the folder would be")
+    html, _, output = checked(tmp_path, cache)
+    assert html == "" and "The scene is valid." in output
+    assert "no page: " in output and "name another file with --page" in output

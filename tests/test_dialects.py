@@ -1,0 +1,308 @@
+"""Dialects of decks: LS-DYNA, universal files, CAD, and malformed decks of each kind, which end in one sentence."""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from mic.errors import FormatError
+from mic.geometry import readers
+from mic.geometry.readers import READERS, cad, read_mesh
+
+DYNA = """$# LS-DYNA
+*KEYWORD
+*NODE
+       1             0.0             0.0             0.0
+       2             1.0             0.0             0.0
+       3             1.0             1.0             0.0
+       4             0.0             1.0             0.0
+      10             2.0             0.0             0.0
+*ELEMENT_SHELL
+       1       7       1       2       3       4
+*ELEMENT_SHELL_OFFSET
+       2       8       2      10       3       3
+             0.4
+*ELEMENT_MASS
+       5       4             1.0
+*PART
+pocket
+         7         3         5
+rib
+         8         4         5
+*SECTION_SHELL_TITLE
+thick
+         3         2       1.0         3
+       1.5       1.5       1.5       1.5       1.0
+*SECTION_SHELL
+         4         2
+       0.8       0.8       0.8       0.8
+*MAT_ELASTIC_TITLE
+steel
+         5   7.8E-9  210000.0      0.29
+*SET_NODE_LIST_TITLE
+row
+         1
+         1         3
+*CONSTRAINED_NODAL_RIGID_BODY
+         9
+*END
+"""
+UNIVERSAL = """    -1
+  2411
+         1         1         1        11
+   0.0000000000000000D+00   0.0000000000000000D+00   0.0000000000000000D+00
+         2         1         1        11
+   1.0000000000000000D+00   0.0000000000000000D+00   0.0000000000000000D+00
+         3         1         1        11
+   1.0000000000000000D+00   1.0000000000000000D+00   0.0000000000000000D+00
+         4         1         1        11
+   0.0000000000000000D+00   1.0000000000000000D+00   0.0000000000000000D+00
+        10         1         1        11
+   2.0000000000000000D+00   0.0000000000000000D+00   0.0000000000000000D+00
+    -1
+    -1
+  2412
+         9        11         1         1         7         2
+         0         1         1
+         1         2
+         1        94         7         1         7         4
+         1         2         3         4
+         2        91         8         1         7         3
+         2        10         3
+    -1
+    -1
+  2467
+         1         0         0         0         0         0         0         3
+pocket
+         8         1         0         0         7         3         0         0
+         7         1         0         0
+    -1
+"""
+ABAQUS = """*Node
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 1., 1., 0.
+4, 0., 1., 0.
+10, 2., 0., 0.
+*Element, type=S4R, elset=pocket
+1, 1, 2, 3, 4
+*Element, type=S3, elset=rib
+2, 2, 10, 3
+"""
+NASTRAN = """BEGIN BULK
+GRID,1,,0.,0.,0.
+GRID,2,,1.,0.,0.
+GRID,3,,1.,1.,0.
+GRID,4,,0.,1.,0.
+GRID,10,,2.,0.,0.
+CQUAD4,1,7,1,2,3,4
+CTRIA3,2,8,2,10,3
+"""
+
+
+def written(tmp_path, text, name):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_ls_dyna_tells_parts_sections_materials_and_sets(tmp_path):
+    surface, deck = read_mesh(written(tmp_path, DYNA, "a.k"))
+    assert deck.parts == ("pocket", "rib") and surface.areas[deck.element_sets["pocket"]].sum() == pytest.approx(1)
+    (pocket,), (rib,) = (deck.told(deck.element_sets[name]) for name in deck.parts)
+    assert (pocket.thickness, pocket.offset, pocket.young, pocket.poisson) == (1.5, -0.5, 210e3, 0.29)
+    assert (rib.thickness, rib.offset, rib.young) == (0.8, pytest.approx(0.5), 210e3)
+    assert len(deck.node_sets["row"]) == 2 and len(deck.points_of(10)) == 1
+    assert deck.passed_over == {"MASS": 1, "CONSTRAINED_NODAL_RIGID_BODY": 1}
+    wide = "*KEYWORD LONG=Y\n*NODE\n" + "".join(
+        f"{n:20d}{x:20.1f}{y:20.1f}{0:20.1f}\n" for n, x, y in ((1, 0, 0), (2, 1, 0), (3, 1, 1))
+    )
+    wide += "*ELEMENT_SHELL\n" + "".join(f"{n:20d}" for n in (1, 1, 1, 2, 3, 3)) + "\n"
+    assert read_mesh(written(tmp_path, wide, "wide.key"))[0].areas.sum() == pytest.approx(0.5)
+    (tmp_path / "mesh.k").write_text(DYNA[: DYNA.index("*PART")] + "*END\n")
+    main = "*KEYWORD\n*INCLUDE\nmesh.k\n" + DYNA[DYNA.index("*PART") :]
+    assert read_mesh(written(tmp_path, main, "main.k"))[1].parts == ("pocket", "rib")
+
+
+def test_a_universal_file_tells_groups(tmp_path):
+    surface, deck = read_mesh(written(tmp_path, UNIVERSAL, "a.unv"), ["pocket"])
+    assert surface.areas.sum() == pytest.approx(1) and len(deck.node_sets["pocket"]) == 2
+    assert deck.passed_over == {"kind 11": 1}
+
+
+@pytest.mark.fem
+def test_a_cad_sheet_is_meshed_with_the_size_that_is_asked_for_and_a_solid_refused(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addRectangle(0, 0, 0, 30, 20)
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(tmp_path / "sheet.step"))
+        gmsh.clear()
+        gmsh.model.occ.addBox(0, 0, 0, 30, 20, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(tmp_path / "solid.step"))
+    finally:
+        gmsh.finalize()
+    counts = []
+    for size in (5.0, 2.5):
+        surface, _ = read_mesh(tmp_path / "sheet.step", size=size)
+        assert surface.areas.sum() == pytest.approx(600) and surface.edge_lengths.max() < 1.5 * size
+        counts.append(len(surface.triangles))
+    assert counts[1] > counts[0]
+    with pytest.raises(FormatError, match="it holds a solid, and the skin of a solid is no mid-surface"):
+        read_mesh(tmp_path / "solid.step", size=5.0)
+    with pytest.raises(FormatError, match="needs a size of elements"):
+        read_mesh(tmp_path / "sheet.step")
+    (tmp_path / "cut.step").write_bytes((tmp_path / "sheet.step").read_bytes()[:900])
+    with pytest.raises(FormatError, match=r"gmsh cannot mesh this CAD file|no triangles"):
+        read_mesh(tmp_path / "cut.step", size=5.0)
+
+
+def test_without_gmsh_a_cad_file_ends_in_a_sentence_that_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda *args, **keys: None)
+    with pytest.raises(FormatError, match=r"a\.step: CAD files are meshed by gmsh, which is missing; install it"):
+        read_mesh(written(tmp_path, "ISO-10303-21;\n", "a.step"), size=1.0)
+
+
+def test_a_mesher_that_hangs_is_stopped(tmp_path, monkeypatch):
+    hanging = tmp_path / "gmsh"
+    hanging.write_text(f"#!{sys.executable}\n# python\nimport time\ntime.sleep(60)\n")
+    hanging.chmod(0o755)
+    monkeypatch.setattr("shutil.which", lambda *args, **keys: str(hanging))
+    monkeypatch.setattr(cad, "LIMIT", 0.5)
+    started = time.monotonic()
+    with pytest.raises(FormatError, match=r"gmsh did not mesh it in 0\.5 s"):
+        read_mesh(written(tmp_path, "ISO-10303-21;\n", "a.step"), size=1.0)
+    assert time.monotonic() - started < 20
+
+
+def test_a_reader_that_looks_for_an_end_forever_is_stopped(tmp_path, monkeypatch):
+    def hang(path):
+        while True:
+            pass
+
+    monkeypatch.setitem(READERS, ".new", hang)
+    monkeypatch.setattr(readers, "LIMIT", 0.3)
+    with pytest.raises(FormatError, match=r"a\.new: this mesh file was not read in 0 s: it is damaged"):
+        read_mesh(written(tmp_path, "", "a.new"))
+
+
+SYSTEM = "    -1\n  2420\n1\nname\n1 {} 8\ncs\n" + "0 0 1\n" * 4 + "    -1\n"
+#: Malformed decks: what was written in place of what, and the words of the one sentence.
+MALFORMED = {
+    "inp": (
+        ABAQUS,
+        [
+            ("2, 1., 0., 0.", "2, 1., zero, 0.", r"line 1: the data of \*NODE are no numbers"),
+            ("3, 1., 1., 0.", "2, 1., 1., 0.", r"line 1: node 2 is given twice"),
+            ("2, 2, 10, 3", "1, 2, 10, 3", "line 9: element 1 is given twice"),
+            ("1, 1, 2, 3, 4", "1, 1, 2, 3", "element 1: a S4R has 4 nodes, not 3"),
+            ("1, 1, 2, 3, 4", "1, 1, 2, 3, 4, 10", "element 1: a S4R has 4 nodes, not 5"),
+            ("type=S3", "type=S7", "S7 is not known as a shell"),
+            ("type=S4R", "type=SC8R", r"solid elements \(SC8R\)"),
+            ("*Node\n", "*Node, system=Q\n", "SYSTEM=Q; known are R, C and S"),
+            ("*Node\n", "*Include, input=none.inp\n*Node\n", "line 1: it includes none.inp, and there is no file"),
+            ("*Node\n", "*Include, input=a.inp\n*Node\n", "includes a.inp, which includes it in turn"),
+            ("*Element, type=S3", "*Ngen\n1, 10\n*Element, type=S3", r"\*NGEN makes mesh by a rule"),
+            ("*Element, type=S3", "*Elgen\n1, 10\n*Element, type=S3", r"\*ELGEN makes mesh by a rule"),
+            ("*Element, type=S3", "*Nset, nset=a, generate\n3, 1\n*Element, type=S3", "generates no numbers"),
+            ("*Element, type=S3", "*Nset\n3, 1\n*Element, type=S3", r"a \*NSET has no name"),
+            ("*Node\n", "*Assembly\n*Instance, name=i, part=q\n*End Instance\n*Node\n", "of a part 'Q', which is not"),
+            ("*Node\n", "*System\n0,0,0,1,0,0\n2,0,0\n*Node\n", "lie on a line"),
+            ("*Element, type=S3", "*Shell section, elset=rib, offset=field\n1.\n*Element, type=S3", "OFFSET = FIELD"),
+            ("*Element, type=S3", "*Material, name=a\n*Elastic\nsoft, 0.3\n*Element, type=S3", r"\*ELASTIC are no num"),
+            ("*Node\n", "1, 2, 3\n*Node\n", "data before the first keyword"),
+        ],
+    ),
+    "bdf": (
+        NASTRAN,
+        [
+            ("GRID,2,,1.,0.", "GRID,2,,1.,zero", "line 3: a field of this GRID is no number"),
+            ("GRID,3,", "GRID,2,", "line 4: grid point 2 is given twice"),
+            ("CTRIA3,2,", "CTRIA3,1,", "line 8: element 1 is given twice"),
+            ("CTRIA3,2,8,2,10,3", "CTRIA3,2,8,2,10", "line 8: a field of this CTRIA3 is no number, or is missing"),
+            ("CTRIA3,2,8", "CTRIB3,2,8", "line 8: CTRIB3 is not known as a shell"),
+            ("BEGIN BULK", "INCLUDE 'none.bdf'\nBEGIN BULK", "line 1: it includes none.bdf, and there is no file"),
+            ("BEGIN BULK", "INCLUDE 'a.bdf'\nBEGIN BULK", "includes a.bdf, which includes it in turn"),
+            ("BEGIN BULK", "INCLUDE 'a", "line 1: the name of the included file has no end|there is no file"),
+            ("GRID,4,,", "GRID,4,9,", "coordinate system 9, which is not there"),
+            ("GRID,4,,", "CORD2R,9,9,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,4,9,", "system 9 is given in terms of itself"),
+            ("GRID,4,,", "CORD2R,9,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,4,9,", "system 9 lie on a line"),
+            ("GRID,4,,", "CORD1R,9,1,2,77\nGRID,4,9,", "names the grid point 77, which is not given"),
+            ("CTRIA3,2,8,2,10,3", "CTRIA3,2,8,2,10,3,,0.5", "has an offset .ZOFFS. and no thickness"),
+            ("GRID,4,,0.,1.,0.", "GRID,4,,0.,1.,0.,,,,,7", "a line of free fields has more than 10"),
+            ("CTRIA3,2,8", "CHEXA,5,9,1,2,3,4,1,2\nCTRIA3,2,8", r"solid elements \(CHEXA\)"),
+        ],
+    ),
+    "k": (
+        DYNA,
+        [
+            ("1.0             1.0             0.0", "1.0            zero             0.0", "of this .NODE is no"),
+            ("       3             1.0", "       2             1.0", "node 2 is given twice"),
+            ("       2       8", "       1       8", "element 1 is given twice"),
+            ("      10       3       3", "      11       3       3", "names the node 11, which is not given"),
+            ("      10       3       3", "", "element 2 has fewer than three nodes"),
+            ("*PART\n", "*INCLUDE\nnone.k\n*PART\n", "it includes none.k, and there is no file"),
+            ("*PART\n", "*INCLUDE\na.k\n*PART\n", "includes a.k, which includes it in turn"),
+            ("*PART\n", "*INCLUDE_TRANSFORM\na.k\n*PART\n", r"\*INCLUDE_TRANSFORM makes or moves mesh"),
+            ("*PART\n", "*NODE_TRANSFORM\n1\n*PART\n", r"\*NODE_TRANSFORM makes or moves mesh"),
+            ("*KEYWORD\n", "*KEYWORD I10=Y\n", "fields of ten columns"),
+            ("       0.8       0.8", "    &thick       0.8", "&thick is a parameter"),
+            ("210000.0", "    soft", r"of this \*MAT_ELASTIC_TITLE is no number"),
+            ("*ELEMENT_SHELL\n", "*ELEMENT_SHELL_COMPOSITE\n", "layers by element are not read"),
+            ("*ELEMENT_MASS", "*ELEMENT_SOLID", r"solid elements \(SOLID\)"),
+            ("4         2\n       0.8", "4         2\n*MAT_NULL\n       0.8", "SECTION_SHELL is no number"),
+        ],
+    ),
+    "unv": (
+        UNIVERSAL,
+        [
+            ("   1.0000000000000000D+00   0.", "   one   0.", r"line 2 .dataset 2411.: a field is no number"),
+            ("         3         1         1        11", "         2         1         1        11", "node 2 is given"),
+            ("         2        91", "         1        91", "element 1 is given twice"),
+            ("         2        10", "         2        11", "names the node 11, which is not given"),
+            ("         2        10         3\n", "", "element 2 has fewer nodes than the 3 that it announces"),
+            ("94         7         1         7         4", "94         7         1         7         5", "5"),
+            ("        94", "       115", r"solid elements \(kind 115\)"),
+            ("         7         1         0         0\n    -1", "    -1", "fewer members than the 3"),
+            ("         7         1         0         0\n    -1", "", "this dataset has no end"),
+            ("  2412", "   780", "elements of this age are not read"),
+            ("    -1\n  2412", SYSTEM.format(1) + "    -1\n  2412", "system 1, which is not the global"),
+            ("    -1\n  2412", SYSTEM.format(0) + "    -1\n  2412", "system 1, which is not the global"),
+            (UNIVERSAL, "no file\n", "holds no dataset between lines of -1"),
+        ],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "suffix, old, new, words", [(s, *case) for s, (_, cases) in MALFORMED.items() for case in cases]
+)
+def test_a_malformed_deck_ends_in_one_sentence(tmp_path, suffix, old, new, words):
+    text = MALFORMED[suffix][0]
+    assert text.count(old) >= 1
+    path = written(tmp_path, text.replace(old, new, 1), f"a.{suffix}")
+    with pytest.raises(FormatError, match=words) as caught:
+        read_mesh(path)
+    told = str(caught.value)
+    assert told.startswith(f"{path}: ") and "\n" not in told and "cannot be read" not in told and "Error" not in told
+
+
+@pytest.mark.parametrize("suffix", MALFORMED)
+def test_a_deck_that_lost_any_line_is_read_whole_or_refused(tmp_path, suffix):
+    """Never a hang, never an exception of a library, never more than was drawn."""
+    lines = MALFORMED[suffix][0].splitlines(keepends=True)
+    for lost in range(len(lines)):
+        for text in (
+            "".join(lines[:lost] + lines[lost + 1 :]),
+            "".join(lines[:lost]) + lines[lost][: len(lines[lost]) // 2],
+        ):
+            try:
+                surface, _ = read_mesh(written(tmp_path, text, f"a.{suffix}"))
+            except FormatError as problem:
+                assert "\n" not in str(problem) and "cannot be read" not in str(problem)
+            else:
+                assert surface.areas.sum() < 1.5 + 1e-9 and np.ptp(surface.points, axis=0).max() <= 2

@@ -1,0 +1,365 @@
+"""From meshes that nobody here has seen to a scene that runs: what `mic init` proposes."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from support.decks import annulus, arc, drilled, extruded, grid, write_deck
+from typer.testing import CliRunner
+
+import mic
+from mic.commands import app
+from mic.model.assembly import assemble
+from mic.proposal import write_scene
+from mic.sampling.draw import draw
+from mic.scene import load_scene
+
+
+def hat(z, width=90.0, foot=22.0, rise=20.0, x=0.0):
+    """A hat profile along y, its feet at height z."""
+    profile = [(0, 0), (foot, 0), (foot + 5, rise), (width - foot - 5, rise), (width - foot, 0), (width, 0)]
+    return extruded([(x + a, z + b) for a, b in profile], 0, 80, 7)
+
+
+def turned(sheet):
+    """A sheet askew to all axes."""
+    points, cells = sheet
+    a, b = 0.5, 0.7
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_z = np.array([[np.cos(b), -np.sin(b), 0], [np.sin(b), np.cos(b), 0], [0, 0, 1]])
+    return points @ (about_x @ about_z).T + [100, -50, 30], cells
+
+
+def upside_down(sheet):
+    """The same sheet, its normals the other way."""
+    points, cells = sheet
+    return points, cells[:, ::-1]
+
+
+def triangles(sheet):
+    """The same sheet in triangles."""
+    points, cells = sheet
+    return points, np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+
+
+PLATE = grid(90, 80, 7)
+STACK = {"BASE": grid(120, 80, 8), "HAT": hat(1.0, x=5), "CAP": grid(60, 80, 8, z=22.0, x=25)}
+
+#: Decks by what is special about them: {file: sheets}, zones, whether all parts are welded together, keys of the deck.
+SHAPES = {
+    "hat on a plate": ({"plate": {"P": PLATE}, "hat": {"H": hat(1.0)}}, 1, True, {}),
+    "drawn on the faying surface": ({"plate": {"P": PLATE}, "hat": {"H": hat(0.0)}}, 1, True, {}),
+    "drawn on it, normals opposed": ({"plate": {"P": upside_down(PLATE)}, "hat": {"H": hat(0.0)}}, 1, True, {}),
+    "drawn into each other": ({"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=0.6, x=50)}}, 1, True, {}),
+    "askew, in triangles": (
+        {
+            "plate": {"P": turned(triangles(PLATE))},
+            "angle": {"A": turned(extruded([(10, 1), (50, 1), (50, 40)], 0, 80, 8))},
+        },
+        1,
+        True,
+        {},
+    ),
+    "three in one deck": ({"three": STACK}, 2, True, {"sections": {"BASE": 0.8, "HAT": 1.2, "CAP": 1.0}}),
+    "curved": (
+        {"a": {"A": extruded(arc(150, 60, 120, 7), 0, 80, 7)}, "b": {"B": extruded(arc(151, 50, 85, 8), 0, 80, 8)}},
+        1,
+        True,
+        {},
+    ),
+    "walls": (
+        {
+            "channel": {"C": extruded([(0, 40), (0, 0), (60, 0), (60, 40)], 0, 100, 8)},
+            "wall": {"W": extruded([(61, 5), (61, 60)], 0, 100, 8)},
+        },
+        1,
+        True,
+        {},
+    ),
+    "holes": ({"drilled": {"D": drilled(120, 60, 6)}, "plate": {"P": grid(60, 60, 6, z=1, x=90)}}, 1, True, {}),
+    "in metres": (
+        {"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=1, x=50)}},
+        1,
+        True,
+        {"scale": 1e-3, "sections": {"A": 1.0, "B": 1.0}},
+    ),
+    "one that touches nothing": (
+        {
+            "a": {"A": grid(80, 50, 7)},
+            "b": {"B": grid(80, 50, 6, z=1, x=50)},
+            "far": {"F": grid(60, 40, 8, z=9, x=300)},
+        },
+        1,
+        False,
+        {},
+    ),
+    "one part alone": ({"hat": {"H": hat(0.0)}}, 0, False, {}),
+}
+
+
+def proposed(case, folder):
+    """The scene's folder and the proposal of a case."""
+    sheets, _, _, keys = SHAPES[case]
+    files = []
+    for name, own in sheets.items():
+        sections = {part: t for part, t in keys.get("sections", {}).items() if part in own}
+        files.append(
+            write_deck(folder / f"{name}.inp", own, sections=sections, scale=keys.get("scale", 1.0), first=101)
+        )
+    return write_scene(files, folder / "scene", {None: 1.0})
+
+
+@pytest.mark.parametrize("case", SHAPES)
+def test_a_proposal_is_a_scene_that_holds_its_parts_well(tmp_path, case):
+    """It loads, stands on its meshes, has the zones that there are, and no motion of a part is nearly free."""
+    _, zones, welded, _ = SHAPES[case]
+    folder, proposal = proposed(case, tmp_path)
+    assembly = assemble(load_scene(folder), tmp_path / "cache")
+    scene = assembly.scene
+    assert len(scene.zones) == zones
+    assert min(proposal.conditioned.values()) > 0.1
+    for part in scene.parts:
+        own = [one for one in scene.locators if one.part == part.name and one.stage == "locate"]
+        x, d = np.array([one.point for one in own]), np.array([one.direction for one in own])
+        arms = (x - x.mean(0)) / (np.linalg.norm(np.ptp(x, axis=0)) / 2)
+        values = np.linalg.svd(np.column_stack([d, np.cross(arms, d)]), compute_uv=False)
+        assert len(own) == 6 and values[5] / values[0] > 0.1
+    for zone in scene.zones:
+        joined = [weld for weld in scene.welds if set(weld.parts) == set(zone.parts)]
+        assert len(joined) >= 2 and any(clamp.part in zone.parts for clamp in scene.clamps)
+    assert (len(proposal.base) == 1) == (welded or len(scene.parts) == 1)
+    assert len(scene.measurements) == 4 * len(scene.parts)
+    if zones:
+        gap = assembly.contacts.gap
+        assert gap.min() >= 0 and np.median(gap) < 0.2
+
+
+@pytest.mark.fem
+@pytest.mark.slow
+@pytest.mark.parametrize("case", SHAPES)
+def test_a_proposal_runs_as_it_is_and_says_something(tmp_path, case):
+    """No sample fails, and every key characteristic varies, by less than the part is large."""
+    folder, proposal = proposed(case, tmp_path)
+    model = mic.reduce(load_scene(folder), tmp_path / "cache")
+    found = model.evaluate(draw(model.scene, 1, 0, 4))
+    for stage, resolution in found.resolutions.items():
+        assert (resolution.residual < 1e-8).all(), f"{stage}: {resolution.residual}"
+    assert np.isfinite(found.measurements).all()
+    assert (found.measurements.std(axis=0) > 1e-5).all() and np.abs(found.measurements).max() < 10
+
+
+def test_sheets_drawn_upon_each_other_are_put_side_by_side(tmp_path):
+    """The hat rises above the plate: its sheet lies above the drawn surface, the plate's below, whoever is named first
+    and whichever way the normals look."""
+    for name, sheets in (("one", [PLATE, hat(0.0)]), ("two", [upside_down(PLATE), hat(0.0)])):
+        for order in (1, -1):
+            folder = tmp_path / f"{name}{order}"
+            folder.mkdir()
+            files = [write_deck(folder / f"{n}.inp", {"S": s}) for n, s in zip(("plate", "hat"), sheets)][::order]
+            scene, proposal = write_scene(files, folder / "scene", {None: 1.0})
+            assert "side by side" in proposal.sentences[0] and "guess" not in proposal.sentences[0]
+            parts = {part.name: part for part in assemble(load_scene(scene), tmp_path / "cache").parts}
+            assert parts["plate"].surface.points[:, 2] == pytest.approx(-0.5)
+            assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
+
+
+def test_what_the_drawing_does_not_tell_is_called_a_guess(tmp_path):
+    files = [write_deck(tmp_path / f"{n}.inp", {"S": grid(80, 50, 7, x=x)}) for n, x in (("a", 0), ("b", 40))]
+    _, proposal = write_scene(files, tmp_path / "scene", {None: 1.0})
+    assert "guess" in proposal.sentences[0]
+
+
+def test_sheets_drawn_into_each_other_say_how_deep(tmp_path):
+    folder, _ = proposed("drawn into each other", tmp_path)
+    text = (folder / "scene.toml").read_text()
+    assert "0.40 mm into each other" in text
+    assert load_scene(folder).zones[0].nominal_overlap == pytest.approx(0.45)
+
+
+def test_a_flat_sheet_is_held_by_three_two_and_one(tmp_path):
+    """Three across the sheet, two across its length, far apart, one along it."""
+    folder, _ = proposed("in metres", tmp_path)
+    own = [one for one in assemble(load_scene(folder), tmp_path / "cache").scene.locators if one.part == "a"]
+    assert [one.name for one in own][:6] == [f"a-{label}" for label in ("A1", "A2", "A3", "B1", "B2", "C1")]
+    assert np.abs([one.direction for one in own[:6]]) == pytest.approx(
+        np.array([[0, 0, 1]] * 3 + [[0, 1, 0]] * 2 + [[1, 0, 0]])
+    )
+    assert abs(own[3].point[0] - own[4].point[0]) > 25
+    assert all(one.stage == "clamp" and np.abs(one.direction) == pytest.approx([0, 0, 1]) for one in own[6:])
+
+
+def test_pins_go_through_holes(tmp_path):
+    """One both ways, the other across the line between them; they read the rims."""
+    folder, _ = proposed("holes", tmp_path)
+    scene = assemble(load_scene(folder), tmp_path / "cache").scene
+    pins = [one for one in scene.locators if one.hole is not None]
+    assert [one.name for one in pins] == ["drilled-B1", "drilled-C1", "drilled-B2"] or len(pins) == 3
+    assert {one.part for one in pins} == {"drilled"}
+    assert sorted({tuple(np.round(one.point, 3)) for one in pins}) == [(30, 30, 0), (90, 30, 0)]
+    across = [one for one in pins if np.abs(one.direction) == pytest.approx([0, 1, 0])]
+    assert len(across) == 2
+
+
+def test_sets_of_one_deck_are_parts_with_what_the_deck_tells(tmp_path):
+    folder, _ = proposed("three in one deck", tmp_path)
+    written = tomllib.loads((folder / "scene.toml").read_text())["parts"]
+    assert [(part["set"], part["thickness"]) for part in written] == [("BASE", 0.8), ("HAT", 1.2), ("CAP", 1.0)]
+
+
+def test_metres_are_said_and_stated(tmp_path):
+    folder, proposal = proposed("in metres", tmp_path)
+    scene = load_scene(folder)
+    assert "plainly metres" in proposal.sentences[0]
+    assert [(part.unit, part.thickness, part.young) for part in scene.parts] == [("m", 1.0, 210e3)] * 2
+    assert scene.measurements[0].point != (0, 0, 0) and np.abs(scene.measurements[0].point).max() > 10
+
+
+def test_a_part_that_touches_nothing_is_told_in_one_sentence_and_stays_held(tmp_path):
+    folder, proposal = proposed("one that touches nothing", tmp_path)
+    assert [sentence for sentence in proposal.sentences if "far" in sentence] == [
+        "far lies on no other part, the nearest is b, 170 mm away: it stands by itself"
+    ]
+    keep = next(stage.keep for stage in load_scene(folder).stages if stage.kind == "release")
+    assert len([name for name in keep if name.startswith("far-")]) == 6 and len(keep) == 12
+
+
+@pytest.mark.parametrize("case", ["hat on a plate", "three in one deck"])
+def test_every_key_is_explained_where_it_first_stands(tmp_path, case):
+    """A comment on its line or on the line above, by table and key."""
+    folder, _ = proposed(case, tmp_path)
+    seen, table, before, head = set(), "", "", False
+    for line in (folder / "scene.toml").read_text().splitlines():
+        if line.startswith("["):
+            table = line.split("#")[0].strip()
+            if table not in seen:
+                assert "#" in line or before.startswith("#"), f"{table} begins unexplained"
+            seen.add(table)
+            head = "#" in line
+        key = re.match(r"(\w+) = ", line)
+        if key and (table, key[1]) not in seen:
+            seen.add((table, key[1]))
+            assert "#" in line or before.startswith("#") or head, f"{table}: {line}"
+        before = line
+    assert len(seen) > 40
+
+
+def test_a_missing_thickness_is_asked_for_in_one_sentence(tmp_path):
+    files = [write_deck(tmp_path / f"{n}.inp", {"S": grid(80, 50, 7, z=z)}) for n, z in (("a", 0), ("b", 1))]
+    with pytest.raises(mic.SceneError, match=r"thickness of a, b: give it in mm, --thickness 1.5 for all, or .*a=1.5"):
+        write_scene(files, tmp_path / "scene")
+    with pytest.raises(mic.SceneError, match="thickness of b"):
+        write_scene(files, tmp_path / "scene", {"a": 1.0})
+    with pytest.raises(mic.SceneError, match="there is no part of that name; the parts are a, b"):
+        write_scene(files, tmp_path / "scene", {"c": 1.0})
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_part_in_pieces_that_nothing_names_is_refused(tmp_path):
+    a, cells = grid(40, 30, 7)
+    both = np.concatenate([a, a + [0, 0, 1]]), np.concatenate([cells, cells + len(a)])
+    file = write_deck(tmp_path / "two.inp", {"S": both})
+    with pytest.raises(mic.SceneError, match="two.inp: part 'two' is in 2 pieces"):
+        write_scene([file], tmp_path / "scene", {None: 1.0})
+
+
+def test_a_scene_that_stands_there_is_left_alone(tmp_path):
+    folder, _ = proposed("one part alone", tmp_path)
+    (folder / "scene.toml").write_text("mine")
+    with pytest.raises(mic.RunError, match="left alone"):
+        write_scene([tmp_path / "hat.inp"], folder, {None: 1.0})
+    assert (folder / "scene.toml").read_text() == "mine"
+
+
+def laid(tmp_path):
+    return [
+        write_deck(tmp_path / f"{n}.inp", {"S": sheet})
+        for n, sheet in (("a", grid(80, 50, 7)), ("b", grid(80, 50, 6, z=1.0, x=50)))
+    ]
+
+
+def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
+    (tmp_path / "w.csv").write_text("name;x;y;z\nS1;65;15;0.5\nS2;65;35;0.5\n")
+    (tmp_path / "p.csv").write_text("x,y,z,direction,upper\n5,25,0,,\n125,25,1,0 0 1,0.8\n")
+    folder, _ = write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv", tmp_path / "p.csv")
+    scene = load_scene(folder)
+    assert [(weld.name, set(weld.parts), weld.point) for weld in scene.welds] == [
+        ("S1", {"a", "b"}, (65, 15, 0.5)),
+        ("S2", {"a", "b"}, (65, 35, 0.5)),
+    ]
+    told = [(one.name, one.part, one.direction, one.upper) for one in scene.measurements]
+    assert told == [("M1", "a", "normal", 0.5), ("M2", "b", (0, 0, 1), 0.8)]
+    clamps = np.array([clamp.point for clamp in scene.clamps])
+    assert np.linalg.norm(clamps - [65, 15, 0.5], axis=1).min() > 10
+    assemble(scene, tmp_path / "cache")
+
+
+def test_all_bad_rows_of_the_lists_are_told_at_once(tmp_path):
+    (tmp_path / "w.csv").write_text("x,y,z\n65,15,0.5\n5,15,0\nsixty,15,0\n")
+    with pytest.raises(mic.SceneError) as told:
+        write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv")
+    assert "w.csv: row 3: a weld joins two parts within 5 mm; the nearest are a (0 mm off) and b (45 mm off)" in str(
+        told.value
+    )
+    assert "w.csv: row 4: x, y and z must be numbers" in str(told.value)
+    (tmp_path / "p.csv").write_text("part,x,y,z\nc,5,25,0\na,5,25,90\n")
+    with pytest.raises(mic.SceneError) as told:
+        write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, points=tmp_path / "p.csv")
+    assert "row 2, column part: there is no part 'c'" in str(told.value) and "row 3: (5, 25, 90)" in str(told.value)
+
+
+def test_a_weld_of_three_sheets_is_two(tmp_path):
+    sheets = [grid(80, 50, 7, z=z) for z in (0.0, 1.0, 2.0)]
+    files = [write_deck(tmp_path / f"s{i}.inp", {"S": sheet}) for i, sheet in enumerate(sheets)]
+    (tmp_path / "w.csv").write_text("name,x,y,z\nW,40,25,1\n")
+    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv")
+    assert [(weld.name, set(weld.parts)) for weld in load_scene(folder).welds] == [
+        ("Wa", {"s0", "s1"}),
+        ("Wb", {"s1", "s2"}),
+    ] or [set(weld.parts) for weld in load_scene(folder).welds] == [{"s1", "s2"}, {"s0", "s1"}]
+
+
+def test_sheets_with_another_between_them_have_no_zone(tmp_path):
+    """However they are drawn: apart by their thicknesses, or all three upon each other."""
+    for name, rise in (("apart", 1.0), ("upon", 0.0)):
+        (tmp_path / name).mkdir()
+        sheets = [grid(80 - 10 * i, 50, 7, z=rise * i) for i in range(3)]
+        files = [write_deck(tmp_path / name / f"s{i}.inp", {"S": sheet}) for i, sheet in enumerate(sheets)]
+        folder, _ = write_scene(files, tmp_path / name / "scene", {None: 1.0})
+        zones = [set(zone.parts) for zone in load_scene(folder).zones]
+        assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
+
+
+def test_a_small_hole_of_a_plate_is_no_outline(tmp_path):
+    """What is measured stands on the outer edge."""
+    file = write_deck(tmp_path / "ring.inp", {"R": annulus((0, 0, 0), 8, 40)})
+    _, proposal = write_scene([file], tmp_path / "scene", {None: 1.0})
+    assert np.linalg.norm(proposal.measured["ring"], axis=1) == pytest.approx(40, abs=0.5)
+
+
+def test_the_command_says_what_it_proposes_and_what_comes_next(tmp_path):
+    files = laid(tmp_path)
+    out = tmp_path / "new"
+    result = CliRunner().invoke(
+        app, ["init", *map(str, files), "--thickness", "1", "--thickness", "b=2", "--out", str(out)]
+    )
+    assert result.exit_code == 0, result.output
+    assert "2 parts" in result.output and f"mic check {out}" in result.output
+    assert [part.thickness for part in load_scene(out).parts] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "name mesh files, or one example"),
+        (["a.inp", "--example", "lap_joint"], "name mesh files, or one example"),
+        (["--example", "lap_joint", "--thickness", "1"], "go with mesh files"),
+        (["a.inp", "--thickness", "thick"], "--thickness thick: give mm"),
+        (["a.inp", "--thickness", "-1"], "--thickness -1: give mm"),
+        (["a.inp", "--thickness", "1"], "a.inp: this mesh file does not exist"),
+    ],
+)
+def test_the_command_refuses_what_it_cannot_do(tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    error = CliRunner().invoke(app, ["init", *arguments]).exception
+    assert isinstance(error, mic.errors.MicError) and words in str(error)

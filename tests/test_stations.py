@@ -1,0 +1,328 @@
+"""An assembly that changes its fixture: inspection on locators of its own, stations one after the other; by hand."""
+
+import numpy as np
+import pytest
+from support.springs import FAR, STIFFNESS, at_face, six, spring_model
+
+import mic
+from mic.process.plan import plan_stages
+from mic.process.words import opening, sentences
+
+GAP = 0.3  # mm, between a's face and b's
+WELD = {"name": "W", "parts": ["a", "b"], "point": [5, 5, 0], "close": True}
+
+
+def named(locators, name):
+    return [item | {"name": f"{name}{i}"} for i, item in enumerate(locators)]
+
+
+def joined(inspection=(), keep="a", stages=None, measured="ab", friction=0.2, deviations=()):
+    """a and b, whose weld closes the gap between their faces; released, they are read on the inspection's locators."""
+    return spring_model(
+        [GAP],
+        [GAP],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        locators=[*six("a"), *six("b"), *inspection],
+        welds=[WELD],
+        zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
+        measurements=[at_face(part, name=part, lower=-1, upper=1) for part in measured],
+        deviations=list(deviations),
+        stages=stages
+        or [
+            {"kind": "locate"},
+            {"kind": "weld"},
+            {"kind": "release", "keep": [f"{keep}l{i}" for i in range(6)]},
+            {"kind": "measure"},
+        ],
+    )
+
+
+def test_read_where_it_was_released_the_free_part_has_moved_by_the_gap():
+    """The faces meet half way; released, both springs relax, and the part that nothing holds comes over by g."""
+    np.testing.assert_allclose(joined().evaluate({}).measurements[0], [0.0, -GAP], atol=1e-12)
+    np.testing.assert_allclose(joined(keep="b").evaluate({}).measurements[0], [GAP, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+@pytest.mark.parametrize("keep", ["a", "b"])
+def test_on_another_fixture_the_same_assembly_reads_as_a_rigid_motion_says(keep, law):
+    """On b's six, b is at nominal and a stands g above. On two supports of a and one of b, the assembly tilts.
+
+    At y = 0 the supports hold a at nominal; b, g below a, must come up to nominal at y = 10: by g y/10, g/2 at the
+    faces. Where it was released before makes no difference.
+    """
+    on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
+    np.testing.assert_allclose(joined(on_b, keep).evaluate({}, law).measurements[0], [GAP, 0.0], atol=1e-12)
+    tilted = [item | {"part": "b" if item["point"] == [0, 10, 0] else "a"} for item in on_b]
+    found = joined(tilted, keep).evaluate({}, law)
+    np.testing.assert_allclose(found.measurements[0], [GAP / 2, -GAP / 2], atol=1e-12)
+    assert not found.failed.any()
+    if "measure" in found.resolutions:  # set down without strain
+        np.testing.assert_allclose(found.resolutions["measure"].reaction[0][:6], 0.0, atol=1e-9)
+
+
+def test_a_locator_of_the_inspection_may_deviate():
+    on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
+    moved = {"name": "D", "kind": "locator", "target": "m2", "sigma": 0.1}
+    model = joined(on_b, deviations=[moved])
+    tilt = model.evaluate({"D": 0.1}).measurements[0] - model.evaluate({"D": 0.0}).measurements[0]
+    np.testing.assert_allclose(tilt, [0.05, 0.05], atol=1e-12)  # 0.1 mm at y = 10, half of it at y = 5
+
+
+def test_more_than_six_locators_force_the_assembly_as_it_is_read():
+    """a's three supports and b's three: the faces' springs take the gap again, half each."""
+    on_both = [*six("a"), *(item for item in six("b") if item["direction"] == [0, 0, 1])]
+    on_both = [item | {"stage": "measure"} for item in named(on_both, "m")]
+    np.testing.assert_allclose(joined(on_both).evaluate({}).measurements[0], [GAP / 2, -GAP / 2], atol=1e-12)
+
+
+def test_an_inspection_that_leaves_the_assembly_free_is_refused():
+    few = [item | {"stage": "measure"} for item in named(six("b"), "m")][:5]
+    model = joined(few)
+    with pytest.raises(mic.SceneError, match=r"stages \(measure\): 1 rigid-body motions are free once"):
+        plan_stages(model.scene, model.weld_size)
+
+
+def test_inspection_in_words_and_steps():
+    on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
+    model = joined(on_b)
+    plan = plan_stages(model.scene, model.weld_size)[-1]
+    assert sentences(model.scene, plan) == [
+        "all that holds the assembly opens, it is set down on m0, m1, m2, m3, m4 and m5; 2 key characteristics are read"
+    ]
+    assert opening(plan, contacts=True) == "contact active, path followed"
+    assert {row for row in plan.bilateral if row[0] == "locator"} == {("locator", 12 + i) for i in range(6)}
+
+
+# ------------------------------------------------------------------------------- a third part in a second station
+
+STEP = 0.2  # mm, between a's face and c's as drawn
+
+
+def stations(step=STEP, stages=None, clamps=(), fixtures=(), zones=(), gaps=(), friction=0.0, **change):
+    """a and b are joined in the first station; c comes in the second, where they stand on b's six."""
+    zones = [
+        {"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1},
+        {"name": "Y", "parts": ["a", "c"], "friction": friction, "pairs": 1},
+        *zones,
+    ]
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "abc"],
+        "locators": [*six("a"), *six("b"), *named(six("b", "second"), "s"), *six("c", "second")],
+        "clamps": list(clamps),
+        "welds": [WELD],
+        "zones": zones,
+        "fixtures": list(fixtures),
+        "measurements": [at_face(part, name=part, lower=-1, upper=1) for part in "abc"],
+        "stages": stages
+        or [
+            {"kind": "locate"},
+            {"kind": "weld"},
+            {"kind": "release", "keep": [f"al{i}" for i in range(6)]},
+            {"kind": "locate", "name": "second"},
+            {"kind": "clamp"},
+            {"kind": "measure"},
+        ],
+    }
+    return spring_model([GAP, step, *gaps], [GAP], **keys | change)
+
+
+def push(force, part="c"):
+    return at_face(part, (0, 0, -1), name="P", force=force)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+@pytest.mark.parametrize("step", [0.5, 0.2])
+def test_what_the_first_station_leaves_enters_the_second(step, law):
+    """Joined, a stands g above its place: the step to c is less by g, or c overlaps with it and settles.
+
+    a hangs on the weld, whose force b's spring carries alone, and c's spring its own: f = k (g − step)/2. A push P on
+    c's face brings k w = P before it touches, then both springs yield: f = (P − k (step − g))/2.
+    """
+    left = step - GAP
+    for force in (0.0, 15.0):
+        found = stations(step, clamps=[push(force)]).evaluate({}, law)
+        closed = found.resolutions["clamp"]
+        f = max(0.0, (force - STIFFNESS * left) / 2)
+        assert closed.force[0, 1, 0] == pytest.approx(f, rel=1e-9, abs=1e-9)
+        assert closed.displacement[0, 1, 0] == pytest.approx(max(0.0, left - force / STIFFNESS), abs=1e-9)
+        b, c = -f / STIFFNESS, (f - force) / STIFFNESS
+        np.testing.assert_allclose(found.measurements[0], [GAP + b, b, c], atol=1e-9)
+        assert not found.failed.any()
+
+
+def test_a_part_that_is_not_there_yet_touches_nothing():
+    """Without a station of its own c would lie within a in the first one, and hold it."""
+    found = stations(-0.4, clamps=[push(0.0)]).evaluate({}, "coulomb")
+    assert found.resolutions["weld"].force[0, 1, 0] == 0.0
+    assert found.resolutions["release"].force[0, 1, 0] == 0.0
+    assert found.resolutions["second"].force[0, 1, 0] == 0.0  # set down, it touches nothing until something closes
+    assert found.resolutions["clamp"].force[0, 1, 0] == pytest.approx(STIFFNESS * 0.7 / 2, rel=1e-9)
+
+
+def test_welds_stay_and_released_reactions_are_gone_in_the_second_station():
+    """Whatever the first station held by force, only the joint goes on; the same from a release or straight away."""
+    three = [{"kind": "locate"}, {"kind": "weld"}, {"kind": "locate", "name": "second"}, {"kind": "clamp"}]
+    direct = stations(stages=[*three, {"kind": "measure"}], clamps=[push(15.0)]).evaluate({})
+    released = stations(clamps=[push(15.0)]).evaluate({})
+    np.testing.assert_allclose(direct.measurements, released.measurements, atol=1e-12)
+    reaction = direct.resolutions["second"].reaction[0]
+    np.testing.assert_allclose(reaction, 0.0, atol=1e-9)
+
+
+def test_a_part_that_comes_later_into_the_same_station_leaves_the_others_where_they_are():
+    """Only c has locators in the second stage: a and b stay clamped, and c finds a's face where they hold it."""
+    hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp", "name": "hold"},
+        {"kind": "locate", "name": "second"},
+        {"kind": "clamp"},
+        {"kind": "measure"},
+    ]
+    locators = [*six("a"), *six("b"), *six("c", "second")]
+    model = stations(-0.1, stages, [hold, push(0.0)], locators=locators, welds=[])
+    found = model.evaluate({})
+    pressed = (30.0 - STIFFNESS * GAP) / 2  # b's face on a's
+    assert found.resolutions["hold"].force[0, 0, 0] == pytest.approx(pressed, rel=1e-9)
+    assert found.resolutions["hold"].force[0, 1, 0] == 0.0
+    # c's face, 0.1 mm within a's as drawn, meets it 0.15 mm lower: the way is free until H lets go.
+    assert found.resolutions["clamp"].force[0, 1, 0] == 0.0
+    plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
+    assert sentences(model.scene, plans["second"]) == ["c is set down on cs0, cs1, cs2, cs3, cs4 and cs5"]
+    assert plans["second"].steps[0].released == () and plans["second"].steps[0].loads == (0,)
+    assert "second" not in found.resolutions
+
+
+def test_what_overlaps_in_a_later_station_settles_from_where_the_contacts_there_hold_it():
+    """c comes 0.35 mm within a's face as drawn, 0.2 mm as b presses it down, and settles while it is dragged.
+
+    With f on a from b and N from c: f + 2 N = 0.35 k (c meets a), 2 f + N = P − g k (b stays on a). It touches from the
+    start, N and the drag D grow together, and c slips all the way under load. b, which sticks to a by what the first
+    drag left there, goes with a, by μ N/4k: the slip is D/2k − 3/2 μ N/2k. Began it all anew, b would slip.
+    """
+    hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
+    stick = at_face("b", (1, 0, 0), name="T", force=1.0, stage="hold")
+    drag = at_face("c", (1, 0, 0), name="D", force=5.0)
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp", "name": "hold"},
+        {"kind": "locate", "name": "second", "settle": False},
+        {"kind": "clamp"},
+        {"kind": "measure"},
+    ]
+    locators = [*six("a"), *six("b"), *six("c", "second")]
+    rough = [
+        {"name": "Z", "parts": ["a", "b"], "friction": 0.5, "pairs": 1},
+        {"name": "Y", "parts": ["a", "c"], "friction": 0.2, "pairs": 1},
+    ]
+    f, N = np.linalg.solve([[1, 2], [2, 1]], [0.35 * STIFFNESS, 30.0 - STIFFNESS * GAP])
+    slip = (5.0 - 1.5 * 0.2 * N) / (2 * STIFFNESS)
+    model = spring_model(
+        [GAP, -0.35],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "abc"],
+        locators=locators,
+        clamps=[hold, stick, drag],
+        zones=rough,
+        stages=stages,
+    )
+    closed = model.evaluate({}).resolutions["clamp"]
+    np.testing.assert_allclose(closed.force[0, :, 0], [f, N], rtol=1e-9)
+    np.testing.assert_allclose(closed.force[0, 1, 1], -0.2 * N, rtol=1e-9)
+    np.testing.assert_allclose(closed.force[0, 0, 1], -0.5 + 0.2 * N / 2, rtol=1e-9)
+    np.testing.assert_allclose(closed.trace.slip[0], [[0.0, 0.0], [slip, 0.0]], rtol=1e-3, atol=1e-9)
+
+
+def test_a_fixture_stands_in_its_station_alone():
+    """A pad 0.1 mm below b's face, z = 0 in the first station: pressed by P there, gone in the second."""
+    pads = [{"name": name, "point": [5, 5, -1], "normal": [0, 0, 1], "radius": 1.0} for name in ("one", "two")]
+    pads[1]["stage"] = "second"
+    zones = [{"name": pad["name"], "parts": [pad["name"], "b"], "pairs": 1} for pad in pads]
+    down = [at_face("b", (0, 0, -1), name=name, force=15.0, stage=name) for name in ("first", "again")]
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp", "name": "first"},
+        {"kind": "weld"},
+        {"kind": "release", "keep": [f"al{i}" for i in range(6)]},
+        {"kind": "locate", "name": "second"},
+        {"kind": "clamp", "name": "again"},
+        {"kind": "measure"},
+    ]
+    found = stations(5.0, stages, down, pads, zones, [0.1, 0.2]).evaluate({})
+    first, again = found.resolutions["first"].force[0, :, 0], found.resolutions["again"].force[0, :, 0]
+    np.testing.assert_allclose(first, [0, 0, 15.0 - 0.1 * STIFFNESS, 0], atol=1e-9)
+    np.testing.assert_allclose(again, [0, 0, 0, 15.0 - 0.2 * STIFFNESS], atol=1e-9)
+
+
+def test_slip_is_remembered_from_station_to_station():
+    """What slipped under a clamp in the first station is the contact's place in the next: nothing pulls it back."""
+    drag = at_face("b", (1, 0, 0), name="D", force=3.0, stage="slide")
+    press = at_face("b", (0, 0, -1), name="P", force=60.0, stage="slide")
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp", "name": "slide", "order": [["P"], ["D"]]},
+        {"kind": "weld"},
+        {"kind": "release", "keep": [f"al{i}" for i in range(6)]},
+        {"kind": "locate", "name": "second"},
+        {"kind": "measure"},
+    ]
+    welds = [WELD | {"close": False}]
+    model = stations(5.0, stages, [press, drag], friction=0.02, welds=welds)
+    found = model.evaluate({})
+    slid, moved = found.resolutions["slide"], found.resolutions["second"]
+    assert slid.trace.slip[0, 0, 0] > 1e-3
+    np.testing.assert_allclose(moved.trace.slip[0, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(moved.displacement[0, 0, 1:], 0.0, atol=1e-9)
+
+
+def test_stations_in_words():
+    model = stations(clamps=[push(1.0)])
+    plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
+    assert sentences(model.scene, plans["locate"]) == [
+        "a is set down on al0, al1, al2, al3, al4 and al5; b is set down on bl0, bl1, bl2, bl3, bl4 and bl5"
+    ]
+    assert sentences(model.scene, plans["second"]) == [
+        "all that holds the assembly opens, it is set down on s0, s1, s2, s3, s4 and s5; "
+        "c is set down on cs0, cs1, cs2, cs3, cs4 and cs5"
+    ]
+    assert [step.away for step in plans["second"].steps] == [(1,)]
+    assert [(step.settles, step.away) for step in plans["clamp"].steps] == [(True, ()), (False, ())]
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"locators": [*six("a"), *six("b"), *six("c")]}, r"stages\[3\] \(second\): no locator names it"),
+        ({"clamps": [push(1.0) | {"stage": "early"}]}, r"clamps\[0\].stage: part 'c' is set down in stage 'second'"),
+        ({"welds": [WELD | {"parts": ["a", "c"]}]}, r"welds\[0\].stage: part 'c' is set down in stage 'second'"),
+        ({"locators": [*six("a"), *six("b"), *six("c", "second")[:5]]}, r"parts\[2\] \(c\): its 5 locators .* hold 5"),
+        (
+            {"fixtures": [{"name": "f", "point": FAR[0], "normal": [0, 0, 1], "radius": 1.0, "stage": "weld"}]},
+            r"fixtures\[0\].stage: no stage of kind locate is called 'weld'",
+        ),
+    ],
+)
+def test_a_part_is_there_before_anything_is_done_to_it(change, words):
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp", "name": "early"},
+        {"kind": "weld"},
+        {"kind": "locate", "name": "second"},
+        {"kind": "measure"},
+    ]
+    with pytest.raises(ValueError, match=words):
+        stations(stages=stages, **change)
+
+
+@pytest.mark.parametrize("number, key", [(0, {"increments": 3}), (-1, {"path": "followed"})])
+def test_a_path_is_given_where_something_moves(number, key):
+    stages = [{"kind": "locate"}, {"kind": "weld"}, {"kind": "release"}, {"kind": "measure"}]
+    stages[number] |= key
+    with pytest.raises(ValueError, match=rf"stages\[{number % 4}\].{next(iter(key))}: nothing moves in this stage"):
+        joined(stages=stages)
+
+
+def test_parts_that_nothing_joins_cannot_change_the_fixture_together():
+    model = stations(welds=[], stages=[{"kind": "locate"}, {"kind": "locate", "name": "second"}, {"kind": "measure"}])
+    with pytest.raises(mic.SceneError, match=r"stages \(second\): 6 rigid-body motions are free once .* part 'a'"):
+        plan_stages(model.scene, model.weld_size)

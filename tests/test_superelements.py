@@ -1,0 +1,351 @@
+"""Superelements: reduced stiffness or compliance on named nodes, in every format, beside the shells they came from."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import mmwrite
+from scipy.sparse import coo_matrix, csr_matrix
+from support.decks import write_deck
+from support.panels import functionals
+from typer.testing import CliRunner
+
+import mic
+from mic.commands import app
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.compliance.matrices import read_matrix
+from mic.compliance.part import Part
+from mic.compliance.superelement import ELEMENT, Superelements, superelement
+from mic.errors import FormatError, SceneError
+from mic.geometry.load import load_script
+from mic.geometry.structured import extrude
+from mic.geometry.surface import Surface
+from mic.model.assembly import assemble
+
+MESHES = Path(__file__).resolve().parents[1] / "meshes"
+MM = (1.0, 1.0)
+PLACES = [[6.0, 6.0, 0.0], [14.0, 4.0, 0.0], [10.0, 16.0, 0.0]]
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    """A flat sheet of 20 × 20 mm."""
+    return Surface(*extrude([(0, 0), (20, 0)], 0, 20, 5.0)[:2])
+
+
+def frame(points, edges, seed=3):
+    """K of beams of any stiffness along edges: it resists no rigid motion, and everything else."""
+    random = np.random.default_rng(seed)
+    K = np.zeros((6 * len(points),) * 2)
+    for i, j in edges:
+        arm = points[j] - points[i]
+        strain = np.zeros((6, 6 * len(points)))
+        cross = np.array([[0, arm[2], -arm[1]], [-arm[2], 0, arm[0]], [arm[1], -arm[0], 0]])  # θ × arm
+        strain[:3, 6 * j : 6 * j + 3], strain[:3, 6 * i : 6 * i + 3] = np.eye(3), -np.eye(3)
+        strain[:3, 6 * i + 3 : 6 * i + 6] = -cross
+        strain[3:, 6 * j + 3 : 6 * j + 6], strain[3:, 6 * i + 3 : 6 * i + 6] = np.eye(3), -np.eye(3)
+        root = random.normal(size=(6, 6)) + 4 * np.eye(6)
+        K += strain.T @ (root.T @ root * 100) @ strain
+    return K
+
+
+def edges_of(surface):
+    sides = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(sides, axis=0)
+
+
+def tabled(path, points, first=1):
+    rows = "".join(f"{first + i},{x!r},{y!r},{z!r}\n" for i, (x, y, z) in enumerate(np.asarray(points).tolist()))
+    path.write_text("node,x,y,z\n" + rows)
+
+
+def market(path, K, points):
+    mmwrite(path, coo_matrix(K), precision=17)
+    tabled(path.with_suffix(".csv"), points)
+
+
+def real(value):
+    return f"{value:.9E}".replace("E", "D")
+
+
+def punched(path, K, points, large=True):
+    """DMIG cards of the lower triangle, as PARAM,EXTOUT,DMIGPCH writes them."""
+    lines = ["DMIG    KAAX           0       6       2       0"]
+    lines += [f"GRID*   {i + 1:16d}{'':16}{x:16.9f}{y:16.9f}\n*       {z:16.9f}" for i, (x, y, z) in enumerate(points)]
+    for column in range(len(K)):
+        lines.append(f"DMIG*   {'KAAX':16}{column // 6 + 1:16d}{column % 6 + 1:16d}{'':16}")
+        for row in range(column, len(K)):
+            if K[row, column]:
+                lines.append(f"*       {row // 6 + 1:16d}{row % 6 + 1:16d}{real(K[row, column]):>16}{'':16}")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def labelled(path, K, points):
+    """Entries as Abaqus writes them for matrix input; the node table stands beside them."""
+    rows = ["** matrix input"]
+    rows += [
+        f"{i // 6 + 1},{i % 6 + 1}, {j // 6 + 1},{j % 6 + 1}, {K[i, j]:.17e}"
+        for i in range(len(K))
+        for j in range(i + 1)
+        if K[i, j]
+    ]
+    path.write_text("\n".join(rows) + "\n")
+    tabled(path.with_suffix(".csv"), points)
+
+
+FORMATS = {"a.mtx": market, "a.pch": punched, "a.txt": labelled}
+
+
+def coefficients(path, surface, stiffness=True, unit=MM):
+    body = superelement("sheet", read_matrix(path), stiffness, unit, surface, {})
+    part = Part("sheet", surface, 1.2, 210e3, 0.3, ELEMENT, functionals(surface, PLACES, 4.0), body)
+    return part, Superelements().coefficients([part])["sheet"]
+
+
+def free(found: InfluenceCoefficients) -> np.ndarray:
+    """What balanced forces move apart from rigid motions: the same whatever the part was pinned on."""
+    away = np.linalg.svd(found.G.T, full_matrices=True)[2][6:].T  # balanced sets of forces
+    return away.T @ found.H @ away
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_gives_the_compliance_of_the_body_that_was_written(tmp_path, sheet, name):
+    K = frame(sheet.points, edges_of(sheet))
+    FORMATS[name](tmp_path / name, K, sheet.points)
+    part, found = coefficients(tmp_path / name, sheet)
+    L = part.superelement.readings(part).toarray()
+    # by the pseudoinverse, for balanced forces
+    away = np.linalg.svd(found.G.T, full_matrices=True)[2][6:].T
+    expected = away.T @ L @ np.linalg.pinv(K, rcond=1e-10) @ L.T @ away
+    assert free(found) == pytest.approx(expected, rel=1e-5, abs=1e-6 * np.abs(expected).max())
+
+
+def test_rigid_motions_are_read_exactly_between_nodes_and_by_the_arm_of_the_nearest(tmp_path, sheet):
+    centre, f = sheet.centroid, functionals(sheet, PLACES, 4.0)
+    for kept in (np.arange(len(sheet.points)), np.arange(0, len(sheet.points), 2)):
+        edges = [(i, j) for i in range(len(kept)) for j in range(i)]
+        market(tmp_path / "a.mtx", frame(sheet.points[kept], edges), sheet.points[kept])
+        part, found = coefficients(tmp_path / "a.mtx", sheet)
+        for row in range(len(f)):
+            patch, d = f.patches[f.patch[row]], f.direction[row]
+            off = f.side[row] * part.thickness / 2 * sheet.normals[patch.triangle]
+            place = patch.weight @ (sheet.at(patch.triangle, patch.barycentric) + off) - centre
+            rigid = [0, 0, 0, *d] if f.rotation[row] else [*d, *np.cross(place, d)]
+            assert found.G[row] == pytest.approx(rigid, abs=1e-12)
+
+
+def test_a_compliance_is_read_as_its_stiffness_is(tmp_path, sheet):
+    K = frame(sheet.points, edges_of(sheet))
+    held = [0, 1, 2, 6 * 4, 6 * 4 + 2, 6 * 20 + 2]  # a 3-2-1 on three nodes
+    rest = np.setdiff1d(np.arange(len(K)), held)
+    C = np.zeros_like(K)
+    C[np.ix_(rest, rest)] = np.linalg.inv(K[np.ix_(rest, rest)])
+    market(tmp_path / "k.mtx", K, sheet.points)
+    market(tmp_path / "c.mtx", C, sheet.points)
+    stiff, soft = (coefficients(tmp_path / f"{name}.mtx", sheet, name == "k")[1] for name in "kc")
+    assert free(soft) == pytest.approx(free(stiff), rel=1e-6, abs=1e-9 * np.abs(free(stiff)).max())
+
+
+def test_a_superelement_in_metres_is_the_same_body(tmp_path, sheet):
+    K = frame(sheet.points, edges_of(sheet))
+    scale = np.tile([1e3] * 3 + [1.0] * 3, len(sheet.points))  # displacements in m, moments in N m
+    market(tmp_path / "mm.mtx", K, sheet.points)
+    market(tmp_path / "m.mtx", scale[:, None] * K * scale / 1e3, sheet.points / 1e3)
+    mm, m = coefficients(tmp_path / "mm.mtx", sheet)[1], coefficients(tmp_path / "m.mtx", sheet, unit=(1e3, 1e-6))[1]
+    assert m.H == pytest.approx(mm.H, rel=1e-9, abs=1e-12 * np.abs(mm.H).max())
+    assert m.G == pytest.approx(mm.G)
+
+
+def test_nodes_are_those_of_the_mesh_file_where_the_matrix_does_not_say(tmp_path, sheet):
+    K = frame(sheet.points, edges_of(sheet))
+    labelled(tmp_path / "a.txt", K, sheet.points)
+    told = superelement("s", read_matrix(tmp_path / "a.txt"), True, MM, sheet, {})
+    (tmp_path / "a.csv").unlink()
+    numbered = {i + 1: place for i, place in enumerate(sheet.points)}
+    assert superelement("s", read_matrix(tmp_path / "a.txt"), True, MM, sheet, numbered).points == pytest.approx(
+        told.points
+    )
+    with pytest.raises(SceneError, match=r"part 's': stiffness: nothing tells where node 1 stands"):
+        superelement("s", read_matrix(tmp_path / "a.txt"), True, MM, sheet, {})
+
+
+#: What is done to K or its nodes, and the words of the one error.
+NO_BODIES = {
+    "held": (lambda K, x: (K + np.diag([1e4] * 6 + [0] * (len(K) - 6)), x), "resists a rigid (translation|rotation)"),
+    "moved": (lambda K, x: (K, 1e3 * x), "resists a rigid rotation"),
+    "mixed up": (lambda K, x: (K, x[::-1]), "resists a rigid rotation"),
+    "turned": (lambda K, x: (K, x[:, [2, 0, 1]]), "resists a rigid rotation"),
+    "negative": (lambda K, x: (-K, x), "diagonal has negative entries"),
+}
+
+
+@pytest.mark.parametrize("what", NO_BODIES)
+def test_what_is_no_free_elastic_body_is_refused(tmp_path, sheet, what):
+    change, words = NO_BODIES[what]
+    market(tmp_path / "a.mtx", *change(frame(sheet.points, edges_of(sheet)), sheet.points))
+    with pytest.raises(SceneError, match=rf"part 'sheet': stiffness: .*({words})"):
+        coefficients(tmp_path / "a.mtx", sheet)
+
+
+def test_two_bodies_in_one_matrix_leave_too_much_free(tmp_path, sheet):
+    edges = [(i, j) for i, j in edges_of(sheet) if (i < 10) == (j < 10)]
+    market(tmp_path / "a.mtx", frame(sheet.points, edges), sheet.points)
+    with pytest.raises(SceneError, match="leaves more motions free than the six of a rigid body"):
+        coefficients(tmp_path / "a.mtx", sheet)
+
+
+def test_a_body_that_gives_way_is_refused(tmp_path, sheet):
+    K = frame(sheet.points, edges_of(sheet))
+    value, vector = np.linalg.eigh(K)
+    bent = K - 1.5 * value[6] * np.outer(vector[:, 6], vector[:, 6])
+    market(tmp_path / "a.mtx", bent, sheet.points)
+    with pytest.raises(SceneError, match="some motion has a negative one"):
+        coefficients(tmp_path / "a.mtx", sheet)
+
+
+def test_a_place_without_a_node_near_it_and_a_node_without_rotations_are_told(tmp_path, sheet):
+    corners = sheet.points[[0, 4, 20, 24]]
+    market(tmp_path / "a.mtx", frame(corners, [(0, 1), (1, 3), (2, 3), (0, 2)]), corners)
+    with pytest.raises(SceneError, match=r"row 24 is read at \(.*\), where the superelement has no node: .* retain"):
+        coefficients(tmp_path / "a.mtx", sheet)
+    K = frame(sheet.points, edges_of(sheet))
+    K[3::6], K[:, 3::6] = 0, 0
+    with pytest.raises(SceneError, match=r"resists a rigid rotation|reads freedom 4 of node"):
+        market(tmp_path / "b.mtx", K, sheet.points)
+        coefficients(tmp_path / "b.mtx", sheet)
+
+
+MARKET = "%%MatrixMarket matrix coordinate real symmetric\n6 6 1\n1 1 2.0\n"
+TABLE = "node,x,y,z\n1,0,0,0\n"
+DMIG = "DMIG,KAAX,0,6,1,0\nGRID,1,,0.,0.,0.\nDMIG,KAAX,1,1,,1,1,2.0\n"
+#: Malformed files by name: matrix, table, words.
+MALFORMED = {
+    "no table.mtx": (MARKET, None, r"needs the table of its nodes, .* beside it: no table\.csv"),
+    "too few nodes.mtx": (MARKET.replace("6 6 1", "9 9 1"), TABLE, "has 9 × 9 entries, and the 1 nodes .* have 6"),
+    "no square.mtx": (MARKET.replace("symmetric", "general").replace("6 6 1", "6 3 1"), TABLE, "has 6 × 3 entries"),
+    "cut.mtx": (MARKET[:-9], TABLE, "cannot be read"),
+    "complex.mtx": (MARKET.replace("real", "complex").replace("2.0", "2.0 1.0"), TABLE, "no finite real numbers"),
+    "not finite.mtx": (MARKET.replace("2.0", "nan"), TABLE, "no finite real numbers"),
+    "zero.mtx": (MARKET.replace("2.0", "0.0"), TABLE, "all its entries are zero"),
+    "lopsided.mtx": (MARKET.replace("symmetric", "general").replace("1 1 2.0", "1 2 2.0"), TABLE, "is not symmetric"),
+    "a word in the table.mtx": (MARKET, TABLE.replace("0,0,0", "0,zero,0"), "line 2 of its node table .* is not a num"),
+    "a short table.mtx": (MARKET, "1,0,0\n", "line 1 of its node table|needs the table"),
+    "twice.mtx": (MARKET, TABLE + "1,1,0,0\n", "line 3 of its node table .* gives node 1 again"),
+    "no cards.pch": ("$ nothing\n", None, "holds no DMIG cards"),
+    "two matrices.pch": (DMIG + "DMIG,KBBX,1,1,,1,1,2.0\n", None, "holds KAAX, KBBX, and one stiffness is wanted"),
+    "rectangular.pch": (DMIG.replace("0,6,1", "0,2,1"), None, "KAAX is rectangular"),
+    "complex.pch": (DMIG.replace("0,6,1", "0,6,3"), None, "KAAX is complex"),
+    "a word.pch": (DMIG.replace("2.0", "two"), None, "line 3: a field of this DMIG is no number"),
+    "a freedom.pch": (DMIG.replace("1,1,2.0", "1,7,2.0"), None, "node 1 has a freedom 7"),
+    "a system.pch": (DMIG.replace("GRID,1,,", "GRID,1,3,"), None, "line 2: grid points in coordinate system 3"),
+    "binary.op4": ("KAAX", None, "binary matrices are not read"),
+    "a word.txt": ("1,1,1,one,2.0\n", None, "line 1: this is no entry of a matrix"),
+    "short.txt": ("1,1,1,1\n", None, "line 1: this is no entry of a matrix"),
+    "empty.txt": ("** nothing\n", None, "holds no entries"),
+}
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_a_malformed_matrix_ends_in_one_sentence_that_names_it(tmp_path, name):
+    matrix, table, words = MALFORMED[name]
+    path = tmp_path / name
+    path.write_text(matrix)
+    if table is not None:
+        path.with_suffix(".csv").write_text(table)
+    with pytest.raises(FormatError, match=words) as caught:
+        read_matrix(path)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+
+
+def elsewhere(tmp_path, scale=1.0):
+    """The lap joint's scene file beside decks of its parts, and frames that stand for them."""
+    text = (MESHES / "lap_joint" / "scene.toml").read_text().replace("fields = true", "fields = false")
+    script = load_script(MESHES / "lap_joint" / "geometry.py")
+    for seed, name in enumerate(("lower", "upper")):
+        points, triangles, _ = script.build(name, 5.0)
+        write_deck(tmp_path / f"{name}.inp", {"SHEET": (points, triangles)})
+        market(tmp_path / f"{name}.mtx", scale * frame(points, edges_of(Surface(points, triangles)), seed), points)
+        drawn = 'geometry = "geometry.py"\nsize = "medium"\n'
+        text = text.replace(drawn, f'mesh = "{name}.inp"\nstiffness = "{name}.mtx"\n', 1)
+    (tmp_path / "scene.toml").write_text(text)
+    return mic.load_scene(tmp_path)
+
+
+def test_a_scene_of_superelements_is_checked_and_computed_without_finite_elements(tmp_path, cache, monkeypatch):
+    monkeypatch.setenv("MIC_CACHE", str(cache))
+    scene = elsewhere(tmp_path)
+    told = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"}).output
+    assert "of a superelement" in told and "The scene is valid" in told
+    samples = np.array([[item.mean + item.sigma for item in scene.deviations]])
+    one = mic.reduce(scene, cache).evaluate(samples).measurements
+    assert np.isfinite(one).all() and np.abs(one).max() > 1e-6
+    before = assemble(scene, cache).inputs
+    assert {"lower.mtx", "lower.csv", "lower.inp"} <= set(before)
+    elsewhere(tmp_path, 2.0)
+    assert assemble(scene, cache).inputs["lower.mtx"] != before["lower.mtx"]
+    other = mic.reduce(scene, cache).evaluate(samples).measurements  # and no old coefficients from the cache
+    assert np.abs(other - one).max() > 1e-6
+    for key, words in (("fields", "a superelement knows its own nodes alone"), ("accuracy", "leave fields and accur")):
+        with pytest.raises(SceneError, match=rf"part 'lower': stiffness: .*{words}"):
+            assemble(scene.model_copy(update={"report": scene.report.model_copy(update={key: True})}), cache)
+
+
+def condensed(K, kept):
+    """K on the freedoms that are kept, the others without load."""
+    rest = np.setdiff1d(np.arange(K.shape[0]), kept)
+    dense = K.toarray()
+    return dense[np.ix_(kept, kept)] - dense[np.ix_(kept, rest)] @ np.linalg.solve(
+        dense[np.ix_(rest, rest)], dense[np.ix_(rest, kept)]
+    )
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("how", ["all nodes", "few nodes"])
+@pytest.mark.parametrize("path, limit", [("one-step", 1e-9), (None, 1e-6)])
+def test_the_lap_joint_as_superelements_has_the_key_characteristics_of_its_shells(tmp_path, cache, how, path, limit):
+    """mm. Rounding may choose other steps of a path that is followed, which the path's tolerance leaves to it."""
+    from support.decks import write_deck
+
+    from fem_reference.provider import shell_part
+
+    lap = mic.load_scene(MESHES / "lap_joint")
+    script = load_script(MESHES / "lap_joint" / "geometry.py")
+    for part in lap.parts:
+        points, triangles, _ = script.build(part.name, 5.0)
+        write_deck(tmp_path / f"{part.name}.inp", {"SHEET": (points, triangles)}, first=1)
+    keys = [{"mesh": f"{part.name}.inp", "geometry": None, "size": None} for part in lap.parts]
+    zones = [zone.model_copy(update={"pairs": 24}) for zone in lap.zones]
+    parts = [part.model_copy(update=own) for part, own in zip(lap.parts, keys)]
+    report = lap.report.model_copy(update={"fields": False})
+    stages = [
+        stage.model_copy(update={"path": path}) if stage.kind in ("clamp", "weld", "release") else stage
+        for stage in lap.stages
+    ]
+    scene = lap.model_copy(
+        update={"parts": parts, "zones": zones, "stages": stages, "report": report, "folder": tmp_path}
+    )
+    shells = mic.reduce(scene, cache)
+    assembly = assemble(scene, cache)
+    for part in assembly.parts:
+        shell = shell_part(part)
+        values = shell.vertex_values
+        assert values.shape[0] == shell.ndof  # freedoms are those of the vertices
+        K = csr_matrix(values @ shell.stiffness_csr() @ values.T)
+        points = part.surface.points
+        if how == "all nodes":
+            market(tmp_path / f"{part.name}.mtx", K, points)
+            continue
+        read = [part.surface.triangles[patch.triangle].ravel() for patch in part.functionals.patches]
+        nodes = np.unique(np.concatenate(read))
+        assert len(nodes) < len(points)
+        kept = (6 * nodes[:, None] + np.arange(6)).ravel()
+        market(tmp_path / f"{part.name}.mtx", condensed(K, kept), points[nodes])
+    parts = [part.model_copy(update={"stiffness": f"{part.name}.mtx"}) for part in scene.parts]
+    elsewhere = assemble(scene.model_copy(update={"parts": parts}), cache)
+    assert [part.element for part in elsewhere.parts] == [ELEMENT] * 2
+    found = mic.reduce(scene.model_copy(update={"parts": parts}), cache)
+    random = np.random.default_rng(2)
+    sigma = np.array([item.sigma for item in lap.deviations])
+    samples = np.vstack([np.zeros(len(sigma)), 2 * sigma * random.normal(size=(4, len(sigma)))])
+    one, other = (model.evaluate(samples).measurements for model in (shells, found))
+    assert np.abs(one).max() > 0.1 and other == pytest.approx(one, rel=0, abs=limit)
