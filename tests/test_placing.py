@@ -8,6 +8,7 @@ import mic
 from mic.geometry.holes import find_holes
 from mic.geometry.readers import read_mesh
 from mic.model.assembly import assemble
+from mic.model.sources import sources
 from mic.scene import Scene, load_scene
 
 RING, RIM, PAD = (30.0, 30.0, 1.0), 8.0, [12.0, 30.0, 1.0]
@@ -327,3 +328,12 @@ def test_a_node_or_set_that_is_not_there_is_told_with_the_nearest(folder, case):
         measured(folder, **keys)
     for word in words:
         assert word in str(told.value)
+
+
+def test_a_deviation_of_a_tong_is_one_of_both_its_jaws(folder):
+    tong = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
+    deviation = {"name": "D", "kind": "clamp", "target": "T", "sigma": 5}
+    scene = Scene(**table(clamps=[tong], deviations=[deviation]), folder=folder)
+    assembly = assemble(scene, folder / "cache")
+    (source,) = sources(assembly.scene)
+    assert source.push(assembly.labels) == {("clamp", 0): 1.0, ("clamp", 1): 1.0}

@@ -5,11 +5,12 @@ import tomllib
 
 import numpy as np
 import pytest
-from support.decks import annulus, arc, drilled, extruded, grid, write_deck
+from support.decks import arc, drilled, extruded, grid, write_deck
 from typer.testing import CliRunner
 
 import mic
 from mic.commands import app
+from mic.judgement import judge
 from mic.model.assembly import assemble
 from mic.proposal import write_scene
 from mic.sampling.draw import draw
@@ -117,6 +118,7 @@ def test_a_proposal_is_a_scene_that_holds_its_parts_well(tmp_path, case):
     folder, proposal = proposed(case, tmp_path)
     assembly = assemble(load_scene(folder), tmp_path / "cache")
     scene = assembly.scene
+    assert [str(one) for one in judge(scene, assembly) if "it meets nothing" not in str(one)] == []
     assert len(scene.zones) == zones
     assert min(proposal.conditioned.values()) > 0.1
     for part in scene.parts:
@@ -294,6 +296,15 @@ def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
     assemble(scene, tmp_path / "cache")
 
 
+def test_no_tong_presses_on_a_weld(tmp_path):
+    """Of a lap that has room for a weld alone, the weld; its pad would lie on the nugget."""
+    sheets = [grid(80, 50, 7), grid(80, 12, 6, z=1.0, x=66, y=20)]
+    files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
+    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
+    scene = load_scene(folder)
+    assert len(scene.welds) == 1 and scene.clamps == []
+
+
 def test_all_bad_rows_of_the_lists_are_told_at_once(tmp_path):
     (tmp_path / "w.csv").write_text("x,y,z\n65,15,0.5\n5,15,0\nsixty,15,0\n")
     with pytest.raises(mic.SceneError) as told:
@@ -330,11 +341,25 @@ def test_sheets_with_another_between_them_have_no_zone(tmp_path):
         assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
 
 
-def test_a_small_hole_of_a_plate_is_no_outline(tmp_path):
-    """What is measured stands on the outer edge."""
-    file = write_deck(tmp_path / "ring.inp", {"R": annulus((0, 0, 0), 8, 40)})
-    _, proposal = write_scene([file], tmp_path / "scene", {None: 1.0})
-    assert np.linalg.norm(proposal.measured["ring"], axis=1) == pytest.approx(40, abs=0.5)
+def test_a_large_lap_begins_with_fewer_pairs(tmp_path):
+    """Left to itself, a candidate an element, the zone would have twice as many; a small lap is left to itself."""
+    sheets = [grid(300, 240, 6), grid(300, 240, 6.5, z=1.0)]
+    files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
+    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
+    (zone,) = load_scene(folder).zones
+    assert 600 < 300 * 240 / zone.spacing**2 < 900 < 300 * 240 / 6.5**2
+    (tmp_path / "small").mkdir()
+    folder, _ = proposed("hat on a plate", tmp_path / "small")
+    assert load_scene(folder).zones[0].spacing is None
+
+
+def test_what_no_three_two_one_holds_is_held_by_six_of_any_kind(tmp_path):
+    """A narrow half pipe: what looks one way is a strip, too narrow for three locators."""
+    file = write_deck(tmp_path / "pipe.inp", {"P": extruded(arc(9, 0, 180, 3), 0, 160, 5)})
+    folder, proposal = write_scene([file], tmp_path / "scene", {None: 1.0})
+    scene = assemble(load_scene(folder), tmp_path / "cache").scene
+    assert [one.name for one in scene.locators[:6]] == [f"pipe-L{i}" for i in range(1, 7)]
+    assert proposal.conditioned["pipe"] > 0.05
 
 
 def test_the_command_says_what_it_proposes_and_what_comes_next(tmp_path):

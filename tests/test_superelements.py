@@ -17,7 +17,7 @@ from mic.compliance.matrices import read_matrix
 from mic.compliance.part import Part
 from mic.compliance.superelement import ELEMENT, Superelements, superelement
 from mic.errors import FormatError, SceneError
-from mic.geometry.load import load_script
+from mic.geometry.script import load_script
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble

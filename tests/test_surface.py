@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 
 
@@ -120,3 +121,16 @@ def test_patch_ends_where_the_surface_turns_and_a_normal_picks_the_side_of_the_f
 def test_unusable_surfaces_are_refused(points, triangles, word):
     with pytest.raises(ValueError, match=word):
         Surface(points, triangles)
+
+
+def test_a_reach_takes_nothing_away_that_lies_within_it():
+    """Points beside a wall ask for what faces up: dozens of triangles of the wall are nearer than any that does."""
+    points, triangles, _ = extrude([(0, 0), (40, 0), (40, 60)], 0.0, 60.0, 2.0)
+    surface = Surface(points, triangles)
+    x = np.array([[30.0, 39.0, z] for z in np.arange(1.0, 40.0, 2.0)])
+    up = np.tile([0.0, 0.0, 1.0], (len(x), 1))
+    everywhere, near = surface.project(x, up), surface.project(x, up, reach=20.0)
+    within = everywhere.distance <= 20
+    assert 5 < within.sum() < len(x)
+    assert (near.triangle[within] == everywhere.triangle[within]).all()
+    assert near.distance[within] == pytest.approx(everywhere.distance[within])

@@ -21,6 +21,9 @@ UNITS = {
     "ft": (304.8, 4.788025898033584e-5),
 }
 
+#: Ends of lines of a repair report that tell nothing of a mesh's soundness.
+USUAL = ("quadrilaterals split", "points that no triangle uses dropped", "nothing to repair")
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -72,9 +75,9 @@ class Deck:
     repair : MeshReport
         What the repair took.
     passed_over : dict of str to int
-        Elements that are no sheet, by kind: beams, masses, connectors, rigid elements, …
+        Elements of the file that are no sheet, by kind: beams, masses, connectors, rigid elements, …
     midside_nodes : int
-        Nodes in the middle of sides that were dropped: of such elements the corners are taken.
+        Nodes of the file in the middle of sides that were dropped: of such elements the corners are taken.
     """
 
     nodes: np.ndarray
@@ -98,10 +101,10 @@ class Deck:
         return [self.sheets[number] if number >= 0 else Sheet() for number in numbers]
 
     def notes(self) -> list[str]:
-        """What was repaired, dropped or passed over, in short clauses; empty where nothing was."""
+        """What was mended, dropped or passed over, in short clauses; empty where nothing was."""
         kinds = [f"{count} {kind}" for kind, count in sorted(self.passed_over.items())]
         return (
-            (str(self.repair).split("\n") if self.repair.repaired or self.repair.junction_edges else [])
+            [line for line in str(self.repair).split("\n") if not line.endswith(USUAL)]
             + ([f"{self.midside_nodes} midside nodes dropped"] if self.midside_nodes else [])
             + ([f"passed over, no sheet: {', '.join(kinds)}"] if kinds else [])
         )

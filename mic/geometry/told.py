@@ -9,7 +9,7 @@ import numpy as np
 from mic.geometry.deck import Deck
 from mic.geometry.surface import Surface
 
-__all__ = ["told"]
+__all__ = ["mended", "told"]
 
 KEYS = {"thickness": ("t", " mm"), "offset": ("offset", " t"), "young": ("E", " MPa"), "poisson": ("ν", "")}
 
@@ -40,5 +40,10 @@ def told(asked: Any, part: Any, deck: Deck, surface: Surface) -> list[str]:
         towards = ", ".join(f"{x:.2f}" for x in np.sign(part.offset) * normal / length) if length else ""
         side = f", on the whole towards ({towards})" if length > 0.1 * surface.areas.sum() else ""
         sentences.append(f"{part.name}: moved {abs(part.offset * part.thickness):.3g} mm off the mesh{side}")
+    return sentences + mended(part, deck)
+
+
+def mended(part: Any, deck: Deck) -> list[str]:
+    """One sentence on what was mended in a part's mesh, dropped or passed over; none where nothing was."""
     notes = deck.notes()
-    return sentences + ([f"{part.name}: {part.mesh}: {'; '.join(notes)}"] if notes else [])
+    return [f"{part.name}: {part.mesh}: {'; '.join(notes)}"] if notes else []

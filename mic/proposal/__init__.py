@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mic.errors import RunError, SceneError
-from mic.proposal.bodies import Body, read_bodies
+from mic.proposal.bodies import Body, part_name, read_bodies
 from mic.proposal.joints import NEAR, joined
 from mic.proposal.proposal import Proposal, propose
 from mic.proposal.writing import scene_text
@@ -52,8 +52,7 @@ def write_scene(
     RunError
         If a scene stands there already, or the folder cannot be written.
     """
-    name = "+".join(dict.fromkeys(file.stem for file in files))[:50]
-    name = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "_.+-") else "_" for letter in name)
+    name = "+".join(dict.fromkeys(part_name(file.stem) for file in files))[:50]
     folder = Path(name) if out is None else Path(out)
     if (folder / "scene.toml").exists():
         raise RunError(f"{folder}: a scene stands there already and is left alone; name another folder with --out")

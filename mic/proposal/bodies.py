@@ -18,7 +18,7 @@ from mic.geometry.deck import Deck, Sheet
 from mic.geometry.readers import RawMesh, read_mesh, read_raw
 from mic.geometry.surface import Surface
 
-__all__ = ["Body", "read_bodies"]
+__all__ = ["Body", "part_name", "read_bodies"]
 
 METRES = 10.0  # a part that is smaller, in the file's unit, is not meant in mm
 YOUNG, POISSON = 210e3, 0.3  # steel, where a deck tells no material
@@ -103,9 +103,9 @@ def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) ->
         raw = read_raw(file)
         groups = _groups(raw)
         if len(groups) > 1:
-            found += [(_name(sets[0]), file, sets) for sets in groups]
+            found += [(part_name(sets[0]), file, sets) for sets in groups]
         else:
-            found.append((_name(file.stem), file, ()))
+            found.append((part_name(file.stem), file, ()))
     names = _unique([name for name, _, _ in found])
     strange = [name for name in thickness if name is not None and name not in names]
     if strange:
@@ -157,7 +157,7 @@ def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str |
     if sheet.young is not None and sheet.poisson is not None:
         if PLAUSIBLE[0] <= sheet.young <= PLAUSIBLE[1]:
             young, poisson = sheet.young, sheet.poisson
-            material = f"as the mesh file tells{f' ({sheet.material})' if sheet.material else ''}"
+            material = f"as the mesh file tells{f' (material {sheet.material})' if sheet.material else ''}"
         else:
             material = f"steel: the mesh file tells {sheet.young:.3g}, which is no MPa"
     return Body(name, file, sets, unit, surface, deck, given, source, young, poisson, material, sheet.offset)
@@ -182,7 +182,7 @@ def _in_one_piece(name: str, file: Path, surface: Surface) -> None:
         )
 
 
-def _name(text: str) -> str:
+def part_name(text: str) -> str:
     """A name as scenes take it."""
     return re.sub(r"[^A-Za-z0-9_.+-]+", "_", text).strip("_")[:25] or "part"
 

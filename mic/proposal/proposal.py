@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mic.geometry.holes import find_holes
 from mic.proposal.bodies import Body
 from mic.proposal.faying import Faying, find_faying, nearest_distance
 from mic.proposal.fixture import Support, conditioning, propose_fixture, spread
@@ -18,6 +17,8 @@ __all__ = ["Proposal", "Shaping", "propose"]
 
 CLOSED = 0.25  # of the thinner sheet: so much drawn overlap a zone closes unasked
 BETWEEN = 0.8  # of the thickness of a sheet that lies between two others: their gap, at least
+PAIRS = 800  # contact pairs of a first run, about
+ACROSS = 4.0  # thicknesses between two candidates, if the elements are finer
 MEASURED = 4  # points of each part, along its free edges
 AWAY = 12.0  # mm between a measured point and a lap
 SHAPE = 0.3  # mm by which a corrective force moves a flat sheet
@@ -54,6 +55,8 @@ class Proposal:
         Where parts lie on each other, the largest first.
     overlap : list of float
         By lap, the drawn overlap that its zone must be told to close, mm; 0 for none.
+    spacing : float or None
+        Between the candidates of all zones, mm, where left to themselves they would be many.
     joints : list of Joints
         By lap.
     fixtures : dict of str to list of Support
@@ -73,6 +76,7 @@ class Proposal:
     why: dict[str, str]
     laps: list[Faying]
     overlap: list[float]
+    spacing: float | None
     joints: list[Joints]
     fixtures: dict[str, list[Support]]
     conditioned: dict[str, float]
@@ -140,6 +144,7 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
         why,
         laps,
         overlap,
+        _spacing(laps),
         joints,
         fixtures,
         {name: conditioning(six[:6]) for name, six in fixtures.items()},
@@ -190,9 +195,24 @@ def _between(body: Body, lap: Faying, offsets: Mapping[str, float]) -> bool:
 def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:
     """The drawn overlap that must be closed, mm, if it is more than a zone closes unasked."""
     deepest = -float(lap.gap(offsets).min())
-    if deepest <= 0.9 * CLOSED * min(lap.first.thickness, lap.second.thickness):
+    if deepest <= 0.9 * CLOSED * _thinner(lap):
         return 0.0
     return float(np.ceil(ROOM * deepest * 100) / 100)
+
+
+def _spacing(laps: Sequence[Faying]) -> float | None:
+    """A distance between candidates that leaves about `PAIRS` of them, if their own would leave more."""
+    if not laps:
+        return None
+    own = [max(lap.first.element, lap.second.element, ACROSS * _thinner(lap)) for lap in laps]
+    if sum(lap.area / spacing**2 for lap, spacing in zip(laps, own)) <= PAIRS:
+        return None
+    wanted = float(np.ceil(np.sqrt(sum(lap.area for lap in laps) / PAIRS)))
+    return max(wanted, *own)
+
+
+def _thinner(lap: Faying) -> float:
+    return min(lap.first.thickness, lap.second.thickness)
 
 
 def _touched(lap: Faying, body: Body) -> np.ndarray:
@@ -228,12 +248,8 @@ def _base(bodies, laps, joints, welds) -> list[str]:
 
 
 def _free_edge(body: Body, taken: np.ndarray, away: float) -> np.ndarray:
-    """(n, 3) points on the outline of a part, away from where it lies on others, if any are."""
+    """(n, 3) points on the edges of a part, away from where it lies on others, if any are."""
     points = body.edge[0]
-    rims = [body.surface.at(hole.rim.triangle, hole.rim.barycentric) for hole in find_holes(body.surface)]
-    if rims:
-        outline = points[cKDTree(np.concatenate(rims)).query(points)[0] > body.element / 10]
-        points = outline if len(outline) else points
     if not len(points):
         points = body.surface.corners.mean(1)
     if len(taken):

@@ -226,6 +226,14 @@ def _zones(page: _Page, proposal: Proposal) -> None:
                     "this; thicknesses or offsets may be wrong",
                 )
             )
+        if proposal.spacing is not None:
+            rows.append(
+                (
+                    "spacing",
+                    _number(proposal.spacing),
+                    "mm between candidates for contact: so that a first run takes minutes; take it out for the last",
+                )
+            )
         told = f"{lap.area:.0f} mm², drawn gaps {gap.min() + 0.0:.2f} to {gap.max() + 0.0:.2f} mm"
         page.table("[[zones]]", rows, told)
 

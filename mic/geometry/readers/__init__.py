@@ -3,9 +3,9 @@
 A reader takes a path and returns a `RawMesh`. It refuses nothing and repairs nothing: what all formats share (files
 that are missing, damaged, without sheets, with solids) is checked here once, and repaired in `mic.geometry.repair`.
 
-Decks of Nastran and Abaqus are read here, for all that they tell beside the mesh. The other formats are read by
-meshlane, the maintained descendant of meshio. meshio itself is given up by its author and fails with numpy 2.2 and
-later. Of what else there is, meshio++ reads more dialects, but it is 64 MB of compiled code that went through eight
+Decks of Nastran, Abaqus, LS-DYNA and Ansys are read here, for all that they tell beside the mesh. Other formats are
+read by meshlane, the maintained descendant of meshio. meshio itself is given up by its author and fails with numpy 2.2
+and later. Of what else there is, meshio++ reads more dialects, but it is 64 MB of compiled code that went through eight
 major versions in four months; pyvista brings all of VTK. meshlane is 2.4 MB of Python, imports in 0.15 s, and read the
 same files alike with numpy 1.24 and 2.4.
 """
@@ -23,7 +23,7 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import UNITS, Deck, Sheet
-from mic.geometry.readers import abaqus, cad, dyna, exchange, gmsh, graphics, nastran, unv, vtk, vtu
+from mic.geometry.readers import abaqus, ansys, cad, dyna, exchange, gmsh, graphics, nastran, unv, vtk, vtu
 from mic.geometry.readers.raw import RawMesh
 from mic.geometry.repair import MeshReport, repair
 from mic.geometry.surface import Surface
@@ -37,7 +37,7 @@ __all__ = ["READERS", "UNITS", "Deck", "RawMesh", "Sheet", "read_mesh", "read_ra
 
 READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".bdf": nastran.read,
-    ".cdb": exchange.read_ansys,
+    ".cdb": ansys.read,
     ".dat": nastran.read,
     ".dyn": dyna.read,
     ".fem": nastran.read,
@@ -136,13 +136,14 @@ def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
             f"{path}: there is no reader of {path.suffix or 'files without a suffix'}; "
             f"save the mesh as one of {', '.join((*READERS, *cad.SUFFIXES))}"
         )
+    seconds = LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6 + (cad.LIMIT if suffix in cad.SUFFIXES else 0.0)
     try:
-        with limited(LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6):
+        with limited(seconds):
             return reader(path)
     except TimeoutError:
         raise FormatError(
-            f"{path}: this mesh file was not read in {LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6:.0f} s: it is "
-            "damaged or not what its suffix says; export it again, or in another format"
+            f"{path}: this mesh file was not read in {seconds:.0f} s: it is damaged or not what its suffix says; "
+            "export it again, or in another format"
         ) from None
     except ImportError as problem:
         raise FormatError(

@@ -26,7 +26,7 @@ SHELL = re.compile(r"(?:S|STRI|DS)(\d)(?!D)\w*")
 STAND_IN = re.compile(r"(?:M3D|SFM3D|R3D|CPS|CPE|DC2D|AC2D)(\d)\w*")
 SOLID = re.compile(r"(C3D|SC|CSS|AC3D|DC3D|GK3D|COH3D)\d")  # continuum shells have a top and a bottom, no mid-surface
 CORNERS = {3: 3, 4: 4, 6: 3, 8: 4, 9: 4}  # by number of nodes
-MADE = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "NODE RESPONSE"}  # keywords that make mesh from mesh
+MADE = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"}  # keywords that make mesh from mesh
 SIDES = {"SPOS": 0.5, "SNEG": -0.5}  # OFFSET by name
 DEPTH = 20  # files that include files
 
@@ -163,7 +163,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     begun, first = "", 0
     raw = path.read_bytes()
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("cp1252", errors="replace")
     for number, line in enumerate(text.splitlines(), 1):
@@ -203,7 +203,10 @@ def _members_of(sets: dict[str, list[tuple[str, str]]], name: str) -> list[tuple
 
 
 def _number(text: str) -> float:
-    return float(text.upper().replace("D", "E")) if text else 0.0
+    try:
+        return float(text or 0)
+    except ValueError:
+        return float(text.upper().replace("D", "E"))
 
 
 def _add_nodes(block: _Block, scope: _Scope, system) -> None:
@@ -438,5 +441,6 @@ def _gather_sets(gathered: Gathered, model: _Scope, placed) -> None:
         return
     scopes = [model, *(scope for scope, _, _ in placed)]
     sections = [name for scope in scopes for name, _ in scope.sections]
-    wanted = {name.upper() for name in sections or [name for scope in scopes for name in scope.groups]}
+    whole = gathered.elements.keys() <= gathered.sheets.keys()  # else some part has no section
+    wanted = {name.upper() for name in (sections if whole else [name for scope in scopes for name in scope.groups])}
     gathered.parts = [name for name in gathered.element_sets if name.upper() in wanted]

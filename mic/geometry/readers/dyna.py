@@ -168,7 +168,7 @@ def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str
     if path in above or len(above) > DEPTH:
         raise FormatError(f"{above[-1].name} includes {path.name}, which includes it in turn")
     wide, where, keyword, cards = False, "", "", list[str]()
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     if not above and not any(line.startswith("*") for line in lines):
         raise FormatError("it holds no keyword; it is no keyword file of LS-DYNA")
     for number, line in enumerate([*lines, "*END"], 1):

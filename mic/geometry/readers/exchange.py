@@ -1,4 +1,4 @@
-"""Formats in which further programs exchange meshes: Ansys, Salome, Medit, SU2, XDMF. MED and XDMF need h5py.
+"""Formats in which further programs exchange meshes: Salome, Medit, SU2, XDMF. MED and XDMF need h5py.
 
 h5py is no dependency: its wheels bring an HDF5 of their own, which fails beside that of a distribution's dolfinx. Where
 finite elements are installed, the distribution's h5py is the right one.
@@ -12,12 +12,7 @@ import meshlane
 
 from mic.geometry.readers.raw import RawMesh, from_meshlane
 
-__all__ = ["read_ansys", "read_med", "read_medit", "read_su2", "read_xdmf"]
-
-
-def read_ansys(path: Path) -> RawMesh:
-    """Ansys Mechanical APDL decks (``.cdb``)."""
-    return from_meshlane(meshlane.ansysInp.read(path))
+__all__ = ["read_med", "read_medit", "read_su2", "read_xdmf"]
 
 
 def read_med(path: Path) -> RawMesh:

@@ -28,6 +28,8 @@ def read(path: Path) -> RawMesh:
         bare.write_bytes(_without_parameters(GROUPS.sub(b"", content)))
         mesh = meshlane.gmsh.read(bare)
     raw = from_meshlane(mesh)
+    numbers = _node_numbers(content)
+    raw = replace(raw, nodes=numbers if len(numbers) == len(raw.points) else None)
     named = _section(content, "PhysicalNames").decode("utf-8", errors="replace")
     names = {int(tag): name for dimension, tag, name in NAME.findall(named) if dimension == "2"}
     groups = _groups_of_surfaces(content) if b"$Entities" in content else None
@@ -67,6 +69,33 @@ def _without_parameters(content: bytes) -> bytes:
 def _section(content: bytes, name: str) -> bytes:
     found = re.search(rb"\$%s[ \r]*\n(.*?)\$End%s" % (name.encode(), name.encode()), content, re.DOTALL)
     return found[1] if found else b""
+
+
+def _node_numbers(content: bytes) -> np.ndarray:
+    """Numbers of the nodes in the order of the file, which is that of meshlane's points."""
+    version, binary = _section(content, "MeshFormat").split()[:2]
+    nodes = _section(content, "Nodes")
+    if version.startswith(b"2"):
+        if binary == b"0":
+            return np.array([int(line.split()[0]) for line in nodes.splitlines()[1:]], dtype=np.int64)
+        count, _, rows = nodes.partition(b"\n")
+        table = np.dtype([("number", np.int32), ("place", float, 3)])
+        return np.frombuffer(rows, table, int(count))["number"].astype(np.int64)
+    found: list[int] = []
+    if version in (b"4", b"4.0"):
+        lines, at = nodes.splitlines(), 1
+        while at < len(lines):
+            stop = at + 1 + int(lines[at].split()[3])
+            found += [int(line.split()[0]) for line in lines[at + 1 : stop]]
+            at = stop
+    else:
+        read = _Numbers(nodes, binary != b"0")
+        for _ in range(read.sizes(4)[0]):
+            read.ints(3)
+            own = read.sizes(read.sizes(1)[0])
+            read.reals(3 * len(own))
+            found += own
+    return np.array(found, dtype=np.int64)
 
 
 def volumes(path: Path) -> int:

@@ -247,6 +247,8 @@ class _Frames:
         return axes @ (vector[0] * away + vector[1] * np.cross(around, away) + vector[2] * around)
 
     def _frame(self, text: str, above: tuple[int, ...] = ()) -> tuple[str, np.ndarray, np.ndarray]:
+        if text and not text.isdigit():
+            raise FormatError(f"a coordinate system is called {text!r}, and it must be a number")
         number = int(text or 0)
         if number in self.known:
             return self.known[number]
@@ -345,7 +347,7 @@ def _lines(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]
     """Place and text of every line, included files in their places."""
     if path in above or len(above) > DEPTH:
         raise FormatError(f"{above[-1].name} includes {path.name}, which includes it in turn")
-    lines = iter(enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1))
+    lines = iter(enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), 1))
     for number, line in lines:
         where = f"line {number}" + (f" of {path.name}" if above else "")
         begun = re.match(r"\s*INCLUDE\s*(['\"]?)(.*)", line, re.IGNORECASE)
@@ -417,4 +419,8 @@ def _fields(line: str) -> tuple[str, list[str], str]:
 def _real(field: str) -> float:
     if not field:
         return 0.0
-    return float(REAL.sub(r"\1e\2", field.upper().replace("D", "E")) if "E" not in field.upper() else field)
+    try:
+        return float(field)
+    except ValueError:
+        text = field.upper().replace("D", "E")
+        return float(text if "E" in text else REAL.sub(r"\1e\2", text))

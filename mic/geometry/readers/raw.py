@@ -90,7 +90,7 @@ class RawMesh:
         )
 
     def selected(self, sets: Iterable[str]) -> RawMesh:
-        """The elements of some sets alone; all points and sets are kept.
+        """The elements of some sets alone, and their points; of all sets what is among them.
 
         Raises
         ------
@@ -110,10 +110,18 @@ class RawMesh:
         number = np.where(chosen, np.cumsum(chosen) - 1, -1)
         in_sets = {name: number[elements] for name, elements in self.element_sets.items()}
         of_triangles, of_quadrilaterals = np.split(chosen, [len(self.triangles)])
+        corners = self.triangles[of_triangles], self.quadrilaterals[of_quadrilaterals]
+        used = np.unique(np.concatenate([of.ravel() for of in corners]))
+        place = np.full(len(self.points), -1)
+        place[used] = np.arange(len(used))
+        of_points = {name: place[points] for name, points in self.node_sets.items()}
         return replace(
             self,
-            triangles=self.triangles[of_triangles],
-            quadrilaterals=self.quadrilaterals[of_quadrilaterals],
+            points=self.points[used],
+            nodes=None if self.nodes is None else self.nodes[used],
+            node_sets={name: points[points >= 0] for name, points in of_points.items()},
+            triangles=place[corners[0]],
+            quadrilaterals=place[corners[1]],
             triangle_normals=None if self.triangle_normals is None else self.triangle_normals[of_triangles],
             quadrilateral_normals=(
                 None if self.quadrilateral_normals is None else self.quadrilateral_normals[of_quadrilaterals]

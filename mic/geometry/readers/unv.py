@@ -62,7 +62,7 @@ def read(path: Path) -> RawMesh:
 
 
 def _datasets(path: Path) -> Iterator[tuple[str, str, list[str]]]:
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     marks = [number for number, line in enumerate(lines) if line.strip() == "-1"]
     if len(marks) < 2:
         raise FormatError("it holds no dataset between lines of -1; it is no universal file, or cut short")
@@ -83,7 +83,7 @@ def _elements(gathered: Gathered, lines: list[str]) -> None:
     for head in rest:
         label, kind, prop, _, _, count = (int(text) for text in head.split()[:6])
         if kind in BEAMS:
-            next(rest)
+            next(rest, "")
         nodes: list[int] = []
         while len(nodes) < count:
             line = next(rest, None)
