@@ -160,8 +160,8 @@ def _closing(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 
 def _welding(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """A weld that keeps what it finds moves nothing, so that only those that close their gaps have an order."""
-    if any(weld.close for weld in scene.welds):
+    """A weld that keeps what it finds moves nothing: only those that close their gaps, or have guns, have an order."""
+    if any(weld.close or weld.gun is not None for weld in scene.welds):
         yield "welds one by one", _reordered(scene, "weld", lambda groups: [[name] for name in chain(*groups)])
         yield "welds in reverse", _reordered(scene, "weld", lambda groups: [[n] for n in chain(*groups)][::-1])
         yield "welds together", _reordered(scene, "weld", lambda groups: [list(chain(*groups))])

@@ -207,3 +207,35 @@ def test_a_subassembly_goes_on_to_the_next_station_and_to_its_inspection(sheets,
     dumped["stages"][-1], dumped["locators"] = {"kind": "measure"}, dumped["locators"][:-6]
     elsewhere = mic.Scene(**dumped, folder=scene.folder)
     assert np.abs(mic.reduce(elsewhere, cache).evaluate(sample, law).measurements - reduced.measurements).max() > 0.01
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+def test_a_sheet_on_soft_locators_rests_on_the_others_once_it_is_pressed(sheets, cache, law):
+    """top lies on supports of 2 N/mm, a stiffer locator closes on the stack later; all open once it is joined."""
+    soft = [item | ({"stiffness": 2.0} if item["direction"] == (0, 0, 1) else {}) for item in six("top")]
+    further = {"name": "support", "part": "bottom", "point": [60, 5, 0], "direction": [0, 0, 1], "stage": "clamp"}
+    step = {"increments": 1}
+    names = [item["name"] for item in six("bottom")]
+    scene = sheets(
+        [*six("bottom"), *six("middle"), *soft, further | {"stiffness": 300.0}],
+        [clamp(f"P{x}", "top", x, -1, "clamp", force=30) for x in (40, 80)],
+        [
+            weld("A", LOW, 40, "weld"),
+            weld("B", LOW, 80, "weld"),
+            weld("C", HIGH, 50, "weld"),
+            weld("D", HIGH, 90, "weld"),
+        ],
+        [
+            {"kind": "locate"},
+            {"kind": "clamp", "order": [["support"], ["P40", "P80"]]} | step,
+            {"kind": "weld"} | step,
+            {"kind": "release", "keep": names} | step,
+            {"kind": "measure"},
+        ],
+    )
+    full, reduced = both(scene, cache, law)
+    assert difference(full, reduced) < 1e-7
+    clamped = reduced.resolutions["clamp"]
+    np.testing.assert_allclose(full.resolutions["clamp"].reaction, clamped.reaction[0], atol=1e-6)
+    zone = mic.reduce(scene, cache).contacts.zone
+    assert clamped.force[0, zone == 1, 0].sum() > 0.9 * 60  # the sheets below carry it, not its supports

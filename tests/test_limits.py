@@ -14,21 +14,18 @@ GAP = 0.3  # mm
 NEEDED = 2 * STIFFNESS * GAP  # N that press b's face down by 2 g: over the gap, and then both springs by g
 
 
-def plates(gap=GAP, friction=0.2, clamps=(), welds=(), stages=None, deviations=(), **keys):
-    parts = [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"]
-    return spring_model(
-        [gap],
-        [gap] * len(welds),
-        parts=parts,
-        locators=[*six("a"), *six("b")],
-        clamps=list(clamps),
-        welds=list(welds),
-        zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
-        measurements=[at_face("b", name="M", lower=-1, upper=1)],
-        deviations=list(deviations),
-        stages=stages or [{"kind": kind} for kind in ("locate", "clamp", "release", "measure")],
-        **keys,
-    )
+def plates(gap=GAP, friction=0.2, clamps=(), welds=(), stages=None, deviations=(), **change):
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        "locators": [*six("a"), *six("b")],
+        "clamps": list(clamps),
+        "welds": list(welds),
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
+        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
+        "deviations": list(deviations),
+        "stages": stages or [{"kind": kind} for kind in ("locate", "clamp", "release", "measure")],
+    }
+    return spring_model([gap], [gap] * len(welds), **keys | change)
 
 
 def closing(stroke, limit, **keys):
@@ -239,3 +236,22 @@ def test_limits_and_guns_in_words():
     ]
     assert sentences(model.scene, plans["release"])[0] == "clamp C opens"
     assert plans["weld"].judged_names(model.scene, model.weld_size) == ["W", "V", "U", "C"]
+
+
+@pytest.mark.parametrize("limit", [10.0, 100.0])
+@pytest.mark.parametrize("stiffness", [None, 40.0])
+def test_what_is_handed_on_for_the_fields_is_in_balance_and_reads_what_was_measured(limit, stiffness):
+    """Forces f on the functionals and rigid motions q at the end: Gᵀ f = 0, and H f + G q is what the rows read."""
+    soft = [item | ({} if stiffness is None else {"stiffness": stiffness}) for item in six("b")]
+    model = plates(
+        clamps=[closing(0.5, limit)],
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+        locators=[*six("a"), *soft],
+    )
+    found = model.evaluate({})
+    force, motion = found.functional_force, found.motion
+    assert np.abs(force).max() > 5.0
+    np.testing.assert_allclose(model.compliance.resultants(force), 0.0, atol=1e-9)
+    reading = model.compliance.displace(force) + model.compliance.carry(motion)
+    np.testing.assert_allclose(reading @ model.rows["measurement"].T, found.measurements, atol=1e-9)
+    assert found.measurements[0, 0] < -0.1

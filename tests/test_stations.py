@@ -16,25 +16,24 @@ def named(locators, name):
     return [item | {"name": f"{name}{i}"} for i, item in enumerate(locators)]
 
 
-def joined(inspection=(), keep="a", stages=None, measured="ab", friction=0.2, deviations=()):
+def joined(inspection=(), keep="a", stages=None, measured="ab", friction=0.2, deviations=(), **change):
     """a and b, whose weld closes the gap between their faces; released, they are read on the inspection's locators."""
-    return spring_model(
-        [GAP],
-        [GAP],
-        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
-        locators=[*six("a"), *six("b"), *inspection],
-        welds=[WELD],
-        zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
-        measurements=[at_face(part, name=part, lower=-1, upper=1) for part in measured],
-        deviations=list(deviations),
-        stages=stages
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        "locators": [*six("a"), *six("b"), *inspection],
+        "welds": [WELD],
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
+        "measurements": [at_face(part, name=part, lower=-1, upper=1) for part in measured],
+        "deviations": list(deviations),
+        "stages": stages
         or [
             {"kind": "locate"},
             {"kind": "weld"},
             {"kind": "release", "keep": [f"{keep}l{i}" for i in range(6)]},
             {"kind": "measure"},
         ],
-    )
+    }
+    return spring_model([GAP], [GAP], **keys | change)
 
 
 def test_read_where_it_was_released_the_free_part_has_moved_by_the_gap():
@@ -320,6 +319,73 @@ def test_a_path_is_given_where_something_moves(number, key):
     stages[number] |= key
     with pytest.raises(ValueError, match=rf"stages\[{number % 4}\].{next(iter(key))}.*: nothing moves in this stage"):
         joined(stages=stages)
+
+
+# ------------------------------------------------------------------------------------- soft locators, by hand
+
+
+def resting(stiffness, press, gap=0.1, friction=0.0, release=False):
+    """b on soft supports along z above a; P presses b's face. The supports at (10, 0) and (0, 10) carry half each."""
+    soft = [item | ({"stiffness": stiffness} if item["direction"] == [0, 0, 1] else {}) for item in six("b")]
+    return spring_model(
+        [gap],
+        [gap],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        locators=[*six("a"), *soft],
+        clamps=[at_face("b", (0, 0, -1), name="P", force=press)],
+        welds=[WELD | {"close": False}],
+        zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
+        measurements=[at_face(part, name=part, lower=-1, upper=1) for part in "ab"],
+        stages=[
+            {"kind": "locate"},
+            {"kind": "clamp"},
+            {"kind": "weld"},
+            *[{"kind": "release", "keep": [f"al{i}" for i in range(6)]}] * release,
+            {"kind": "measure"},
+        ],
+    )
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
+@pytest.mark.parametrize("stiffness", [1000.0, 10.0, 1e-3])
+def test_a_soft_locator_yields_under_its_load_and_leaves_it_to_the_contact(stiffness, law):
+    """b's face comes down by P c, c = 1/k + 1/2s, until it touches; then N = (P c − g)/(c + 1/k), all of P as s → 0."""
+    c = 1 / STIFFNESS + 1 / (2 * stiffness)
+    for press in (0.02 * GAP / c, 20.0):
+        found = resting(stiffness, press).evaluate({}, law)
+        N = max(0.0, (press * c - 0.1) / (c + 1 / STIFFNESS))
+        closed = found.resolutions["clamp"]
+        assert closed.force[0, 0, 0] == pytest.approx(N, rel=1e-7, abs=1e-9)
+        np.testing.assert_allclose(found.measurements[0], [-N / STIFFNESS, -(press - N) * c], rtol=1e-6, atol=1e-9)
+        supports = closed.reaction[0, [7, 8]]
+        np.testing.assert_allclose(supports, (press - N) / 2, rtol=1e-6, atol=1e-9)
+    if stiffness < 1:
+        assert N == pytest.approx(press, rel=1e-4)  # it rests on a, and on nothing else
+
+
+def test_what_overlaps_a_part_on_soft_locators_lifts_it():
+    """Set down 0.1 mm within a, on supports of 10⁻³ N/mm, b comes to rest on a's face without a force to speak of."""
+    found = resting(1e-3, 0.0, gap=-0.1).evaluate({})
+    assert found.resolutions["clamp"].force[0, 0, 0] == pytest.approx(0.1 * 2e-3, rel=1e-3)
+    np.testing.assert_allclose(found.measurements[0], [0.0, 0.1], atol=1e-4)
+
+
+def test_soft_locators_open_once_a_weld_holds_the_part():
+    """Joined where it rested, b keeps its place on a; what pressed it springs back."""
+    found = resting(1.0, 20.0, release=True).evaluate({})
+    c = 1 / STIFFNESS + 0.5
+    N = (20.0 * c - 0.1) / (c + 1 / STIFFNESS)
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, 0, 0], N, rtol=1e-9)
+    np.testing.assert_allclose(found.measurements[0], [0.0, -0.1], atol=1e-9)
+    assert not found.failed.any()
+
+
+def test_a_part_that_its_locators_do_not_hold_is_told_its_free_motions_and_the_remedy():
+    few = [item for item in six("b") if item["direction"] != [0, 0, 1]]
+    with pytest.raises(
+        ValueError, match=r"parts\[1\] \(b\): .* hold 3 of its 6 .*free: along z, about x, about y.*soft"
+    ):
+        joined(stages=[{"kind": "locate"}, {"kind": "measure"}], locators=[*six("a"), *few], welds=[])
 
 
 def test_parts_that_nothing_joins_cannot_change_the_fixture_together():

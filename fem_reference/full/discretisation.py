@@ -13,7 +13,7 @@ from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
 from mic.process.actions import Row
-from mic.process.plan import Limit
+from mic.process.plan import Limit, yielding
 
 __all__ = ["Discretisation", "System"]
 
@@ -127,18 +127,22 @@ class Discretisation:
             functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in held], format="csr")
             statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
             B = vstack([self.rows[kind][i] for kind, i in held], format="csr")
-            kept, combination = _independent(B)
+            soft = yielding(self.assembly.scene, held)
+            kept, combination = _independent(B, np.zeros(len(held)) if soft is None else soft)
             names = [self.assembly.labels[kind][i] for kind, i in held]
             contacts = self._contact_rows(stops)
-            equilibrium = Equilibrium(self.parts, B[kept], contacts, self.assembly.contacts.dimension)
+            dimension = self.assembly.contacts.dimension
+            equilibrium = Equilibrium(self.parts, B[kept], contacts, dimension, None if soft is None else soft[kept])
             self._systems[held, stops] = System(B, kept, combination, names, equilibrium)
         return self._systems[held, stops]
 
 
-def _independent(B):
-    """Rows that span all (ascending), and the others as combinations of them."""
+def _independent(B, soft):
+    """Rows that span all (ascending), and the others as combinations of them; those that yield are independent."""
     scale = 1 / np.sqrt(np.asarray(B.multiply(B).sum(axis=1)).ravel())
     gram = (B @ B.T).toarray() * np.outer(scale, scale)
+    gram[soft > 0], gram[:, soft > 0] = 0.0, 0.0
+    gram[soft > 0, soft > 0] = 1.0
     _, pivot, rank, _ = lapack.dpstrf(gram, tol=REDUNDANT, lower=1)
     kept = np.sort(pivot[:rank] - 1)
     others = np.setdiff1d(np.arange(B.shape[0]), kept)

@@ -3,10 +3,11 @@
 Unknowns are the freedoms u of all parts, the forces r of the bilateral rows B and the contact forces f of the rows C,
 with
 
-    K u = Bᵀ r + Cᵀ f + p,        B u = v,                                                             (1)
+    K u = Bᵀ r + Cᵀ f + p,        B u + c r = v,                                                       (1)
 
-K the block-diagonal stiffness of the free parts, and Coulomb's law in its penalty (augmented-Lagrangian) form. With
-the gap g = g⁰ + δ_n and the slip s = δ_t − a of each contact, δ = C u, the trial force is
+c the compliance of rows that yield, 0 of the others, K the block-diagonal stiffness of the free parts, and Coulomb's
+law in its penalty (augmented-Lagrangian) form. With the gap g = g⁰ + δ_n and the slip s = δ_t − a of each contact,
+δ = C u, the trial force is
 
     y_n = f̂_n − ε g,              y_t = f̂_t − ε s,                                                     (2)
 
@@ -53,7 +54,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy.sparse import block_diag, csr_matrix, hstack, vstack
+from scipy.sparse import block_diag, csr_matrix, diags, hstack, vstack
 
 from fem_reference.full.friction import ContactFriction
 from mic.contact.states import OPEN, SLIP, STICK
@@ -302,9 +303,11 @@ class Equilibrium:
         Contact rows, contact by contact.
     dimension : int
         d.
+    yielding : (b,) array, optional
+        c of the bilateral rows, mm/N.
     """
 
-    def __init__(self, parts: Parts, B: csr_matrix, C: csr_matrix, dimension: int):
+    def __init__(self, parts: Parts, B: csr_matrix, C: csr_matrix, dimension: int, yielding: np.ndarray | None = None):
         self.parts, self.B, self.C, self.d = parts, B.tocsr(), C.tocsr(), dimension
         self.N, self.b, self.m = parts.offsets[-1], B.shape[0], C.shape[0] // dimension
         comm = parts.comm
@@ -315,7 +318,8 @@ class Equilibrium:
         rows = [hstack([parts.stiffness, -BT, -CT], format="csr")]
         self._contact_pattern()
         if self._last:
-            rows.append(hstack([self.B, csr_matrix((self.b, self.b + self.m * dimension))], format="csr"))
+            soft = csr_matrix((self.b, self.b)) if yielding is None else diags(yielding, format="csr")
+            rows.append(hstack([self.B, soft, csr_matrix((self.b, self.m * dimension))], format="csr"))
             rows.append(
                 self._contact_rows(np.zeros((self.m, dimension, dimension)), np.zeros((self.m, dimension, dimension)))
             )

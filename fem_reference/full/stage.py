@@ -31,7 +31,7 @@ from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
 from mic.process.actions import Joints, Row, Settle
 from mic.process.drive import Drive
-from mic.process.plan import StagePlan, Step
+from mic.process.plan import StagePlan, Step, yielding
 
 __all__ = ["ContactFailure", "FullResolution", "FullStage", "FullState", "Penalty", "Solve"]
 
@@ -241,7 +241,10 @@ class FullStage:
         try:
             system = mesh.system(step.bilateral, step.stops)
             target = [state.frozen[i] if kind == "weld" else drive.target[kind][0, i] for kind, i in step.bilateral]
-            v0 = system.consistent(system.rows @ state.solution.u)
+            soft = yielding(mesh.assembly.scene, step.bilateral)
+            carried = np.array([state.reaction.get(row, 0.0) for row in step.bilateral])
+            v0 = system.rows @ state.solution.u + (0.0 if soft is None else soft * carried)
+            v0 = system.consistent(v0)
             v1 = system.consistent(np.array(target))
         except (ValueError, FreeMotion) as error:
             raise ContactFailure(f"stage {self.plan.name!r}: {error}") from error

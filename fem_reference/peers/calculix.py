@@ -8,6 +8,7 @@ stiff on curved sheets: no single mesh of them is a reference, :mod:`fem_referen
 
 from __future__ import annotations
 
+import io
 import shutil
 import subprocess
 import tempfile
@@ -15,8 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csc_matrix, triu
 
-__all__ = ["CalculixError", "available", "quadratic", "read", "run", "shell_displacements"]
+__all__ = ["CalculixError", "available", "quadratic", "read", "run", "shell_displacements", "stiffness"]
 
 SHELLS = {6: "S6", 8: "S8R"}  # CalculiX's name of the shell with so many nodes: corners, then midsides
 
@@ -83,6 +85,33 @@ def shell_displacements(
     return displacements
 
 
+def stiffness(mesh: str) -> tuple[csc_matrix, np.ndarray]:
+    """The stiffness matrix of a mesh that nothing holds, N/mm.
+
+    Parameters
+    ----------
+    mesh : str
+        An input deck up to its first step, its material with a density.
+
+    Returns
+    -------
+    K : (d, d) csc_matrix
+        Incompatible modes of elements have freedoms of their own.
+    freedom : (d, 2) int array
+        Node, counted from 1, and axis, counted from 0, of each.
+
+    Raises
+    ------
+    CalculixError
+    """
+    deck = mesh + "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n1\n*END STEP\n"
+    entries, names = (io.StringIO(text) for text in _solved(deck, ".sti", ".dof"))
+    row, column, value = np.loadtxt(entries, ndmin=2).T  # of its upper triangle
+    freedom = np.array([name.split(".") for name in names.read().split()], dtype=np.int64) - [0, 1]
+    upper = csc_matrix((value, (row.astype(int) - 1, column.astype(int) - 1)), shape=(len(freedom), len(freedom)))
+    return csc_matrix(upper + triu(upper, 1).T), freedom
+
+
 def run(deck: str) -> str:
     """Let ccx solve an input deck; returns what its prints wrote to the .dat file.
 
@@ -90,16 +119,21 @@ def run(deck: str) -> str:
     ------
     CalculixError
     """
+    return _solved(deck, ".dat")[0]
+
+
+def _solved(deck: str, *suffixes: str) -> list[str]:
+    """The files that ccx writes beside an input deck."""
     if not available():
         raise CalculixError("ccx is not installed: apt-get install calculix-ccx")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "deck.inp"
         path.write_text(deck)
         outcome = subprocess.run(["ccx", "-i", "deck"], cwd=folder, capture_output=True, text=True)
-        results = path.with_suffix(".dat")
-        if outcome.returncode or not results.is_file() or "*ERROR" in outcome.stdout:
+        results = [path.with_suffix(suffix) for suffix in suffixes]
+        if outcome.returncode or not all(one.is_file() for one in results) or "*ERROR" in outcome.stdout:
             raise CalculixError("ccx failed:\n" + "\n".join(outcome.stdout.splitlines()[-10:]) + outcome.stderr)
-        return results.read_text()
+        return [one.read_text() for one in results]
 
 
 def _deck(nodes, elements, thickness, young, poisson, clamped, forces) -> str:

@@ -12,6 +12,9 @@ over the parts: under functional forces f and rigid motions q the readings are `
 
 2. Eliminate the remaining bilateral rows R densely: ``λ_R = (R H_s Rᵀ)⁻¹ (v_R - R Q v_A - R H_s f)``. For rows C this
    leaves equation (7) of the paper, ``δ = S f_C + T v``, with ``S = H_CC - H_CR H_RR⁻¹ H_RC``.
+
+A row that yields by c per unit force reads ``v - c λ`` in place of v. Rows R that do add c to ``R H_s Rᵀ``. For rows A,
+``λ_A = -(J Q)ᵀ f_J`` of the forces f_J on all other rows, so that ``J H_s Kᵀ`` grows by ``(J Q) c_A (K Q)ᵀ``.
 """
 
 from __future__ import annotations
@@ -65,7 +68,12 @@ class Response:
 
 
 def eliminate(
-    compliance: Blocks, bilateral: csr_matrix, contact: csr_matrix, load: csr_matrix, output: csr_matrix
+    compliance: Blocks,
+    bilateral: csr_matrix,
+    contact: csr_matrix,
+    load: csr_matrix,
+    output: csr_matrix,
+    yielding: np.ndarray | None = None,
 ) -> Response:
     """Eliminate bilateral rows.
 
@@ -75,6 +83,8 @@ def eliminate(
         Of the free parts.
     bilateral, contact, load, output : (b|c|l|o, F) csr_matrix
         Rows over the stacked functionals.
+    yielding : (b,) array, optional
+        By how much each bilateral row yields under its force, mm/N; left out, none does.
 
     Raises
     ------
@@ -94,6 +104,9 @@ def eliminate(
     supported = compliance.gather(J, J[forced]) - JQ @ Y[forced].T - Y @ JQ[forced].T
     supported[forced] = 0.5 * (supported[forced] + supported[forced].T)
     R = slice(0, len(rest))
+    if yielding is not None:
+        supported += JQ @ (yielding[support, None] * JQ[forced].T)
+        supported[R, R] += np.diag(yielding[rest])
     kept = _independent(supported[R, R], compliance.diagonal(bilateral[rest]))
     # X = H_RR⁻¹ [H_RF, -R Q, I]: forces of the eliminated rows per unit of everything else.
     H_FR = supported[len(rest) :, kept]  # (c + l + o, kept)

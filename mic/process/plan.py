@@ -6,8 +6,11 @@ share what the stages mean, and nothing of how they are solved.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from mic.process.actions import (
     Arrive,
@@ -26,7 +29,7 @@ from mic.process.actions import (
 from mic.process.freedom import check_held
 from mic.scene.stages import set_down_in
 
-__all__ = ["Limit", "StagePlan", "Step", "plan_stages"]
+__all__ = ["Limit", "StagePlan", "Step", "plan_stages", "yielding"]
 
 
 @dataclass(frozen=True)
@@ -273,6 +276,15 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
         plans.append(StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads))
         check_held(scene, rows.joints, plans[-1])
     return plans
+
+
+def yielding(scene, bilateral: Sequence[Row]) -> np.ndarray | None:
+    """(b,) by how much bilateral rows yield under their force, mm/N; None where none does."""
+    soft = [
+        1 / stiffness if kind == "locator" and (stiffness := scene.locators[i].stiffness) is not None else 0.0
+        for kind, i in bilateral
+    ]
+    return np.array(soft) if any(soft) else None
 
 
 def _parts_of(scene, fixture: Fixture) -> set[str]:

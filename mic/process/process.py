@@ -13,7 +13,7 @@ from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
-from mic.process.plan import Step, plan_stages
+from mic.process.plan import Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
 from mic.product import one_thread, product
@@ -324,6 +324,9 @@ class Process:
         force = reaction @ last.bilateral + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
         own, AH, inverse = self._last_rows
+        soft = yielding(model.scene, last.plan.bilateral)
+        if soft is not None:
+            value -= soft * reaction  # what the rows read
         motion = product(value[:, own] - product(force, AH.T), inverse.T)
         return (
             force + product(deviations, model.shape_forces.T),

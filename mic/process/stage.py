@@ -34,7 +34,7 @@ from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.freedom import free
 from mic.process.path import Ramp
-from mic.process.plan import Limit, StagePlan, Step
+from mic.process.plan import Limit, StagePlan, Step, yielding
 from mic.process.state import ProcessState
 from mic.process.stops import Stops
 from mic.product import product
@@ -91,8 +91,8 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
 
     output = vstack([model.rows[kind] for kind in OUTPUTS], format="csr")
     contact_rows = model.rows["contact"].shape[0]
-    yielding = np.zeros(contact_rows)
-    yielding[:: model.contacts.dimension] = model.contacts.layer
+    layer = np.zeros(contact_rows)
+    layer[:: model.contacts.dimension] = model.contacts.layer
     loads: dict[tuple, dict] = {}  # by the rows held and stopped, all load rows that any step has with them
     for plan in plans:
         for step in plan.steps:
@@ -106,11 +106,18 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                 bilateral = rows_of(step.bilateral)
                 contact = vstack([model.rows["contact"], *(stop_row(model.rows, stop) for stop in step.stops)])
                 try:
-                    response = eliminate(model.compliance, bilateral, contact.tocsr(), rows_of(loads[held]), output)
+                    response = eliminate(
+                        model.compliance,
+                        bilateral,
+                        contact.tocsr(),
+                        rows_of(loads[held]),
+                        output,
+                        yielding(model.scene, step.bilateral),
+                    )
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
-                response.S[np.diag_indices(contact_rows)] += yielding
+                response.S[np.diag_indices(contact_rows)] += layer
                 shared[held] = bilateral, response
             bilateral, response = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
+from scipy.linalg import null_space
 
 from mic.contact.laws import LAWS
 from mic.scene.stages import check_stages, known, set_down_in, told
@@ -119,16 +120,20 @@ def check_held(scene) -> None:
         own = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
         if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
             continue  # told once the scene is placed on its meshes
-        rank = 0
+        free = np.eye(6)
         if own:
             points = np.array([locator.point for locator in own])
             arms = (points - points.mean(0)) / max(1.0, float(np.ptp(points, axis=0).max()))
-            rows = [[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)]
-            rank = int(np.linalg.matrix_rank(rows, tol=1e-6))
-        if rank < 6:
+            rows = np.array(
+                [[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(own, arms)]
+            )
+            free = null_space(rows, rcond=1e-6)
+        held = 6 - free.shape[1]
+        if held < 6:
             found.append(
-                f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {rank} of its 6 "
-                "rigid-body motions; add locators (at least a 3-2-1 scheme) until all six are held"
+                f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {held} of its 6 "
+                f"rigid-body motions{_named(free)}; add locators (at least a 3-2-1 scheme) until all six are held; "
+                "where it rests on another part, soft ones (stiffness = 1), which a release opens once it is joined"
             )
     _raise(found)
 
@@ -142,3 +147,10 @@ def _raise(found: Iterable[str]) -> None:
     lines = list(found)
     if lines:
         raise ValueError("\n".join(lines))
+
+
+def _named(free: np.ndarray) -> str:
+    """The motions along and about the axes that nothing holds at all, of those (6, f) that are free."""
+    names = [f"{way} {axis}" for way in ("along", "about") for axis in "xyz"]
+    own = [name for name, share in zip(names, (free**2).sum(axis=1)) if share > 1 - 1e-9]
+    return f" (free: {', '.join(own)})" if own else ""

@@ -275,6 +275,11 @@ class Locator(_OnPart):
         "locate",
         description="the stage in which it engages; those of the locate stage must hold all six motions of their part",
     )
+    stiffness: Positive | None = Field(
+        None,
+        description="N/mm: it yields under its load; left out, it is rigid. Soft ones carry a part that is to rest on "
+        "another, until clamps press it there",
+    )
 
 
 class Clamp(_OnPart):

@@ -67,7 +67,7 @@ MOST = 4000
 BEHIND, TOGETHER, HARMLESS = 0.25, 1e-2, 0.5
 #: Newton's tolerance within a path; at its end it is the solver's.  It is relative to what overlap alone would be
 #: answered with, which is a thousand times the motion where parts hang together loosely: looser, paths part.
-INNER = 1e-9
+INNER = 1e-12
 #: A contact this near its cone (relative) at the start of a step may slide.
 NEAR = 1e-7
 #: Shrinking the step aims below the tolerance by this factor, the usual one of step control; and how much it may grow.

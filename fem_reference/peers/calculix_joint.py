@@ -1,0 +1,221 @@
+"""Two strips joined by spot welds, of solids by CalculiX: what the lap joint's scene means without shells, influence
+coefficients, candidates or tied patches.
+
+Each strip is a block of C3D8I, whose stiffness CalculiX gives. Their grids lie upon each other in the overlap, where
+every node touches its twin without friction. Locators hold means over discs of the middle surface, clamps press on
+discs of the outer faces. A *fused* nugget is one piece: all twins within its disc keep, from the weld on, how they
+stand to each other when the clamps are closed. A deviation of shape opens and closes the gaps; a part of such a shape
+is held on its locators while the force that makes it acts.
+
+Without friction nothing else is remembered: a stage is one linear complementarity problem,
+
+    K u = f + Bᵀ λ + Cᵀ p,      B u = v,      0 ≤ p ⊥ g + C u ≥ 0 .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
+from scipy.sparse import block_diag, bmat, csc_matrix, csr_matrix, vstack
+from scipy.sparse.linalg import splu
+
+from fem_reference.peers.calculix import CalculixError, stiffness
+from mic.scene import Scene
+
+__all__ = ["Strip", "joint"]
+
+SQUARES = 8  # along and across a node's cell, by which its share of a disc is counted
+FINE = 1.6  # radii of a nugget: so far about its middle elements are fine
+
+
+class Strip:
+    """A block of solids over a grid.
+
+    Parameters
+    ----------
+    x, y, z : arrays
+        Coordinates of its nodes along each axis, mm; the middle one of z is the middle surface.
+    young, poisson : float
+        MPa, 1.
+
+    Attributes
+    ----------
+    K : (d, d) csc_matrix
+        N/mm, of nodes and of elements' own freedoms.
+    """
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, z: np.ndarray, young: float, poisson: float):
+        self.x, self.y, self.z = x, y, z
+        shape = len(x), len(y), len(z)
+        self._number = np.arange(1, 1 + len(x) * len(y) * len(z)).reshape(shape)
+        nodes = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
+        lines = ["*NODE", *(f"{n}, {a!r}, {b!r}, {c!r}" for n, (a, b, c) in enumerate(nodes.tolist(), start=1))]
+        lines.append("*ELEMENT, TYPE=C3D8I, ELSET=SHEET")
+        corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+        own = [self._number[a : a + shape[0] - 1, b : b + shape[1] - 1, c : c + shape[2] - 1] for a, b, c in corners]
+        elements = np.stack(own, -1).reshape(-1, 8)
+        lines += [", ".join(map(str, [n, *element])) for n, element in enumerate(elements.tolist(), start=1)]
+        lines += ["*MATERIAL, NAME=STEEL", f"*ELASTIC\n{young!r}, {poisson!r}", "*DENSITY\n1e-9"]
+        lines.append("*SOLID SECTION, ELSET=SHEET, MATERIAL=STEEL")
+        self.K, freedom = stiffness("\n".join(lines) + "\n")
+        self._column = np.full((len(nodes) + 1, 3), -1)
+        at_node = freedom[:, 0] <= len(nodes)
+        self._column[freedom[at_node, 0], freedom[at_node, 1]] = np.flatnonzero(at_node)
+        if (self._column[1:] < 0).any():
+            raise CalculixError("ccx gave no stiffness for some nodes")
+
+    @property
+    def middle(self) -> int:
+        """Layer of nodes of the middle surface."""
+        return len(self.z) // 2
+
+    def columns(self, layer: int, axis: int) -> np.ndarray:
+        """(nx, ny) freedoms of a layer's nodes."""
+        return self._column[self._number[:, :, layer], axis]
+
+    def share(self, point, radius: float) -> np.ndarray:
+        """(nx, ny) shares of a disc that lie in the cell about each node of the grid, mm²."""
+        squares, cells = [], []
+        for grid in (self.x, self.y):
+            edge = np.concatenate([[grid[0]], (grid[1:] + grid[:-1]) / 2, [grid[-1]]])
+            cells.append(np.diff(edge))
+            squares.append(edge[:-1, None] + cells[-1][:, None] * (np.arange(SQUARES) + 0.5) / SQUARES)
+        away = np.hypot(squares[0][:, :, None, None] - point[0], squares[1][None, None] - point[1])
+        return (away <= radius).mean(axis=(1, 3)) * np.outer(*cells)
+
+    def mean(self, point, radius: float, direction, layer: int) -> csr_matrix:
+        """(1, d) mean over a disc of what a layer's nodes move along a direction."""
+        share = self.share(point, radius)
+        row = np.zeros(self.K.shape[0])
+        for axis, part in enumerate(direction):
+            row[self.columns(layer, axis)] += part * share / share.sum()
+        return csr_matrix(row)
+
+
+def joint(scene: Scene, deviations: np.ndarray, fine: float, coarse: float, layers: int = 2) -> np.ndarray:
+    """Measurements (n, k), mm, of the lap joint at deviations (n, p), without friction.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of two strips as the shipped lap joint has them, along x; radii must not be 0.
+    deviations : (n, p) array
+        In the scene's order: amplitudes of forces that give shapes, positions of locators.
+    fine, coarse : float
+        Largest element, mm, about the welds and elsewhere.
+    layers : int
+        Elements through each thickness, an even number.
+
+    Raises
+    ------
+    CalculixError
+    """
+    lower, upper = strips = _strips(scene, fine, coarse, layers)
+    of = dict(zip((part.name for part in scene.parts), strips))
+    size = [strip.K.shape[0] for strip in strips]
+
+    def row(one, layer=None) -> csr_matrix:
+        strip = of[one.part]
+        own = strip.mean(one.point, one.radius, one.direction, strip.middle if layer is None else layer)
+        parts = [own if each is strip else csr_matrix((1, n)) for each, n in zip(strips, size)]
+        return csr_matrix(np.hstack([each.toarray() for each in parts]))
+
+    K = csc_matrix(block_diag([strip.K for strip in strips]))
+    held = {one.name: row(one) for one in scene.locators}
+    twins = [_twins(lower, upper, size[0], axis) for axis in range(3)]
+    fused = _fused(scene, lower, upper)
+    ties = vstack([each[fused] for each in twins])
+    touch = twins[2]
+    apart = np.setdiff1d(np.arange(touch.shape[0]), fused)
+    press = sum(
+        one.force * row(one, 0 if of[one.part] is lower else len(upper.z) - 1).toarray()[0] for one in scene.clamps
+    )
+    free = _Held(K, vstack(list(held.values())), csr_matrix((0, K.shape[0])))
+    clamped = _Held(K, vstack(list(held.values())), touch)
+    kept = next(stage.keep for stage in scene.stages if stage.kind == "release")
+    released = _Held(K, vstack([*(held[name] for name in kept), ties]), touch[apart])
+    read = vstack([row(one) for one in scene.measurements])
+    none = np.zeros(len(held))
+    unit = {i: row(one).toarray()[0] for i, one in enumerate(scene.deviations) if one.kind == "force"}
+    unit = {i: free.solve(force, none, np.zeros(0)) for i, force in unit.items()}
+    found = []
+    for amplitudes in np.atleast_2d(deviations):
+        shape = sum((amplitudes[i] * each for i, each in unit.items()), np.zeros(K.shape[0]))
+        asked: Mapping[str, float] = {
+            one.target: amplitude for amplitude, one in zip(amplitudes, scene.deviations) if one.kind == "locator"
+        }
+        gap = touch @ shape
+        closed = clamped.solve(press, np.array([asked.get(name, 0.0) for name in held]), gap)
+        frozen = np.concatenate([[asked.get(name, 0.0) for name in kept], ties @ closed])
+        found.append(read @ (shape + released.solve(np.zeros_like(shape), frozen, gap[apart])))
+    return np.array(found)
+
+
+class _Held:
+    """Both strips, with rows B held and rows C that may not fall below the gaps."""
+
+    def __init__(self, K: csc_matrix, B: csr_matrix, C: csr_matrix):
+        self._scale = float(np.abs(K.diagonal()).mean())
+        self._B, self._C = self._scale * B, C
+        self._factor = splu(csc_matrix(bmat([[K, self._B.T], [self._B, None]])))
+        self._open = self._solve(C.T.toarray(), np.zeros((B.shape[0], C.shape[0])))
+        S = C @ self._open
+        self._root = cholesky(0.5 * (S + S.T)) if len(S) else S
+
+    def _solve(self, force, value):
+        return self._factor.solve(np.concatenate([force, self._scale * value]))[: len(force)]
+
+    def solve(self, force: np.ndarray, value: np.ndarray, gap: np.ndarray) -> np.ndarray:
+        """(d,) displacements under forces (d,), the rows held at values and the gaps (m,) not passed."""
+        u = self._solve(force, value)
+        if not len(gap):
+            return u
+        # With S = Rᵀ R the pressures are those p ≥ 0 for which R p comes nearest to -R⁻ᵀ b.
+        pressure, _ = nnls(self._root, -solve_triangular(self._root, gap + self._C @ u, trans="T"))
+        return u + self._open @ pressure
+
+
+def _strips(scene: Scene, fine: float, coarse: float, layers: int) -> Sequence[Strip]:
+    """Grids that match in the overlap: fine about the welds, coarse elsewhere."""
+    welds = np.array([weld.point for weld in scene.welds])
+    reach = FINE * max(weld.radius for weld in scene.welds)
+    along = _graded([0.0, 60.0, 100.0, 160.0], welds[:, 0], reach, fine, coarse)
+    across = _graded([0.0, 25.0], welds[:, 1], reach, fine, coarse)
+    strips = []
+    for part, start, level in zip(scene.parts, (0.0, 60.0), (0.0, 1.0)):
+        x = along[(along >= start - 1e-9) & (along <= start + 100.0 + 1e-9)]
+        z = level + np.linspace(-part.thickness / 2, part.thickness / 2, layers + 1)
+        strips.append(Strip(x, across, z, part.young, part.poisson))
+    return strips
+
+
+def _graded(ends, centres, reach, fine, coarse) -> np.ndarray:
+    """Lines of a grid from end to end, fine within `reach` of the centres."""
+    stretches = [(centre - reach, centre + reach) for centre in centres]
+    knots = np.unique(np.round([*ends, *np.ravel(stretches)], 9))
+    lines = []
+    for a, b in zip(knots, knots[1:]):
+        near = any(low < (a + b) / 2 < high for low, high in stretches)
+        lines.append(np.linspace(a, b, int(np.ceil((b - a) / (fine if near else coarse) - 1e-9)) + 1))
+    return np.unique(np.round(np.concatenate(lines), 9))
+
+
+def _twins(lower: Strip, upper: Strip, columns: int, axis: int) -> csr_matrix:
+    """(m, d) what the upper strip's nodes of the overlap move along an axis, less their twins."""
+    inside = lower.x >= upper.x[0] - 1e-9
+    below = lower.columns(len(lower.z) - 1, axis)[inside].ravel()
+    above = columns + upper.columns(0, axis)[: inside.sum()].ravel()
+    rows = np.arange(len(below))
+    entries = np.concatenate([np.ones(len(rows)), -np.ones(len(rows))])
+    shape = len(rows), columns + upper.K.shape[0]
+    return csr_matrix((entries, (np.tile(rows, 2), np.concatenate([above, below]))), shape=shape)
+
+
+def _fused(scene: Scene, lower: Strip, upper: Strip) -> np.ndarray:
+    """Numbers of the twins within a nugget: those of whose cells more than half is."""
+    share = np.sum([lower.share(weld.point, weld.radius) for weld in scene.welds], axis=0)
+    inside = lower.x >= upper.x[0] - 1e-9
+    return np.flatnonzero((share > 0.5 * lower.share((0.0, 0.0), np.inf))[inside])
