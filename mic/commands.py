@@ -395,9 +395,9 @@ def check(
             _keep_picture(console, "normals", draw_normals(surfaces), normals)
         if overlap is not None:
             _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
-    _print_warnings(console, warnings)
     if strict:
         refuse(warnings)
+    _print_warnings(console, warnings)
     count = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
     console.print(f"[{'yellow' if warnings else 'green'}]The scene is valid{count}.[/]")
 

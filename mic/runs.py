@@ -180,10 +180,10 @@ def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) ->
             listener.say(f"warning: {warned}")
         raise
     warnings = judge(scene, assembly)
-    for warned in warnings:
-        listener.say(f"warning: {warned}")
     if strict:
         refuse(warnings)
+    for warned in warnings:
+        listener.say(f"warning: {warned}")
     return assembly, [str(warned) for warned in warnings]
 
 

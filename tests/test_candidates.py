@@ -201,7 +201,18 @@ def test_the_wheelhouse_with_candidates_is_the_papers_but_for_its_pairs():
 def test_check_tells_how_the_characteristics_move_with_denser_pairs(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("MIC_CACHE", str(cache))
-    told = CliRunner().invoke(app, ["check", str(MESHES / "lap_joint"), "--law", "frictionless", "--converge"])
+    told = CliRunner().invoke(
+        app,
+        [
+            "check",
+            str(MESHES / "lap_joint"),
+            "--law",
+            "frictionless",
+            "--converge",
+            "--page",
+            str(tmp_path / "check.html"),
+        ],
+    )
     assert told.exit_code == 0, told.output
     pairs = re.search(r"(\d+) and (\d+) pairs; between them .* 0 of 30 samples failed", told.output)
     assert pairs and 1.8 < int(pairs[2]) / int(pairs[1]) < 2.3

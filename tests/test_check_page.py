@@ -74,7 +74,7 @@ def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     items = re.findall(r"<li>([^:<]*): (?:young|force)", html)
     assert items == ["part lower", "part upper", "clamp C1-upper", "clamp C1-lower"]
     (group,) = [group for group in data["points"] if group["name"] == "warnings"]
-    assert [re.sub("<.*?>", "", text).strip() for text in group["numbers"]] == ["3, 4"]  # one ring: they are near
+    assert [re.sub("<.*?>", "", text) for text in group["numbers"]] == ["3, 4"]  # one ring: they are near
     assert group["labels"] == ["3. clamp C1-upper<br>4. clamp C1-lower"] and group["points"] == [[72.0, 12.5, 1.0]]
 
 

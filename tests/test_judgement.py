@@ -595,6 +595,10 @@ def plates(lower=(100.0, 40.0, 5.0), upper=(100.0, 40.0, 5.0), height=1.0, tilt=
         "zones": [{"name": "between", "parts": ["lower", "upper"], "friction": 0.2, "pairs": 6}],
         "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "weld"}, {"kind": "release"}],
         "deviations": [{"name": "D", "kind": "locator", "target": "upper0", "sigma": 0.1}],
+        "clamps": [
+            {"name": f"C-{part}", "part": part, "point": (50.0, 20.0, h), "direction": (0, 0, way), "force": 100.0}
+            for part, h, way in (("lower", 0.0, 1.0), ("upper", z(50.0, 20.0), -1.0))
+        ],
         "welds": [{"name": "W", "parts": ["lower", "upper"], "point": [30.0, 20.0, height / 2]}],
     }
     scene["zones"][0] |= keys
@@ -609,6 +613,7 @@ SHAPED = {
     "thicker than a sheet": (plates((15.0, 10.0, 1.0), (15.0, 10.0, 1.0)), "no-sheet", "part lower"),
     "of two elements": (plates((100.0, 40.0, 40.0)), "coarse", "part lower"),
     "apart": (plates(height=2.8, max_gap=4.0), "weld-over-gap", "weld W"),
+    "on the wrong side": (plates(height=-1.0), "clamp-pulls", "clamp C-upper"),
     "through each other": (plates(height=0.5, tilt=12.0, nominal_overlap="keep"), "parts-cross", "part upper"),
     "deep in each other": (plates(height=0.4, nominal_overlap="keep"), "overlap-kept", "zone between"),
     "welded far from their zone": (
@@ -628,6 +633,12 @@ def test_what_the_meshes_show(case, tmp_path):
     except SceneError:
         found = suspect(scene, tmp_path / "cache")  # beside the error, what may be why
     assert [one for one in found if one.rule == rule and one.item == item] or (rule is None and not found), found
+
+
+def test_sheets_that_are_drawn_far_into_each_other_are_refused(tmp_path):
+    """The upper one 50 mm below the lower one: they face each other nowhere."""
+    with pytest.raises(SceneError, match=r"zones\[0\] \(between\): no contact pair"):
+        assemble(plates(height=-50.0).scene(tmp_path), tmp_path / "cache")
 
 
 def test_a_warning_says_number_range_reason_and_remedy():

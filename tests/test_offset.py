@@ -201,7 +201,11 @@ def test_check_tells_where_values_come_from_and_what_was_mended(tmp_path, cache,
         end = text.index("[[", start + 9)
         text = f'{text[:start]}[[parts]]\nname = "{name}"\nmesh = "{name}.inp"\n{keys}\n{text[end:]}'
     (tmp_path / "scene.toml").write_text(text)
-    told = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"}).output
+    told = (
+        CliRunner()
+        .invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"})
+        .output
+    )
     assert "lower: t = 0.7 mm (lower.inp), offset = -0.5 t (lower.inp), E = 205000 MPa (lower.inp)" in told
     assert "upper: t = 1 mm (scene; upper.inp tells 0.7), offset = 0.5 t (upper.inp)" in told
     assert "lower: moved 0.35 mm off the mesh, on the whole towards (" in told

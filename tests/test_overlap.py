@@ -64,7 +64,9 @@ def test_check_tells_depth_area_and_what_is_done_and_draws_the_map(tmp_path, mon
     mic.examples.copy("lap_joint", folder)
     text = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(text.replace("thickness = 1\n", "thickness = 1.06\n"))
-    told = CliRunner().invoke(app, ["check", str(folder), "--overlap", str(tmp_path / "map.png")])
+    told = CliRunner().invoke(
+        app, ["check", str(folder), "--overlap", str(tmp_path / "map.png"), "--page", str(tmp_path / "check.html")]
+    )
     assert told.exit_code == 0, told.output
     assert "0.060 mm deep, over 1000 mm²: closed" in told.output
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
@@ -77,7 +79,7 @@ def test_check_says_which_welds_freeze_a_gap(tmp_path, monkeypatch):
     mic.examples.copy("lap_joint", folder)
     text = (folder / "scene.toml").read_text().replace("thickness = 1\n", "thickness = 0.9\n")
     (folder / "scene.toml").write_text(text.replace('name = "W1"\n', 'name = "W1"\nclose = true\n'))
-    told = CliRunner().invoke(app, ["check", str(folder)]).output
+    told = CliRunner().invoke(app, ["check", str(folder), "--page", str(tmp_path / "check.html")]).output
     assert "weld W2 lies over a nominal gap of 0.100 mm" in told and "weld W1 lies" not in told
 
 

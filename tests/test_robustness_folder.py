@@ -212,7 +212,9 @@ def test_text_of_a_user_reaches_the_terminal_as_text(tmp_path, cache, monkeypatc
     text = (tmp_path / "scene.toml").read_text()
     hostile = r"Gap [mm] [/red] [link=x] \u001b[2J \u0007 end"
     (tmp_path / "scene.toml").write_text(text.replace("Two flat strips, clamped and welded in their overlap.", hostile))
-    found = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"})
+    found = CliRunner().invoke(
+        app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"}
+    )
     assert found.exit_code == 0 and "Gap [mm] [/red] [link=x]" in found.output
     assert "\x1b[2J" not in found.output and "\x07" not in found.output
 
@@ -225,7 +227,9 @@ def test_a_scene_with_a_script_is_said_to_be_a_program_before_it_runs(tmp_path, 
     monkeypatch.setenv("MIC_CACHE", str(cache))
     shutil.copy(LAP / "scene.toml", tmp_path / "scene.toml")
     (tmp_path / "geometry.py").write_text("raise SystemExit")
-    found = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"})
+    found = CliRunner().invoke(
+        app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"}
+    )
     assert "is executed" in found.output and str(tmp_path / "geometry.py") in found.output.replace("\n", "")
 
 

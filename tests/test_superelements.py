@@ -274,7 +274,11 @@ def elsewhere(tmp_path, scale=1.0):
 def test_a_scene_of_superelements_is_checked_and_computed_without_finite_elements(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     scene = elsewhere(tmp_path)
-    told = CliRunner().invoke(app, ["check", str(tmp_path)], env={"COLUMNS": "200"}).output
+    told = (
+        CliRunner()
+        .invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"})
+        .output
+    )
     assert "of a superelement" in told and "The scene is valid" in told
     samples = np.array([[item.mean + item.sigma for item in scene.deviations]])
     one = mic.reduce(scene, cache).evaluate(samples).measurements

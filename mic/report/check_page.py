@@ -160,9 +160,7 @@ def _numbered(warnings: Sequence[Warned], near: float) -> dict[str, Any]:
         "symbol": "circle-open",
         "size": 14,
         "points": [point for point, _ in rings],
-        "numbers": [
-            f"<b>{', '.join(map(str, own))}</b><br>\N{NO-BREAK SPACE}<br>\N{NO-BREAK SPACE}" for _, own in rings
-        ],
+        "numbers": [f"<b>{', '.join(map(str, own))}</b>" for _, own in rings],
         "labels": ["<br>".join(f"{i}. {warnings[i - 1].item}" for i in own) for _, own in rings],
     }
 
