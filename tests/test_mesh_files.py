@@ -188,8 +188,8 @@ FILES = {
     "sheet.su2": SU2,
 }
 #: Formats that nobody writes by hand, and the package that they need, if any.
-WRITTEN = {".cdb": None, ".med": "h5py", ".meshb": None, ".vtu": None, ".xdmf": "h5py"}
-BY_GMSH = {".msh"}
+WRITTEN = {".cdb": None, ".meshb": None, ".vtu": None, ".xdmf": "h5py"}
+BY_GMSH = {".msh", ".med"}
 
 
 def test_a_file_of_every_format_is_tried():
@@ -263,6 +263,35 @@ def test_gmsh_files_are_read_though_only_some_elements_are_in_a_group(tmp_path, 
     surface, deck = read_mesh(tmp_path / "sheet.msh")
     assert surface.areas.sum() == pytest.approx(12)
     assert deck.repair.pieces == 1 and deck.repair.quadrilaterals_split
+
+
+def test_a_file_of_salome_is_read_with_its_groups(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        sheets = [gmsh.model.occ.addRectangle(x, 0, 7, 3, 2) for x in (0, 3)]
+        gmsh.model.occ.fragment([(2, sheets[0])], [(2, sheets[1])])
+        gmsh.model.occ.synchronize()
+        gmsh.model.mesh.setRecombine(2, sheets[1])
+        gmsh.model.mesh.generate(2)
+        for sheet, name in zip(sheets, ("left", "right")):
+            gmsh.model.addPhysicalGroup(2, [sheet], name=name)
+        gmsh.write(str(tmp_path / "sheet.med"))
+    finally:
+        gmsh.finalize()
+    surface, deck = read_mesh(tmp_path / "sheet.med")
+    assert surface.areas.sum() == pytest.approx(12) and surface.points[:, 2] == pytest.approx(7)
+    assert deck.repair.quadrilaterals_split and deck.repair.pieces == 1
+    left, _ = read_mesh(tmp_path / "sheet.med", sets=("left",))
+    assert left.areas.sum() == pytest.approx(6) and left.points[:, 0].max() == pytest.approx(3)
+
+
+def test_a_damaged_file_of_salome_ends_in_one_sentence(tmp_path):
+    pytest.importorskip("gmsh")
+    (tmp_path / "sheet.med").write_bytes(b"HDF no more")
+    with pytest.raises(FormatError, match=r"sheet\.med: .*MED"):
+        read_mesh(tmp_path / "sheet.med")
 
 
 #: A part of the sheet's corners with normals: those of the element 2 at 10 and 3, or of the points 2 and 3.

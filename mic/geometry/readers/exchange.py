@@ -1,7 +1,7 @@
-"""Formats in which further programs exchange meshes: Salome, Medit, SU2, XDMF. MED and XDMF need h5py.
+"""Formats in which further programs exchange meshes: Salome, Medit, SU2, XDMF. XDMF needs h5py.
 
 h5py is no dependency: its wheels bring an HDF5 of their own, which fails beside that of a distribution's dolfinx. Where
-finite elements are installed, the distribution's h5py is the right one.
+finite elements are installed, the distribution's h5py is the right one. MED, on HDF5 too, is left to the program gmsh.
 """
 
 from __future__ import annotations
@@ -10,14 +10,23 @@ from pathlib import Path
 
 import meshlane
 
+from mic.geometry.readers import gmsh
+from mic.geometry.readers.program import written
 from mic.geometry.readers.raw import RawMesh, from_meshlane
 
 __all__ = ["read_med", "read_medit", "read_su2", "read_xdmf"]
 
 
 def read_med(path: Path) -> RawMesh:
-    """MED files of Salome and code_aster."""
-    return from_meshlane(meshlane.med.read(path))
+    """MED files of Salome and code_aster, by the program gmsh; groups of elements are physical groups then.
+
+    Raises
+    ------
+    FormatError
+        If gmsh is missing, fails or takes too long.
+    """
+    with written(path, "MED", ["-save", "-setnumber", "Mesh.SaveAll", "1"]) as mesh:
+        return gmsh.read(mesh)
 
 
 def read_medit(path: Path) -> RawMesh:

@@ -31,7 +31,7 @@ def read(path: Path) -> RawMesh:
     numbers = _node_numbers(content)
     raw = replace(raw, nodes=numbers if len(numbers) == len(raw.points) else None)
     named = _section(content, "PhysicalNames").decode("utf-8", errors="replace")
-    names = {int(tag): name for dimension, tag, name in NAME.findall(named) if dimension == "2"}
+    names = {int(tag): name.strip() for dimension, tag, name in NAME.findall(named) if dimension == "2"}
     groups = _groups_of_surfaces(content) if b"$Entities" in content else None
     tags = mesh.cell_data.get("gmsh:physical" if groups is None else "gmsh:geometrical")
     if tags is None:
