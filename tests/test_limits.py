@@ -217,7 +217,7 @@ def test_what_goes_with_a_limit_and_a_gun_is_said():
     with pytest.raises(ValueError, match="remove one of them"):
         plates(welds=[weld(gun=100.0, close=True)], stages=WELDED)
     at_once = [WELDED[0], {"kind": "weld", "path": "one-step"}, *WELDED[2:]]
-    with pytest.raises(ValueError, match=r"stages\[1\].path: the gun of weld 'W' presses before its weld is made"):
+    with pytest.raises(ValueError, match=r"stages\[1\]\.path \(weld\): the gun of weld 'W' presses before its weld"):
         plates(welds=[weld(gun=100.0)], stages=at_once)
     assert isinstance(plates().scene, mic.Scene)
 

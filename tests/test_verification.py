@@ -261,17 +261,17 @@ def friction_ignored(monkeypatch):
 
 
 def welds_forgotten(monkeypatch):
-    from mic.process import process, stage
+    from mic.process import model, plan, process
 
-    plan = stage.plan_stages
+    planned = plan.plan_stages
 
     def unwelded(step):
         return replace(step, bilateral=tuple(row for row in step.bilateral if row[0] != "weld"))
 
     def without(*arguments):
-        return [replace(item, steps=tuple(map(unwelded, item.steps))) for item in plan(*arguments)]
+        return [replace(item, steps=tuple(map(unwelded, item.steps))) for item in planned(*arguments)]
 
-    for module in (process, stage):
+    for module in (process, model):
         monkeypatch.setattr(module, "plan_stages", without)
 
 
