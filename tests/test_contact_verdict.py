@@ -123,6 +123,7 @@ def test_a_compliance_that_does_work_for_nothing_is_refused(share, refused):
     still=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
 )
+@pytest.mark.slow
 def test_nothing_wrong_is_marked_as_right(m, rank, mu, law, compliance, length, stiff, still, seed):
     """Any rank, any friction, any size; contacts without compliance; most loads are not made to be balanced."""
     rng = np.random.default_rng(seed)

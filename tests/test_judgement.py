@@ -700,6 +700,7 @@ def test_a_strict_run_is_refused_before_long_work(tmp_path, monkeypatch, cache):
     assert not (out / "run.json").exists()
 
 
+@pytest.mark.slow
 def test_the_report_repeats_the_warnings(tmp_path, cache):
     text = (MESHES_FOLDER / "lap_joint" / "scene.toml").read_text().replace("fields = true", "")
     text = text.replace("friction = 0.27", f"friction = 27\npairs = {FEW['lap']}", 1)

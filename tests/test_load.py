@@ -158,6 +158,7 @@ HANGS = {
 
 
 @pytest.mark.parametrize("case", HANGS)
+@pytest.mark.slow
 def test_a_script_that_never_ends_is_not_waited_for(tmp_path, case, monkeypatch):
     monkeypatch.setenv("MIC_SCRIPT_LIMIT", "1.5")
     begin = time.monotonic()
@@ -176,6 +177,7 @@ def gone(process):
         return True
 
 
+@pytest.mark.slow
 def test_what_a_script_starts_ends_with_it(tmp_path, monkeypatch):
     monkeypatch.setenv("MIC_SCRIPT_LIMIT", "5")
     text = (

@@ -123,6 +123,7 @@ def test_sheets_drawn_onto_each_other_are_refused_whatever_rounding_does(tmp_pat
         assemble(lap(tmp_path, (0.5, 0.5 + noise)), cache)
 
 
+@pytest.mark.slow
 def test_the_offsets_that_are_proposed_are_those_that_help(tmp_path, cache):
     """A hat on a plate: where the hat leaves the plate tells on which side it lies."""
     plate = extrude([(-60, 0), (60, 0)], 0, 80, 5.0)

@@ -72,6 +72,7 @@ def test_an_oblong_hole_tells_its_length_and_its_width(tmp_path):
     assert hole.centre == pytest.approx([0, 0, 0], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_pin_reads_the_mean_of_the_rim(folder):
     """Under any rigid motion it reads that of the hole's centre, though no sheet is there."""
     told = measured(folder, hole=[31, 29, 3], direction=[1, 0, 0])
@@ -88,6 +89,7 @@ def test_a_pin_reads_the_mean_of_the_rim(folder):
     assert np.linalg.norm(at - RING, axis=1).min() > 0.95 * RIM
 
 
+@pytest.mark.slow
 def test_normal_is_that_of_the_sheet_and_a_minus_turns_it(folder):
     n = np.array(measured(folder, point=PAD).direction)
     assert n == pytest.approx([0, 0, n[2]]) and abs(n[2]) == pytest.approx(1)
@@ -119,6 +121,7 @@ def test_an_axis_is_laid_into_a_sheet_that_stands_askew(tmp_path):
     assert found.measurements[0].direction == pytest.approx([0.8, 0, 0.6])
 
 
+@pytest.mark.slow
 def test_a_tong_is_two_jaws_that_push_its_parts_together(folder):
     tong = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
     scene = placed(folder, clamps=[tong])
@@ -146,6 +149,7 @@ def test_order_keep_and_deviations_may_name_a_tong(folder):
     assert scene.deviations[0].target == ["A-plate", "A-ring"]
 
 
+@pytest.mark.slow
 def test_a_placed_scene_is_what_its_dump_says_and_is_placed_already(folder):
     keys = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
     measurement = {"name": "M", "part": "ring", "hole": list(RING), "lower": -1, "upper": 1}
@@ -307,6 +311,7 @@ def test_the_scene_file_is_named_in_every_line(tmp_path):
     assert len(lines) >= 2 and all(line.startswith(str(tmp_path / "scene.toml")) for line in lines)
 
 
+@pytest.mark.slow
 def test_a_node_and_the_middle_of_a_set_are_where_the_deck_has_them(folder):
     """1001 is the ring's first: on the rim, along x. RIMS are two nodes across the rim, their middle in the hole."""
     assert measured(folder, node=1001).point == pytest.approx((RING[0] + RIM, RING[1], RING[2]))

@@ -195,6 +195,7 @@ def test_a_sample_has_the_same_bits_in_any_batch_order_and_number_of_threads(hat
             assert [name for name in whole if not np.array_equal(found[name], whole[name][own], equal_nan=True)] == []
 
 
+@pytest.mark.slow
 def test_the_number_of_blas_threads_moves_no_bit(cache):
     """The lap joint as it is shipped, with its candidates: products large enough that threads would share them."""
     scene = mic.load_scene(ROOT / "meshes" / "lap_joint")

@@ -112,6 +112,7 @@ def proposed(case, folder):
 
 
 @pytest.mark.parametrize("case", SHAPES)
+@pytest.mark.slow
 def test_a_proposal_is_a_scene_that_holds_its_parts_well(tmp_path, case):
     """It loads, stands on its meshes, has the zones that there are, and no motion of a part is nearly free."""
     _, zones, welded, _ = SHAPES[case]
@@ -151,6 +152,7 @@ def test_a_proposal_runs_as_it_is_and_says_something(tmp_path, case):
     assert (found.measurements.std(axis=0) > 1e-5).all() and np.abs(found.measurements).max() < 10
 
 
+@pytest.mark.slow
 def test_sheets_drawn_upon_each_other_are_put_side_by_side(tmp_path):
     """The hat rises above the plate: its sheet lies above the drawn surface, the plate's below, whoever is named first
     and whichever way the normals look."""
@@ -341,6 +343,7 @@ def test_sheets_with_another_between_them_have_no_zone(tmp_path):
         assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
 
 
+@pytest.mark.slow
 def test_a_large_lap_begins_with_fewer_pairs(tmp_path):
     """Left to itself, a candidate an element, the zone would have twice as many; a small lap is left to itself."""
     sheets = [grid(300, 240, 6), grid(300, 240, 6.5, z=1.0)]

@@ -271,6 +271,7 @@ def elsewhere(tmp_path, scale=1.0):
     return mic.load_scene(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_scene_of_superelements_is_checked_and_computed_without_finite_elements(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     scene = elsewhere(tmp_path)
