@@ -458,7 +458,16 @@ def test_there_are_a_hundred_and_fifty_of_them_and_every_rule_has_one():
     assert len(NONSENSE) >= 150
     named = {one for *_, rule in NONSENSE.values() for one in ([rule] if isinstance(rule, str) else rule)}
     untried = {rule.name for rule in RULES} - named
-    assert untried == {"extent", "no-sheet", "coarse", "weld-over-gap", "weld-off-zone", "overlap-kept", "parts-cross"}
+    assert untried == {
+        "extent",
+        "no-sheet",
+        "coarse",
+        "weld-over-gap",
+        "weld-off-zone",
+        "overlap-closed",
+        "overlap-kept",
+        "parts-cross",
+    }
     assert len({rule.name for rule in RULES}) == len(RULES)
 
 
@@ -615,6 +624,7 @@ SHAPED = {
     "apart": (plates(height=2.8, max_gap=4.0), "weld-over-gap", "weld W"),
     "on the wrong side": (plates(height=-1.0), "clamp-pulls", "clamp C-upper"),
     "through each other": (plates(height=0.5, tilt=12.0, nominal_overlap="keep"), "parts-cross", "part upper"),
+    "closed by a third of a sheet": (plates(height=0.65), "overlap-closed", "zone between"),
     "deep in each other": (plates(height=0.4, nominal_overlap="keep"), "overlap-kept", "zone between"),
     "welded far from their zone": (
         plates((400.0, 40.0, 8.0), (400.0, 40.0, 8.0), box=[[200, 0, -1], [400, 40, 3]]),

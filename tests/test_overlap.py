@@ -45,15 +45,25 @@ def test_gaps_that_are_open_stay(cache):
 
 def test_overlap_beyond_the_limit_is_refused_naming_zone_depth_place_and_remedy(cache):
     with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.4 mm at \(.*up to 0\.35 mm.*half a thickness.*keep"):
-        assemble(lap(1.4), cache)
+        assemble(lap(1.4, nominal_overlap=0.35), cache)
     assert (assemble(lap(1.4, nominal_overlap=0.41), cache).contacts.gap == 0).all()
+    assert (assemble(lap(1.4), cache).contacts.gap == 0).all()  # 0.29 of the sheet
+    thicker = lap(1.0)
+    for thickness, refused in ((2.0, False), (2.02, True)):  # of one sheet: overlap by 0.5 and 0.51 of the other
+        thicker.parts[0] = thicker.parts[0].model_copy(update={"thickness": thickness})
+        if refused:
+            with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.51 mm at \(.*up to 0\.5 mm"):
+                assemble(thicker, cache)
+        else:
+            assert (assemble(thicker, cache).contacts.gap == 0).all()
     with pytest.raises(SceneError, match=r"up to 0\.05 mm"):
         assemble(lap(1.06, nominal_overlap=0.05), cache)
 
 
 def test_a_weld_where_no_pair_lies_has_the_same_limit(cache):
-    scene = lap(1.4).model_copy(update={"zones": []})
-    with pytest.raises(SceneError, match=r"welds\[0\] \(W1\).*0\.4 mm"):
+    scene = lap(1.0).model_copy(update={"zones": []})
+    scene.parts[0] = scene.parts[0].model_copy(update={"thickness": 2.4})
+    with pytest.raises(SceneError, match=r"welds\[0\] \(W1\).*0\.7 mm"):
         assemble(scene, cache)
 
 

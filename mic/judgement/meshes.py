@@ -251,17 +251,27 @@ def zone_small(assembly) -> Iterator[Seen]:
             yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
 
 
+def overlap_closed(assembly) -> Iterator[Seen]:
+    """Overlap that is closed by default, and deeper than drawing explains."""
+    return _overlaps(assembly, "close", 0.25, "closes")
+
+
 def overlap_kept(assembly) -> Iterator[Seen]:
     """Overlap that is kept, and too deep to be meant."""
+    return _overlaps(assembly, "keep", 0.5, "keeps")
+
+
+def _overlaps(assembly, rule, share, does) -> Iterator[Seen]:
+    """Zones of a rule that overlap by more than this share of the thinner sheet."""
     scene, contacts = assembly.scene, assembly.contacts
     thickness = {part.name: part.thickness for part in assembly.parts}
     for i, zone in enumerate(scene.zones):
         own = np.flatnonzero(contacts.zone == i)
-        if zone.nominal_overlap == "keep" and len(own):
+        if zone.nominal_overlap == rule and len(own):
             thinner = min(thickness[name] for name in zone.parts if name in thickness)
             worst = own[np.argmax(contacts.overlap[own])]
-            if contacts.overlap[worst] > 0.5 * thinner:
-                said = f"keeps an overlap of {contacts.overlap[worst]:.2g} mm"
+            if contacts.overlap[worst] > share * thinner:
+                said = f"{does} an overlap of {contacts.overlap[worst]:.2g} mm"
                 yield of("zones", zone), said, tuple(contacts.point[worst].tolist())
 
 

@@ -422,6 +422,13 @@ MESHES: tuple[Rule, ...] = (
         meshes.zone_small,
     ),
     Rule(
+        "overlap-closed",
+        "at most a quarter of the thinner sheet",
+        "chords across bends and rounded thicknesses explain no more",
+        "correct the thickness, or give a part that is drawn on its skin its offset",
+        meshes.overlap_closed,
+    ),
+    Rule(
         "overlap-kept",
         "at most half the thinner sheet",
         "a stop preloads by tenths of a mm",

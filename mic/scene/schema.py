@@ -429,7 +429,7 @@ class Zone(_Table):
     nominal_overlap: Literal["close", "keep"] | Positive = Field(
         "close",
         description="what is done where the surfaces are drawn into each other: `close` counts them as touching, at "
-        "pairs and welds, up to a quarter of the thinner sheet; a number is another limit, mm; beyond it the scene is "
+        "pairs and welds, up to half of the thinner sheet; a number is another limit, mm; beyond it the scene is "
         "refused; `keep` leaves the overlap, where it is meant",
     )
     patch: Literal["tributary"] | NonNegative = Field(
