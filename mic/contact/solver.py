@@ -110,8 +110,9 @@ class ContactSolver:
         # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series)
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
-        self._settings = backend, self.tol, int(threads), dimension, True
-        self.backend = BACKENDS[backend](self._sliding, friction, self.law, *self._settings[1:4])
+        self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.ravel()))
+        self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
+        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
@@ -141,7 +142,7 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        strange = beyond(rows) | beyond(self.S.ravel())
+        strange = beyond(rows) | self._strange
         if not strange.any():
             solution = self._solve(rows, guess)
         elif strange.all():
@@ -154,17 +155,17 @@ class ContactSolver:
 
     def _solve(self, rows, guess) -> ContactSolution:
         """Numbers within range."""
-        if self.S.any():
-            force, iterations, rung = self.backend.solve(rows, guess)
-        else:  # nothing moves, whatever the forces: either none are needed or none help
+        if self._rigid:  # nothing moves, whatever the forces: either none are needed or none help
             force, iterations = np.zeros_like(rows), np.zeros(len(rows), dtype=np.int64)
             rung = np.full(len(rows), "rigid", dtype=object)
+        else:
+            force, iterations, rung = self.backend.solve(rows, guess)
         solution = self.certified(rows, force, iterations, rung)
         unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
             infeasible = np.zeros(len(rows), dtype=bool)
             for sample in unsolved:
-                infeasible[sample] = not self.S.any() or self.backend.infeasible(rows[sample])
+                infeasible[sample] = self._rigid or self.backend.infeasible(rows[sample])
                 if infeasible[sample]:
                     force[sample] = 0.0
                 else:
@@ -182,7 +183,7 @@ class ContactSolver:
             found = self.certified(rows, zero, np.zeros(n, dtype=np.int64), np.full(n, "none", dtype=object))
             return _refused(found, np.ones(n, dtype=bool))
         compliance, length = unit(self.S.ravel()), unit(rows)
-        own = ContactSolver(self.S / compliance, self.mu, self.law, *self._settings)
+        own = ContactSolver(self.S / compliance, self.mu, self.law, tol=self.tol, semidefinite=True, **self._settings)
         with np.errstate(over="ignore", invalid="ignore"):
             force = length / compliance
             scaled = None if guess is None else guess / force[:, None]
