@@ -27,7 +27,7 @@ from mic.contact.laws import LAWS
 from mic.errors import RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
 from mic.geometry.told import told
-from mic.judgement import judge, refuse, surfaces_of, suspect
+from mic.judgement import judge, readable, refuse, suspect, verdict
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
@@ -367,9 +367,10 @@ def check(
         assembly = assemble(asked, cache_folder(), progress=say)
         plans = plan_stages(assembly.scene, assembly.weld_size)
     except SceneError as error:
-        warnings = suspect(asked, cache_folder())
+        parts = readable(asked, cache_folder())
+        warnings, surfaces = suspect(asked, parts), {one.part.name: one.surface for one in parts}
         _print_warnings(console, warnings)
-        _draw_check(console, page, asked, surfaces_of(asked, cache_folder()), warnings, errors=str(error).splitlines())
+        _draw_check(console, page, asked, surfaces, warnings, errors=str(error).splitlines())
         raise
     warnings = judge(asked, assembly)
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
@@ -398,8 +399,7 @@ def check(
     if strict:
         refuse(warnings)
     _print_warnings(console, warnings)
-    count = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
-    console.print(f"[{'yellow' if warnings else 'green'}]The scene is valid{count}.[/]")
+    console.print(f"[{'yellow' if warnings else 'green'}]{verdict(warnings)}[/]")
 
 
 def _print_warnings(console, warnings):

@@ -16,7 +16,7 @@ import numpy as np
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
 from mic.geometry.told import mended
-from mic.judgement import judge, refuse, suspect
+from mic.judgement import judge, readable, refuse, suspect
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import Assembly, assemble
 from mic.model.overlap import frozen_gaps
@@ -176,7 +176,7 @@ def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) ->
     try:
         assembly = assemble(scene, cache, progress=say)
     except SceneError:
-        for warned in suspect(scene, cache):
+        for warned in suspect(scene, readable(scene, cache)):
             listener.say(f"warning: {warned}")
         raise
     warnings = judge(scene, assembly)

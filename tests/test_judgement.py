@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import mic
 from mic.commands import app
 from mic.geometry.structured import extrude
-from mic.judgement import FILE, MESHES, PARTS, judge, refuse, suspect
+from mic.judgement import FILE, MESHES, PARTS, judge, readable, refuse, suspect
 from mic.model.assembly import assemble
 from mic.scene import Scene, SceneError
 from mic.scene.load import read_table
@@ -641,7 +641,7 @@ def test_what_the_meshes_show(case, tmp_path):
     try:
         found = judge(scene, assemble(scene, tmp_path / "cache"))
     except SceneError:
-        found = suspect(scene, tmp_path / "cache")  # beside the error, what may be why
+        found = suspect(scene, readable(scene, tmp_path / "cache"))  # beside the error, what may be why
     assert [one for one in found if one.rule == rule and one.item == item] or (rule is None and not found), found
 
 

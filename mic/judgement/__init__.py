@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 from mic.errors import SceneError
 from mic.geometry.load import LoadedPart, load_part
-from mic.geometry.surface import Surface
 from mic.judgement.rule import Rule, Warned
 from mic.judgement.table import FILE, MESHES, PARTS
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from mic.model.assembly import Assembly
     from mic.scene import Scene
 
-__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "refuse", "surfaces_of", "suspect"]
+__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "readable", "refuse", "suspect", "verdict"]
 
 
 def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
@@ -42,8 +41,21 @@ def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
     return tuple(found)
 
 
-def suspect(scene: Scene, cache: Path) -> tuple[Warned, ...]:
+def suspect(scene: Scene, readable: Sequence[LoadedPart]) -> tuple[Warned, ...]:
     """The warnings of a scene that could not be put on its meshes: what is unusual may be why.
+
+    Parameters
+    ----------
+    scene : Scene
+    readable : sequence of LoadedPart
+        Those of its parts that can be had, see :func:`readable`.
+    """
+    parts = [SimpleNamespace(name=one.part.name, thickness=one.part.thickness, surface=one.surface) for one in readable]
+    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+
+
+def readable(scene: Scene, cache: Path) -> list[LoadedPart]:
+    """Those parts of a scene that can be had; one whose size is to be found is none of them.
 
     Parameters
     ----------
@@ -51,19 +63,6 @@ def suspect(scene: Scene, cache: Path) -> tuple[Warned, ...]:
     cache : Path
         Folder of generated meshes.
     """
-    parts = [
-        SimpleNamespace(name=one.part.name, thickness=one.part.thickness, surface=one.surface)
-        for one in _loaded(scene, cache)
-    ]
-    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
-
-
-def surfaces_of(scene: Scene, cache: Path) -> dict[str, Surface]:
-    """Surfaces of those parts of a scene that can be had, by name; a part whose size is to be found is none of them."""
-    return {one.part.name: one.surface for one in _loaded(scene, cache)}
-
-
-def _loaded(scene: Scene, cache: Path) -> list[LoadedPart]:
     found = []
     for part in scene.parts:
         try:
@@ -72,6 +71,14 @@ def _loaded(scene: Scene, cache: Path) -> list[LoadedPart]:
         except SceneError:
             continue  # it is told already
     return found
+
+
+def verdict(warnings: Sequence[Warned], errors: Sequence[str] = ()) -> str:
+    """One line on whether a scene can be run."""
+    count = lambda items, word: f"{len(items)} {word}{'s' * (len(items) != 1)}"
+    if errors:
+        return f"Not valid: {count(errors, 'error')}, {count(warnings, 'warning')}."
+    return f"The scene is valid{', ' + count(warnings, 'warning') if warnings else ''}."
 
 
 def refuse(warnings: Sequence[Warned]) -> None:

@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
-from mic.judgement import Warned
+from mic.judgement import Warned, verdict
 from mic.model.assembly import Contacts
 from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
@@ -77,21 +77,13 @@ def write_check(
         plans=[
             (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
         ],
-        verdict=_verdict(errors, warnings),
+        verdict=verdict(warnings, errors),
         viewer=as_json(_view(bodies, scene, warnings, contacts)) if bodies else None,
         plotly=get_plotlyjs() if bodies else None,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
     return path
-
-
-def _verdict(errors, warnings) -> str:
-    """One line on whether the scene can be run."""
-    count = lambda items, word: f"{len(items)} {word}{'s' * (len(items) != 1)}"
-    if errors:
-        return f"Not valid: {count(errors, 'error')}, {count(warnings, 'warning')}."
-    return f"The scene is valid{', ' + count(warnings, 'warning') if warnings else ''}."
 
 
 def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str, Any]:
