@@ -76,11 +76,11 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     from mic.compliance.cache import influence_coefficients
     from mic.model.assembly import assemble
     from mic.process.model import ReducedModel
-    from mic.process.plan import plan_stages
+    from mic.process.plan import plan_assembly
 
     cache = cache or cache_folder()
     assembly = assemble(scene, cache)
-    plan_stages(assembly.scene, assembly.weld_size)  # a process that cannot be is refused before anything is factorised
+    plan_assembly(assembly)  # a process that cannot be is refused before anything is factorised
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
 
 

@@ -34,7 +34,7 @@ from mic.model.overlap import frozen_gaps
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
 from mic.orders import variants as read_variants
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_stages
+from mic.process.plan import plan_assembly
 from mic.process.words import opening, sentences
 from mic.proposal import write_scene
 from mic.results.forecast import forecast
@@ -365,7 +365,7 @@ def check(
     say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
     try:
         assembly = assemble(asked, cache_folder(), progress=say)
-        plans = plan_stages(assembly.scene, assembly.weld_size)
+        plans = plan_assembly(assembly)
     except SceneError as error:
         parts = readable(asked, cache_folder())
         warnings, surfaces = suspect(asked, parts), {one.part.name: one.surface for one in parts}
@@ -706,7 +706,7 @@ def _model(console, source):
     scene = load_scene(source)
     say = lambda line: console.print(f"{plain(line)} …", highlight=False)
     assembly = assemble(scene, cache_folder(), progress=say)
-    plan_stages(assembly.scene, assembly.weld_size)
+    plan_assembly(assembly)
     coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
     return ReducedModel.build(assembly, coefficients)
 

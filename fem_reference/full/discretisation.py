@@ -12,24 +12,31 @@ from fem_reference.full.equilibrium import Equilibrium, Parts
 from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
-from mic.process.actions import Row
-from mic.process.plan import Limit, yielding
+from mic.model.resting import RestRows
+from mic.process.plan import Limit, Step, yielding
 
 __all__ = ["Discretisation", "System"]
 
 REDUNDANT = 1e-12  # squared distance of a normalised row from the span of the others
+SOFT = 1e7  # 1/k of the stiffest contact: how far springs yield that resting parts lie on
 CONTRADICTS = 1e-8  # of the largest value: by so much a redundant row may miss what the others prescribe
 
 
 @dataclass(frozen=True)
 class System:
-    """A step's equilibrium: its bilateral rows (b, N), the independent ones, and the rest as combinations of these."""
+    """A step's equilibrium: its bilateral rows (b, N), the independent ones, and the rest as combinations of these.
+
+    The last of its rows are the rest rows `place` that tell where resting parts are: these lie there on springs that
+    yield by `springs` (k,), mm/N; 0 for parts that are not there yet.
+    """
 
     rows: csr_matrix
     kept: np.ndarray
     combination: np.ndarray
     names: list[str]
     equilibrium: Equilibrium
+    place: np.ndarray
+    springs: np.ndarray
 
     def consistent(self, value: np.ndarray) -> np.ndarray:
         """Values of the independent rows, once those of the others follow from them.
@@ -57,6 +64,8 @@ class Discretisation:
     parts : sequence of mic.compliance.part.Part
         Those of the assembly, or the same on other meshes.
     comm : MPI.Comm
+    resting : iterable of int
+        Parts that rest by contact alone in some step.
 
     Attributes
     ----------
@@ -64,13 +73,15 @@ class Discretisation:
     readings : (F, N) csr_matrix
         The functionals of all parts over their freedoms.
     rows : dict of str to (r, N) csr_matrix
+        Those of the assembly, and of `rest`.
+    rest : RestRows
     rigid : Blocks
         Readings of the parts' rigid motions by the functionals; it holds no compliance.
     contact_stiffness : (m,) array
         k = E t of each contact's softer sheet, N/mm.
     """
 
-    def __init__(self, assembly, parts, comm):
+    def __init__(self, assembly, parts, comm, resting=()):
         self.assembly = assembly
         shells = [shell_part(part, comm) for part in parts]
         self.parts = Parts(shells, comm)
@@ -79,6 +90,8 @@ class Discretisation:
         self.rows = {kind: (rows @ self.readings).tocsr() for kind, rows in assembly.rows.items()}
         readings = tuple(np.asarray(reading @ shell.rigid_modes) for reading, shell in zip(L, shells))
         self.rigid = Blocks(tuple(np.zeros((len(G), 0)) for G in readings), readings)
+        self.rest = RestRows.of(assembly, self.rigid, resting)
+        self.rows["rest"] = (self.rest.rows @ self.readings).tocsr()
         d = assembly.contacts.dimension
         k = np.array([part.young * part.thickness for part in parts])
         contact = assembly.rows["contact"]
@@ -115,26 +128,34 @@ class Discretisation:
             )
         }
 
-    def system(self, held: tuple[Row, ...], stops: tuple[Limit, ...] = ()) -> System:
-        """The system with these bilateral rows and stops (`mic.process.plan.Step`), set up once.
+    def system(self, step: Step) -> System:
+        """The system with the bilateral rows, resting parts and stops of a step, set up once.
 
         Raises
         ------
         FreeMotion
             If its rows leave a part free to move.
         """
-        if (held, stops) not in self._systems:
+        held, stops = step.bilateral, step.stops
+        key = held, stops, step.parked
+        if key not in self._systems:
             functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in held], format="csr")
-            statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
-            B = vstack([self.rows[kind][i] for kind, i in held], format="csr")
+            if step.resting:
+                place = self.rest.completing(functional_rows, self.rigid)
+            else:
+                statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
+                place = np.zeros(0, dtype=int)
+            B = vstack([*(self.rows[kind][i] for kind, i in held), self.rows["rest"][place]], format="csr")
+            springs = np.where(np.isin(self.rest.part[place], step.parked), 0.0, SOFT / self.contact_stiffness.max())
             soft = yielding(self.assembly.scene, held)
-            kept, combination = _independent(B, np.zeros(len(held)) if soft is None else soft)
-            names = [self.assembly.labels[kind][i] for kind, i in held]
+            soft = np.concatenate([np.zeros(len(held)) if soft is None else soft, springs])
+            kept, combination = _independent(B, soft)
+            names = [self.assembly.labels[kind][i] for kind, i in held] + ["a part that rests"] * len(place)
             contacts = self._contact_rows(stops)
             dimension = self.assembly.contacts.dimension
-            equilibrium = Equilibrium(self.parts, B[kept], contacts, dimension, None if soft is None else soft[kept])
-            self._systems[held, stops] = System(B, kept, combination, names, equilibrium)
-        return self._systems[held, stops]
+            equilibrium = Equilibrium(self.parts, B[kept], contacts, dimension, soft[kept] if soft.any() else None)
+            self._systems[key] = System(B, kept, combination, names, equilibrium, place, springs)
+        return self._systems[key]
 
 
 def _independent(B, soft):

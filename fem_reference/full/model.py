@@ -14,19 +14,18 @@ from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
-from scipy.sparse import csr_matrix
+from scipy.sparse import block_diag, csr_matrix
 
 from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
-from mic.compliance.support import motion_size
 from mic.contact import laws
-from mic.model.shape import datum_locators
+from mic.model.shape import datum_rows
 from mic.model.sources import sources
 from mic.process.drive import drive
-from mic.process.plan import plan_stages
+from mic.process.plan import plan_assembly
 
 __all__ = ["LAWS", "ContactFailure", "FullEvaluation", "FullModel", "FullResolution", "Solve"]
 
@@ -110,7 +109,7 @@ class FullModel:
                 raise ValueError(f"{name} must be positive, not {value}")
         self.assembly, self.deviated, self.comm = assembly, deviated, comm
         self.penalty, self.path_tolerance = Penalty(float(penalty), augmented), float(path_tolerance)
-        self.plans = plan_stages(assembly.scene, assembly.weld_size)
+        self.plans = plan_assembly(assembly)
         followed = [plan.name for plan in self.plans if plan.resolves and plan.path == "followed"]
         if followed and not augmented and any(zone.frictional for zone in assembly.scene.zones):
             raise ValueError(
@@ -121,31 +120,30 @@ class FullModel:
     @cached_property
     def nominal(self) -> Discretisation:
         """The parts on their nominal meshes."""
-        return Discretisation(self.assembly, self.assembly.parts, self.comm)
+        return Discretisation(self.assembly, self.assembly.parts, self.comm, self._resting)
+
+    @property
+    def _resting(self) -> set[int]:
+        """Parts that rest by contact alone in some step."""
+        return {part for plan in self.plans for step in plan.steps for part in step.resting}
 
     @cached_property
     def unit_shapes(self) -> np.ndarray:
         """(N, p) freedoms of the shape that each unit deviation gives its part (zero for those that give none).
 
-        Every part is held on its datum locators while the source's force acts.
+        Every part is held on its datum rows (:mod:`mic.model.shape`) while the source's force acts.
         """
         assembly, mesh = self.assembly, self.nominal
         loads = [source.load(assembly.labels, assembly.rows) for source in sources(assembly.scene)]
         shape = np.zeros((mesh.parts.offsets[-1], len(loads)))
         if all(load is None for load in loads):
             return shape
-        rigid = mesh.rigid.rigid(assembly.rows["locator"])
-        support = np.concatenate(
-            [
-                datum_locators(assembly, part.name, rigid[:, motions], motion_size((G,)))
-                for part, motions, G in zip(assembly.parts, mesh.rigid.motions, mesh.rigid.G)
-            ]
-        )
-        held = Equilibrium(mesh.parts, mesh.rows["locator"][support], csr_matrix((0, len(shape))), 1)
+        support = block_diag([datum_rows(assembly, p, G) for p, G in enumerate(mesh.rigid.G)], format="csr")
+        held = Equilibrium(mesh.parts, (support @ mesh.readings).tocsr(), csr_matrix((0, len(shape))), 1)
         for j, load in enumerate(loads):
             if load is not None:
                 nodal = (load @ mesh.readings).toarray().ravel()
-                shape[:, j] = held.linear(nodal, np.zeros(len(support)), np.zeros((0, 1))).u
+                shape[:, j] = held.linear(nodal, np.zeros(support.shape[0]), np.zeros((0, 1))).u
         return shape
 
     def shape_fields(self, deviations) -> dict[str, np.ndarray]:
@@ -198,5 +196,5 @@ class FullModel:
         if self.deviated:
             parts = deviated_parts(assembly, mesh.vertex_fields(u))
             shape |= {kind: opening(assembly, kind, parts)[None] for kind in ("contact", "weld")}
-            mesh = Discretisation(assembly, parts, self.comm)
+            mesh = Discretisation(assembly, parts, self.comm, self._resting)
         return mesh, drive(assembly, deviations[None], shape)

@@ -8,6 +8,8 @@ With s from 0 to 1 over a step of the stage:
   ``−(g⁰ + δ_n)`` that there would be without contact forces but those that act already closes from touching;
 - a row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
   stop, one more contact without friction; where the part lies beyond the position, the stop brings it back from there;
+- parts that rest by contact alone lie on soft springs, which follow them in every solve until they carry nothing
+  (method of multipliers); at no point of the path do they carry anything;
 - slip is measured from where the contact stood before, increment by increment, or followed
   (:mod:`fem_reference.full.path`).
 
@@ -41,6 +43,7 @@ AUGMENTED = 1e-10  # change of the contact forces in the last augmentation, of t
 ROUNDING = 1e-8  # of the largest force: a change below this that no longer shrinks is rounding
 FAR = 1e3  # mm: gap of contacts that take no part any more, since a weld has fused the sheets there
 SLOW = 0.1  # an augmentation that leaves more than this share of the change before raises ε tenfold
+STILL = 1e-5  # mm: springs that part by less from where nothing presses a part are left as they are
 STIFFEST = 1e9  # ε/k at most
 
 
@@ -239,13 +242,15 @@ class FullStage:
         """From the values and loads that are to those of the step's end."""
         mesh = self.mesh
         try:
-            system = mesh.system(step.bilateral, step.stops)
+            system = mesh.system(step)
             target = [state.frozen[i] if kind == "weld" else drive.target[kind][0, i] for kind, i in step.bilateral]
             soft = yielding(mesh.assembly.scene, step.bilateral)
             carried = np.array([state.reaction.get(row, 0.0) for row in step.bilateral])
-            v0 = system.rows @ state.solution.u + (0.0 if soft is None else soft * carried)
+            v0 = system.rows @ state.solution.u
+            place = drive.target["rest"][0, system.place] if step.sets_down else v0[len(target) :].copy()
+            v0[: len(target)] += 0.0 if soft is None else soft * carried
             v0 = system.consistent(v0)
-            v1 = system.consistent(np.array(target))
+            v1 = system.consistent(np.concatenate([target, place]))
         except (ValueError, FreeMotion) as error:
             raise ContactFailure(f"stage {self.plan.name!r}: {error}") from error
         p0, p1 = self._loads(step, state, drive)
@@ -299,7 +304,9 @@ class FullStage:
 
     def _resolve(self, way, state) -> tuple[FullState, Point, FullTrace]:
         """Along the way; without friction nothing but its end counts, and slip under load has no meaning."""
-        reaction = np.array([state.reaction.get(row, 0.0) for row in way.step.bilateral])[way.system.kept]
+        reaction = np.zeros(way.system.rows.shape[0])
+        reaction[: len(way.step.bilateral)] = [state.reaction.get(row, 0.0) for row in way.step.bilateral]
+        reaction = reaction[way.system.kept]
         stops, m = way.step.stops, len(self.friction)
         force = np.zeros((len(stops), state.left.shape[1]))
         force[:, 0] = [state.stop.get(limit.row, 0.0) for limit in stops]
@@ -326,7 +333,7 @@ class FullStage:
         return self._after(way, state, solution, self.mesh.contact(solution.u), end.position), end, trace
 
     def _after(self, way, state, solution, left, anchor):
-        r = np.zeros(len(way.step.bilateral))
+        r = np.zeros(way.system.rows.shape[0])  # of resting parts none, behind those of the bilateral rows
         r[way.system.kept] = solution.reaction
         return replace(state, solution=solution, left=left, anchor=anchor, reaction=dict(zip(way.step.bilateral, r)))
 
@@ -370,29 +377,42 @@ class _Way:
         origin = np.column_stack([np.zeros(len(k)), anchor])
         layer = np.concatenate([mesh.assembly.contacts.layer, np.zeros(len(stops))])
         law = ContactLaw(friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
-        law, solution = self._penalised(self.system.equilibrium.unpack(point.held), point.share, share, law)
-        if penalty.augmented:
-            law, solution = self._augment(solution, share, law)
+        solution = self.system.equilibrium.unpack(point.held)
+        place = self._place(solution)
+        law, solution = self._penalised(solution, point.share, share, law, place)
+        if penalty.augmented or len(place):
+            law, solution = self._augment(solution, share, law, place)
         δ = mesh.contact(solution.u, stops)
         position = friction.slider(δ, solution.force)
         gap = law.displacement(δ)[:, 0] + layer * solution.force[:, 0]
         return Point(share, position, gap, solution.force, law.state(δ), solution.stacked)
 
-    def _newton(self, solution, share, law, augmentation):
+    def _place(self, solution: State) -> np.ndarray:
+        """(k,) where the parts are that lie on springs."""
+        return (self.system.rows @ solution.u)[self._springs]
+
+    @property
+    def _springs(self) -> np.ndarray:
+        """(k,) numbers of the rows that are springs of resting parts."""
+        rest = self.system
+        return rest.rows.shape[0] - len(rest.place) + np.flatnonzero(rest.springs)
+
+    def _newton(self, solution, share, law, place, augmentation):
         p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
+        v[np.searchsorted(self.system.kept, self._springs)] = place
         law = replace(law, gap=gap)
         solution, iterations = self.system.equilibrium.newton(solution, p, v, law)
         penalty = float(law.penalty[0] / law.stiffness[0])
         self.solves.append(Solve(self.stage.plan.name, self.number, share, augmentation, penalty, tuple(iterations)))
         return law, solution
 
-    def _penalised(self, solution, done, share, law):
-        """On by the penalty method, cut where Newton's method fails."""
+    def _penalised(self, solution, done, share, law, place):
+        """On by the penalty method, cut where Newton's method fails; resting parts on springs about `place`."""
         whole = length = share - done
         while True:
             target = share if done + 1.5 * length > share else done + length
             try:
-                found, solution = self._newton(solution, target, law, 0)
+                found, solution = self._newton(solution, target, law, place, 0)
             except NoConvergence as problem:
                 length /= 2
                 if length < SMALLEST_CUT * whole or whole == 0:
@@ -402,22 +422,38 @@ class _Way:
                 return found, solution
             done = target
 
-    def _augment(self, solution, share, law):
-        """f̂ ← f until the forces no longer change."""
-        change, stiffness = np.inf, law.stiffness
+    def _augment(self, solution, share, law, place):
+        """f̂ ← f until the forces no longer change, and springs of resting parts moved to where these are, until they
+        carry nothing: or, of parts that nothing presses, until that is no way any more."""
+        change, stiffness, augmented = np.inf, law.stiffness, self.stage.penalty.augmented
+        springs, softness = (
+            np.searchsorted(self.system.kept, self._springs),
+            self.system.springs[self.system.springs > 0],
+        )
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
-            augmented = law.augmented(solution.force)
-            change = float(np.abs(augmented.estimate - law.estimate).max())
+            stronger = law.augmented(solution.force) if augmented else law
+            change = float(np.abs(stronger.estimate - law.estimate).max())
             largest = max(np.abs(solution.force).max(), np.abs(solution.reaction).max())
-            if change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before:
+            carried = np.abs(solution.reaction[springs])
+            moves = (carried > AUGMENTED * largest) & (softness * carried > STILL)
+            settled = change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before
+            if settled and not moves.any():
                 return law, solution
-            stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0]
-            law = replace(augmented, penalty=(10 if stiffer else 1) * law.penalty)
+            stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0] and not moves.any()
+            law = replace(stronger, penalty=(10 if stiffer else 1) * law.penalty)
+            if moves.any():
+                place = self._place(solution)
             try:
-                law, solution = self._newton(solution, share, law, augmentation)
+                law, solution = self._newton(solution, share, law, place, augmentation)
             except NoConvergence as problem:
                 raise self._failure(share, problem, "lower the penalty, or do without augmentation") from problem
+        if moves.any():
+            raise self._failure(
+                share,
+                f"a part that rests by contact alone is pushed by {carried.max():.2g} N and not held",
+                "give it locators there, or friction",
+            )
         raise self._failure(
             share,
             f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",

@@ -129,6 +129,10 @@ class PathSolution:
     status: np.ndarray
     rung: np.ndarray
 
+    def put(self, own: np.ndarray, some: PathSolution) -> PathSolution:
+        """These paths, those of the samples `own` replaced."""
+        return _put(self, own, some)
+
     @classmethod
     def join(cls, pieces: Sequence[PathSolution]) -> PathSolution:
         """Paths in a row: where the last one ended, and what all of them were.
@@ -235,7 +239,7 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     if not lost.size:
         return found
     count = path.count if isinstance(path, Increments) else RESCUE
-    return _put(found, lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], count))
+    return found.put(lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], count))
 
 
 def _put(all_samples, own, some):

@@ -36,12 +36,12 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
-from mic.compliance.support import motion_size
+from mic.compliance.support import completing, motion_size
 from mic.errors import SceneError
 from mic.geometry.load import finer_surface
 from mic.geometry.refinement import halved
 from mic.geometry.surface import Patch, Surface
-from mic.model.shape import datum_locators
+from mic.model.shape import datum_rows
 from mic.store import Format, fingerprint
 
 if TYPE_CHECKING:
@@ -259,13 +259,14 @@ class _Question:
             pushing = rows["measurement"][touches["measurement"]]
         if not pushing.shape[0]:
             pushing = rows["locator"][touches["locator"]]
-        G = _rigid(part)
-        datum = datum_locators(assembly, part.name, rows["locator"] @ G, motion_size((G,)))
+        G, locators = _rigid(part), rows["locator"][touches["locator"]]
+        datum = datum_rows(assembly, p, G)
+        rests = completing(locators @ G, datum @ G, motion_size((G,)))  # what its locators leave free
         tables = {
             "pushing": pushing,
             "reading": rows["measurement"][touches["measurement"]],
-            "datum": rows["locator"][datum],
-            "locators": rows["locator"][touches["locator"]],
+            "datum": datum,
+            "locators": vstack([locators, datum[rests]], format="csr") if len(rests) else locators,
         }
         used = np.unique(np.concatenate([table.indices for table in tables.values()]))
         labels = [assembly.labels["measurement"][i] for i in touches["measurement"]]

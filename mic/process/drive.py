@@ -29,7 +29,7 @@ class Drive:
     Attributes
     ----------
     target : dict of str to (n, r) array
-        Positions that ``"locator"`` and ``"clamp"`` rows prescribe, mm.
+        Positions that ``"locator"`` and ``"clamp"`` rows prescribe, mm, and where ``"rest"`` rows read parts as drawn.
     push : (n, c) array
         Forces of the clamp rows, N.
     gap : (n, m) array
@@ -61,10 +61,11 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray]) -> 
     assembly : mic.model.assembly.Assembly or mic.model.reduction.Reduction
     deviations : (n, p) array
     shape : mapping of str to (n, r) array
-        What the rows of each kind read of the parts' stress-free shapes, mm.
+        What the rows of each kind, and rest rows (:class:`mic.model.resting.RestRows`), read of the parts' stress-free
+        shapes, mm.
     """
     scene, labels = assembly.scene, assembly.labels
-    target = {kind: -shape[kind] for kind in ("locator", "clamp")}
+    target = {kind: -shape[kind] for kind in ("locator", "clamp", "rest") if kind in shape}
     target["clamp"] = target["clamp"] + np.array([clamp.stroke or 0.0 for clamp in scene.clamps])
     push = np.tile(np.array([clamp.force or 0.0 for clamp in scene.clamps]), (len(deviations), 1))
     for amplitude, source in zip(deviations.T, sources(scene)):

@@ -2,22 +2,43 @@
 
 A locator, or a clamp that holds a position, at x along d reads ``d · (q + φ × (x - c))`` of a part's rigid motion
 (q, φ) about c; a weld reads both parts' motions at its point, second minus first, translations first and rotations
-where it carries moment. Contacts hold nothing: they may open.
+where it carries moment. A part that these leave free *rests*: contact alone can hold it, where a zone joins it to what
+does not move along.
+
+Whether contact can, the pairs tell before anything is factorised. With N the motions that the rows leave free,
+
+- no motion of N may be one that no pair reads, along its normal or, with friction, its tangents;
+- forces of the pairs within their friction, and of the rows, balance the clamps' forces;
+- some of them press on each part that rests, at the end of a stage.
+
+The cones of friction are widened to pyramids there, so that nothing is refused that may hold.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
-from mic.compliance.support import statically_determinate
+import numpy as np
+from scipy.optimize import linprog
+from scipy.sparse import csr_matrix, hstack, identity, vstack
+
+from mic.compliance.support import completing
+from mic.contact.laws import LAWS
 from mic.errors import FreeMotion, SceneError
 from mic.process.actions import Joints
 
-__all__ = ["check_held", "free"]
+__all__ = ["check_resting", "free", "rested", "towards"]
+
+SHARE = 1e-6  # of a motion: a part that moves less than this with it stays
+PRESSED = 1e-6  # of the largest force: contacts that may press with no more than this press on nothing
+INFEASIBLE = 2  # how SciPy calls it
+ROUGH = 10.0  # larger than any coefficient that depends on pressure
+AXIS = 1e-3  # of a direction: what lies across an axis by less than this lies along it
 
 
-def check_held(scene, joints: Joints, plan) -> None:
-    """Every step of a stage holds all rigid motions of all parts.
+def rested(scene, joints: Joints, plan):
+    """A stage's plan, with the parts that rest by contact alone in each of its steps.
 
     Parameters
     ----------
@@ -25,35 +46,33 @@ def check_held(scene, joints: Joints, plan) -> None:
     joints : Joints
     plan : mic.process.plan.StagePlan
 
+    Returns
+    -------
+    mic.process.plan.StagePlan
+
     Raises
     ------
     SceneError
-        Naming the stage, what opens in it, the part and the remedy.
+        If neither rows nor zones hold a part: naming the stage, what opens in it, the part and the remedy.
     """
-    centres, scale = _centres(scene)
-    bodies = {part.name: 6 * i for i, part in enumerate(scene.parts)}
-    size = np.tile([1.0, 1.0, 1.0, scale, scale, scale], len(bodies))
-    for step, before in zip(plan.steps, (None, *plan.steps)):
-        held = step.bilateral
-        if before is not None and held == before.bilateral:
-            continue
-        reading = np.zeros((len(held), 6 * len(bodies)))
-        for line, (kind, row) in zip(reading, held):
-            if kind == "weld":
-                number = int(np.searchsorted(joints.first, row, side="right")) - 1
-                weld, axis = scene.welds[number], row - int(joints.first[number])
-                for name, sign in zip(weld.parts, (-1.0, 1.0)):
-                    own = slice(bodies[name], bodies[name] + 6)
-                    line[own] = sign * _reading(axis, np.subtract(weld.point, centres[name]))
-            else:
-                item = getattr(scene, f"{kind}s")[row]
-                arm = np.subtract(item.point, centres[item.part])
-                line[bodies[item.part] : bodies[item.part] + 6] = [*item.direction, *np.cross(arm, item.direction)]
+    bodies = _Bodies(scene)
+    steps = []
+    for step in plan.steps:
+        held = bodies.held(joints, step.bilateral)
         try:
-            statically_determinate(reading, size)
+            completing(held, np.zeros((0, held.shape[1])), bodies.size)
+            resting: tuple[int, ...] = ()
         except FreeMotion as error:
-            share = np.linalg.norm(error.motions.reshape(len(bodies), -1), axis=1)
-            raise free(scene, plan, step, error, int(np.argmax(share))) from error
+            resting = bodies.moved(error.motions)
+            zones = [zone for i, zone in enumerate(scene.zones) if step.sets_down or i not in step.away]
+            try:
+                completing(held, bodies.joined(zones), bodies.size)
+            except FreeMotion as lost:
+                there = [p for p in bodies.moved(lost.motions) if p not in step.parked]
+                if there:
+                    raise free(scene, plan, step, lost, bodies.most(lost.motions)) from lost
+        steps.append(replace(step, resting=resting, parked=tuple(p for p in step.parked if p in resting)))
+    return replace(plan, steps=tuple(steps))
 
 
 def free(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
@@ -62,19 +81,216 @@ def free(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
     once = f" once {', '.join(opened[:4])}{' …' * (len(opened) > 4)} opened" if opened else ""
     return SceneError(
         f"stages ({plan.name}): {error}{once}, mostly of part {scene.parts[part].name!r}; keep more locators in this "
-        "stage, or join the part by welds with moment"
+        "stage, join the part by welds with moment, or give it a zone on which it rests"
     )
 
 
-def _reading(axis: int, arm: np.ndarray) -> np.ndarray:
-    """What a weld's row reads of a body's motion: a translation at the weld, or a rotation."""
-    unit = np.eye(3)[axis % 3]
-    return np.array([*unit, *np.cross(arm, unit)] if axis < 3 else [0.0, 0.0, 0.0, *unit])
+def check_resting(assembly, plans: Sequence, laws: Iterable[str]) -> None:
+    """Contact can hold the parts that rest, under each of the laws.
+
+    Parameters
+    ----------
+    assembly : mic.model.assembly.Assembly or mic.model.reduction.Reduction
+    plans : sequence of mic.process.plan.StagePlan
+    laws : iterable of str
+
+    Raises
+    ------
+    SceneError
+        Naming the stage, the part, the direction and the remedy.
+    """
+    if not any(step.resting for plan in plans for step in plan.steps):
+        return
+    bodies, joints = _Bodies(assembly.scene), Joints(tuple(assembly.weld_size))
+    for law in laws:
+        for plan in plans:
+            resolved = [step for step in plan.steps if step.resolves]
+            for step in resolved:
+                parts = [p for p in step.resting if p not in step.parked]
+                if parts:
+                    last = step is resolved[-1] and plan.kind != "locate"
+                    _check_step(assembly, bodies, joints, plan, step, parts, LAWS[law], last)
 
 
-def _centres(scene) -> tuple[dict[str, np.ndarray], float]:
-    """A point of reference for each part, and the size of the assembly, mm."""
-    points = np.array([locator.point for locator in scene.locators], dtype=float)
-    own = np.array([locator.part for locator in scene.locators])
-    centres = {part.name: points[own == part.name].mean(axis=0) for part in scene.parts}
-    return centres, max(1.0, float(np.ptp(points, axis=0).max()) / 2)
+def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
+    scene, contacts = assembly.scene, assembly.contacts
+    normal, tangents, mu = bodies.contacts(contacts, plan.name, law)
+    there = ~contacts.out(step.nuggets, step.away)
+    normal, tangents, mu = normal[there], tangents[there], mu[there]
+    held = bodies.held(joints, step.bilateral)
+    without = f" without friction (law {law.name})" if not law.frictional else ""
+    remedy = "give it locators, or a weld, there"
+    if contacts.frictional:
+        remedy += "" if law.frictional else f', or take "{law.name}" out of report.laws'
+    else:
+        remedy += ", or its zone friction"
+    if last:
+        rough = tangents[mu > 0].reshape(-1, held.shape[1])
+        try:
+            completing(held, np.concatenate([normal, rough]), bodies.size)
+        except FreeMotion as error:
+            p = bodies.most(error.motions)
+            raise SceneError(
+                f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
+                f"holds it {bodies.named(p, error.motions)}; {remedy}"
+            ) from error
+    names = ", ".join(repr(scene.parts[p].name) for p in parts)
+    least, most, pushing = _loads(scene, bodies, joints, step)
+    pairs = csr_matrix(normal), csr_matrix(tangents[:, 0]), csr_matrix(tangents[:, 1])
+    found = _balanced(held, pairs, mu, least, most, pushing, bodies.size, np.zeros(len(normal)))
+    if found is None:
+        raise SceneError(
+            f"stages ({plan.name}): contact alone holds {names}{without}, and no forces of it balance the clamps; "
+            f"press where the part lies on something, or {remedy}"
+        )
+    for p in parts if last else ():
+        touching = np.abs(normal[:, 6 * p : 6 * p + 6]).max(axis=1, initial=0.0) > 0
+        if not _balanced(held, pairs, mu, least, most, pushing, bodies.size, touching.astype(float)):
+            raise SceneError(
+                f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
+                "presses it there: it lies loose; close a clamp that presses it on, or give it six locators"
+            )
+
+
+def _loads(scene, bodies, joints: Joints, step):
+    """Between which forces (l,) and along what (l, 6P) clamps and guns push: a clamp with its force, a limited one with
+    that at most; a gun is not told from the weld that it presses."""
+    varied = {name for one in scene.deviations if one.kind == "clamp" for name in np.atleast_1d(one.target)}
+    rows, least, most = [], [], []
+    for i in step.loads:
+        clamp = scene.clamps[i]
+        any_force = clamp.name in varied and not clamp.force  # a nominal force of zero, of either sign in a sample
+        rows.append(("clamp", i))
+        least.append(-np.inf if any_force else clamp.force)
+        most.append(np.inf if any_force else clamp.force)
+    for limit in step.stops:
+        kind, row = limit.row
+        gun = kind == "weld"
+        rows += [(kind, row + axis) for axis in range(3 if gun else 1)]
+        least += [-np.inf] * 3 if gun else [min(0.0, limit.load)]
+        most += [np.inf] * 3 if gun else [max(0.0, limit.load)]
+    return np.array(least), np.array(most), bodies.held(joints, rows)
+
+
+def _balanced(held, pairs, mu, least, most, pushing, size, wanted) -> bool | None:
+    """Whether forces in balance may press on `wanted` (m,) contacts; None where no forces balance the loads at all.
+
+    Unknowns are the forces of the contacts, normals first, then both tangents, those of the rows held, and the loads.
+    """
+    m, b = len(mu), len(held)
+    bounded = np.concatenate([least, most])
+    scale = np.abs(bounded[np.isfinite(bounded)]).max(initial=0.0) or 1.0
+    balance = hstack([*(rows.T for rows in pairs), csr_matrix(held.T), csr_matrix(pushing.T)], format="csr")
+    balance = csr_matrix(1 / np.where(np.arange(len(size)) % 6 < 3, 1.0, size))[[0]].T.multiply(balance).tocsr()
+    rest, cone, one = csr_matrix((m, b + len(least))), csr_matrix(np.diag(mu)), identity(m, format="csr")
+    none = csr_matrix((m, m))
+    within = vstack(
+        [
+            hstack([-cone, sign * first, sign * second, rest])
+            for first, second in ((one, none), (none, one))
+            for sign in (1.0, -1.0)
+        ],
+        format="csr",
+    )
+    limits = [(0.0, 1e3)] * m + [(None, None)] * (2 * m + b)
+    limits += [(low / scale, high / scale) for low, high in zip(least, most)]
+    aim = np.concatenate([-wanted, np.zeros(2 * m + b + len(least))])
+    solved = linprog(
+        aim, within, np.zeros(within.shape[0]), balance, np.zeros(balance.shape[0]), limits, method="highs"
+    )
+    if solved.status == INFEASIBLE:
+        return None
+    return solved.x is None or bool(wanted @ solved.x[:m] > PRESSED)
+
+
+def towards(direction: np.ndarray) -> str:
+    """A direction in words: along an axis, or a vector."""
+    unit = direction / np.linalg.norm(direction)
+    for axis, name in zip(np.eye(3), "xyz"):
+        if np.linalg.norm(np.cross(unit, axis)) < AXIS:
+            return f"along {name}"
+    return f"along [{', '.join(f'{one:.2g}' for one in unit)}]"
+
+
+class _Bodies:
+    """The rigid motions of a scene's parts, six each: three translations, three rotations about a point of its own."""
+
+    def __init__(self, scene):
+        points = [item.point for table in (scene.locators, scene.clamps, scene.welds) for item in table]
+        points = np.array(points, dtype=float).reshape(-1, 3)
+        self.scene = scene
+        self.number = {part.name: i for i, part in enumerate(scene.parts)}
+        self.centre = points.mean(axis=0) if len(points) else np.zeros(3)
+        arm = max(1.0, float(np.ptp(points, axis=0).max()) / 2) if len(points) else 1.0
+        self.size = np.tile([1.0, 1.0, 1.0, arm, arm, arm], len(self.number))
+
+    def held(self, joints: Joints, rows) -> np.ndarray:
+        """(b, 6P) what rows read."""
+        reading = np.zeros((len(rows), len(self.size)))
+        for line, (kind, row) in zip(reading, rows):
+            if kind == "weld":
+                number = int(np.searchsorted(joints.first, row, side="right")) - 1
+                weld, axis = self.scene.welds[number], row - int(joints.first[number])
+                for name, sign in zip(weld.parts, (-1.0, 1.0)):
+                    line[self._own(name)] = sign * self._turned(axis, weld.point)
+            else:
+                item = getattr(self.scene, f"{kind}s")[row]
+                line[self._own(item.part)] = self._along(item.point, item.direction)
+        return reading
+
+    def joined(self, zones) -> np.ndarray:
+        """(6 z, 6P) all that bodies may move against each other that zones join; a fixture stays."""
+        lines = []
+        for zone in zones:
+            lines.append(np.zeros((6, len(self.size))))
+            for name, sign in zip(zone.parts, (-1.0, 1.0)):
+                if name in self.number:
+                    lines[-1][:, self._own(name)] = sign * np.eye(6)
+        return np.concatenate([np.zeros((0, len(self.size))), *lines])
+
+    def contacts(self, contacts, stage: str, law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(m, 6P) and (m, 2, 6P) what pairs read along their normals and tangents, and their friction (m,)."""
+        m = len(contacts)
+        reading = np.zeros((m, 3, len(self.size)))
+        for k, zone in enumerate(contacts.zone):
+            for name, sign in zip(self.scene.zones[zone].parts, (-1.0, 1.0)):
+                if name in self.number:
+                    for axis in range(3):
+                        along = self._along(contacts.point[k], contacts.frame[k, :, axis])
+                        reading[k, axis, self._own(name)] = sign * along
+        mu = np.zeros(m)
+        if law.frictional:
+            friction = contacts.friction_in(stage)
+            mu = friction.coefficient.copy()
+            if friction.pressure is not None:
+                mu[[self.scene.zones[zone].pressure_pieces() is not None for zone in contacts.zone]] = ROUGH
+        return reading[:, 0], reading[:, 1:], mu
+
+    def moved(self, motions: np.ndarray) -> tuple[int, ...]:
+        """Parts that take part in motions (6P, k)."""
+        share = np.linalg.norm((motions * self.size[:, None]).reshape(len(self.number), -1), axis=1)
+        return tuple(int(p) for p in np.flatnonzero(share > SHARE * share.max()))
+
+    def most(self, motions: np.ndarray) -> int:
+        """The part that moves most."""
+        return int(np.argmax(np.linalg.norm(motions.reshape(len(self.number), -1), axis=1)))
+
+    def named(self, part: int, motions: np.ndarray) -> str:
+        """What is free of a part, in words: the axes along and about which it is, or the direction of one motion."""
+        own = motions[6 * part : 6 * part + 6] * self.size[6 * part : 6 * part + 6, None]
+        basis = np.linalg.svd(own, full_matrices=False)
+        span = basis[0][:, basis[1] > SHARE * basis[1].max()]
+        names = [f"{way} {axis}" for way in ("along", "about") for axis in "xyz"]
+        whole = [name for name, share in zip(names, (span**2).sum(axis=1)) if share > 1 - SHARE]
+        return ", ".join(whole) or (towards(span[:3, 0]) if np.linalg.norm(span[:3, 0]) > SHARE else "against turning")
+
+    def _own(self, name: str) -> slice:
+        return slice(6 * self.number[name], 6 * self.number[name] + 6)
+
+    def _along(self, point, direction) -> np.ndarray:
+        return np.array([*direction, *np.cross(np.subtract(point, self.centre), direction)])
+
+    def _turned(self, axis: int, point) -> np.ndarray:
+        """What a weld's row reads of a body's motion: a translation at the weld, or a rotation."""
+        unit = np.eye(3)[axis % 3]
+        return self._along(point, unit) if axis < 3 else np.array([0.0, 0.0, 0.0, *unit])

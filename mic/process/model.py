@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mic.model.reduction import Reduction
+from mic.model.resting import RestRows
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
 from mic.process.plan import Step, plan_stages
@@ -29,6 +30,12 @@ class ReducedModel(Reduction):
     def joints(self) -> Joints:
         """Which rows the welds have."""
         return Joints(tuple(self.weld_size))
+
+    @cached_property
+    def rest(self) -> RestRows:
+        """Where the parts are that rest by contact alone in some step."""
+        steps = [step for plan in plan_stages(self.scene, self.weld_size) for step in plan.steps]
+        return RestRows.of(self, self.compliance, {part for step in steps for part in step.resting})
 
     @cached_property
     @one_thread

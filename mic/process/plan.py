@@ -26,10 +26,10 @@ from mic.process.actions import (
     moves_of,
     together,
 )
-from mic.process.freedom import check_held
+from mic.process.freedom import check_resting, rested
 from mic.scene.stages import set_down_in
 
-__all__ = ["Limit", "StagePlan", "Step", "plan_stages", "yielding"]
+__all__ = ["Limit", "StagePlan", "Step", "plan_assembly", "plan_stages", "yielding"]
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,10 @@ class Step:
         Whether overlaps close meanwhile, from touching to what they are at its end; of its own, nothing else moves.
     resolves : bool
         Whether contact is resolved.
+    resting : tuple of int
+        Parts, by their numbers, that these rows leave a motion: they rest by contact alone.
+    parked : tuple of int
+        Those of them that are not there yet: they stay where they are drawn.
     """
 
     move: Move
@@ -112,6 +116,8 @@ class Step:
     sets_down: bool = False
     settles: bool = False
     resolves: bool = False
+    resting: tuple[int, ...] = ()
+    parked: tuple[int, ...] = ()
 
     @property
     def stops(self) -> tuple[Limit, ...]:
@@ -224,7 +230,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     Raises
     ------
     SceneError
-        If a step leaves a part free to move (`mic.process.freedom`).
+        If a step leaves a part free to move, and no zone joins it to what stays (`mic.process.freedom`).
     """
     rows = _Rows(scene, Joints(tuple(weld_size)), limited)
     plans: list[StagePlan] = []
@@ -245,7 +251,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             if any(isinstance(action, Transfer) for action in move):  # on its way the assembly touches no fixture
                 standing = set()
                 away = _away(scene, _parts_of(scene, fixture))
-            step = replace(_step(move, rows, fixture, after), away=away)
+            step = replace(_step(move, rows, fixture, after), away=away, parked=_parked(scene, after))
             if due and stage.kind == "clamp" and not any(moves):
                 due, step = False, replace(step, move=(Settle(),), settles=True, resolves=True)
             elif due and step.resolves:
@@ -258,6 +264,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                             limits=rows.limits(fixture),
                             welds=fixture.welds,
                             away=away,
+                            parked=_parked(scene, fixture),
                             settles=True,
                             resolves=True,
                         )
@@ -273,8 +280,25 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                 due = due or not plans or not set(before) <= set(away)
             fixture = after
         reads = any(isinstance(action, Read) for move in moves for action in move)
-        plans.append(StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads))
-        check_held(scene, rows.joints, plans[-1])
+        plan = StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads)
+        plans.append(rested(scene, rows.joints, plan))
+    return plans
+
+
+def plan_assembly(assembly) -> list[StagePlan]:
+    """The stages of a scene that is put on its meshes, once contact is seen to hold what rests by it.
+
+    Parameters
+    ----------
+    assembly : mic.model.assembly.Assembly or mic.model.reduction.Reduction
+
+    Raises
+    ------
+    SceneError
+        If a step leaves a part free, or no contacts can hold what it leaves them, under a law that the report names.
+    """
+    plans = plan_stages(assembly.scene, assembly.weld_size)
+    check_resting(assembly, plans, assembly.scene.report.laws)
     return plans
 
 
@@ -291,6 +315,12 @@ def _parts_of(scene, fixture: Fixture) -> set[str]:
     """Names of the parts that are there."""
     waiting = {scene.locators[i].part for i in fixture.waiting}
     return {part.name for part in scene.parts} - waiting
+
+
+def _parked(scene, fixture: Fixture) -> tuple[int, ...]:
+    """Numbers of the parts that are not there yet."""
+    there = _parts_of(scene, fixture)
+    return tuple(i for i, part in enumerate(scene.parts) if part.name not in there)
 
 
 def _standing(scene, stage) -> set[str]:

@@ -13,6 +13,7 @@ from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
+from mic.process.freedom import check_resting
 from mic.process.plan import Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
@@ -95,7 +96,7 @@ class Process:
     Raises
     ------
     SceneError
-        If a stage leaves a part free to move.
+        If a stage leaves a part free to move, or to contact that cannot hold it under the law.
     """
 
     @one_thread
@@ -124,6 +125,7 @@ class Process:
             "dimension": contacts.dimension,
         }
         self._plans = plan_stages(model.scene, model.weld_size, limited)
+        check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
         self._starts = model.likely if starts is None else starts
@@ -143,11 +145,11 @@ class Process:
         contacts, step = self.model.contacts, eliminated.step
         friction = contacts.friction_in(stage)
         own = (stage, step) if contacts.watched.any() else None
-        key = step.bilateral, step.stops, step.away, friction.coefficient.tobytes(), own
+        key = step.bilateral, step.parked, step.stops, step.away, friction.coefficient.tobytes(), own
         if key not in self._solvers:
             start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
             self._solvers[key] = contact_solver(
-                contacts, eliminated.response.S, friction, step, start, **self._settings
+                contacts, eliminated.compliance, friction, step, start, **self._settings
             )
         return self._solvers[key]
 
@@ -201,7 +203,7 @@ class Process:
         asked = drive(
             model, deviations, {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
         )
-        rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS}
+        rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
         state = ProcessState.start(len(deviations), len(model.contacts), model.contacts.dimension, rows)
         resolutions, read = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
@@ -268,7 +270,7 @@ class Process:
                 iterations=np.zeros(n, int),
                 status=np.full(n, reason, dtype=object),
                 rung=np.full(n, "none", dtype=object),
-                reaction=nan(stage.bilateral.shape[0]),
+                reaction=nan(len(stage.plan.bilateral)),
                 unseen=nan(),
                 unseen_at=np.full(n, -1),
                 pushed=nan(len(stage.plan.judged)),
@@ -291,7 +293,8 @@ class Process:
     @cached_property
     def _unit_shapes(self) -> dict[str, np.ndarray]:
         """By kind, what the rows read of the shape that each unit deviation gives, (r, p)."""
-        return {kind: rows @ self.model.shape for kind, rows in self.model.rows.items()}
+        rows = {**self.model.rows, "rest": self.model.rest.rows}
+        return {kind: own @ self.model.shape for kind, own in rows.items()}
 
     @cached_property
     def _unit_motions(self) -> np.ndarray:
@@ -301,7 +304,8 @@ class Process:
 
     @cached_property
     def _last_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers of the last stage's bilateral rows A that are not redundant, ``A H``, and the inverse of ``A G``."""
+        """Numbers of the rows A that the last stage holds, or knows of resting parts, and that are not redundant,
+        ``A H``, and the inverse of ``A G``."""
         last, compliance = self.stages[-1], self.model.compliance
         own = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
         A = last.bilateral[own]
@@ -321,12 +325,13 @@ class Process:
             push[:, i] = force
         for limit in last.plan.steps[-1].stops:
             push[:, limit.row[1]] = limit.force - state.stop[limit.row]
-        force = reaction @ last.bilateral + push @ model.rows["clamp"]
+        force = reaction @ last.bilateral[: reaction.shape[1]] + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
         own, AH, inverse = self._last_rows
         soft = yielding(model.scene, last.plan.bilateral)
         if soft is not None:
             value -= soft * reaction  # what the rows read
+        value = np.column_stack([value, state.reading["rest"][:, last.steps[-1].rest.row]])
         motion = product(value[:, own] - product(force, AH.T), inverse.T)
         return (
             force + product(deviations, model.shape_forces.T),

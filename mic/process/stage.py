@@ -10,6 +10,9 @@ the contact law ties f to ``u = S f + b``, its slip measured from the contacts' 
 p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
 touching: ``b_n(s) = b_n + (1 − s) max(0, −u_n)``, u_n under the forces of the contacts that touch already.
 
+Parts that rest by contact alone are held by rows of :mod:`mic.model.resting`, behind the bilateral ones, whose values
+are found so that they carry nothing (:mod:`mic.process.rest`).
+
 A row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
 stop: one more contact, without friction, whose gap is the way that is left. Where the part lies beyond the position
 when the push begins, the stop brings it back, from where it is.
@@ -35,6 +38,7 @@ from mic.process.evaluation import Resolution
 from mic.process.freedom import free
 from mic.process.path import Ramp
 from mic.process.plan import Limit, StagePlan, Step, yielding
+from mic.process.rest import Rest
 from mic.process.state import ProcessState
 from mic.process.stops import Stops
 from mic.product import product
@@ -53,17 +57,25 @@ class EliminatedStep:
     Attributes
     ----------
     step : Step
-    bilateral : (b, F) csr_matrix
-        Rows held.
+    bilateral : (b + k, F) csr_matrix
+        Rows held, then those that tell where resting parts are.
     response : Response
         Its contact rows are those of the contacts, then those of the step's stops; its output rows those of all
-        :data:`OUTPUTS`, in this order; its loads are the step's. Steps that hold the same rows share all of it but the
-        loads.
+        :data:`OUTPUTS`, in this order, and the rest rows; its loads are the step's. Steps that hold the same rows share
+        all of it but the loads.
+    rest : Rest
+        The k rest rows.
     """
 
     step: Step
     bilateral: csr_matrix
     response: Response
+    rest: Rest
+
+    @property
+    def compliance(self) -> np.ndarray:
+        """(d m + s, d m + s) of the contacts and stops; resting parts lie on springs."""
+        return self.rest.compliance(self.response) if self.rest.soft.any() else self.response.S
 
 
 def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[EliminatedStep]]:
@@ -89,7 +101,7 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
         none = csr_matrix((0, model.compliance.size))
         return vstack([none, *(model.rows[kind][i] for kind, i in rows)], format="csr")
 
-    output = vstack([model.rows[kind] for kind in OUTPUTS], format="csr")
+    output = vstack([*(model.rows[kind] for kind in OUTPUTS), model.rest.rows], format="csr")
     contact_rows = model.rows["contact"].shape[0]
     layer = np.zeros(contact_rows)
     layer[:: model.contacts.dimension] = model.contacts.layer
@@ -97,29 +109,29 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
     for plan in plans:
         for step in plan.steps:
             loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys(step.load_rows))
-    shared: dict[tuple, tuple[csr_matrix, Response]] = {}
+    shared: dict[tuple, tuple[csr_matrix, Response, np.ndarray]] = {}
     eliminated: dict[str, list[EliminatedStep]] = {}
     for plan in plans:
         for step in plan.steps:
             held = step.bilateral, step.stops
             if held not in shared:
-                bilateral = rows_of(step.bilateral)
+                bilateral, soft = rows_of(step.bilateral), yielding(model.scene, step.bilateral)
                 contact = vstack([model.rows["contact"], *(stop_row(model.rows, stop) for stop in step.stops)])
                 try:
+                    chosen = np.zeros(0, dtype=int)
+                    if step.resting:
+                        chosen = model.rest.completing(bilateral, model.compliance)
+                        bilateral = vstack([bilateral, model.rest.rows[chosen]], format="csr")
+                        soft = None if soft is None else np.concatenate([soft, np.zeros(len(chosen))])
                     response = eliminate(
-                        model.compliance,
-                        bilateral,
-                        contact.tocsr(),
-                        rows_of(loads[held]),
-                        output,
-                        yielding(model.scene, step.bilateral),
+                        model.compliance, bilateral, contact.tocsr(), rows_of(loads[held]), output, soft
                     )
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
                 response.S[np.diag_indices(contact_rows)] += layer
-                shared[held] = bilateral, response
-            bilateral, response = shared[held]
+                shared[held] = bilateral, response, chosen
+            bilateral, response, chosen = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
             response = replace(
                 response,
@@ -127,7 +139,13 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                 L_out=response.L_out[:, own],
                 reaction_L=response.reaction_L[:, own],
             )
-            eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response))
+            rest = Rest(
+                chosen,
+                ~np.isin(model.rest.part[chosen], step.parked),
+                model.rest.direction[chosen],
+                tuple(model.scene.parts[p].name for p in model.rest.part[chosen]),
+            )
+            eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response, rest))
     return eliminated
 
 
@@ -169,8 +187,9 @@ class PreparedStage:
         self.plan, self.steps, self.path, self._solver = plan, steps, path, solver
         self._contacts, self._between, self._weld_first = model.contacts, model.between, model.joints.first
         self._dimension = model.contacts.dimension
-        edges = np.concatenate([[0], np.cumsum([model.rows[kind].shape[0] for kind in OUTPUTS])])
-        self._output = {kind: slice(a, b) for kind, a, b in zip(OUTPUTS, edges, edges[1:])}
+        count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
+        edges = np.concatenate([[0], np.cumsum(count)])
+        self._output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
 
     def _stops(self, eliminated: EliminatedStep) -> Stops:
         return stops_of(self._contacts, eliminated.step)
@@ -191,7 +210,7 @@ class PreparedStage:
 
     @property
     def bilateral(self) -> csr_matrix:
-        """(b, F) rows held at its end."""
+        """(b + k, F) rows held at its end, and those that tell where resting parts are."""
         return self.steps[-1].bilateral
 
     def advance(self, state: ProcessState, drive: Drive) -> tuple[ProcessState, Resolution | None]:
@@ -211,8 +230,28 @@ class PreparedStage:
             ends[eliminated.step] = state
         if not self.resolves:
             return state, None
+        unheld = {sample: said for sample, said in self._unheld(state).items() if not state.failed[sample]}
+        state.failed[list(unheld)] = True
         pushed = [self._pushed(limit, ends[self.plan.steps[i]], drive) for i, limit in self.plan.judged]
-        return state, self._resolution(start, state, solutions, drive, pushed)
+        resolution = self._resolution(start, state, solutions, drive, pushed)
+        resolution.converged[list(unheld)] = False
+        for sample, said in unheld.items():
+            resolution.status[sample] = said
+        return state, resolution
+
+    def _unheld(self, state: ProcessState) -> dict[int, str]:
+        """Samples in which a part lies loose at the stage's end, and what to say of them."""
+        last = next(each for each in reversed(self.steps) if self._solved(each))
+        if self.plan.kind == "locate" or not last.rest.soft.any():
+            return {}
+        stopped = self._stopped(last.step, state)
+        bound = self._bound(last, state.force)
+        return last.rest.loose(last.response, state.force, classify(state.force, bound), bound, stopped)
+
+    def _bound(self, eliminated: EliminatedStep, force: np.ndarray) -> np.ndarray:
+        """(n, m) largest tangential forces under the contact forces (n, m, d)."""
+        normal = np.column_stack([force[..., 0], np.zeros((len(force), self._stops(eliminated).count))])
+        return self._solver(eliminated).bound(normal)[:, : force.shape[1]]
 
     @cached_property
     def _needed(self) -> list[EliminatedStep]:
@@ -245,16 +284,18 @@ class PreparedStage:
         step, response = eliminated.step, eliminated.response
         frozen = self._make_welds(step, state, drive)
         ramp = self._ramp(step, state, drive, frozen)
-        v, p = ramp.at(1.0)
+        place = (drive.target if step.sets_down else state.reading)["rest"][:, eliminated.rest.row]  # of resting parts
         force, left, anchor, solution = state.force, state.left, state.anchor, None
         stop = self._stopped(step, state)
         if self._solved(eliminated):
-            solution, stop = self._resolve(eliminated, state, drive, ramp)
+            solution, stop, place = self._resolve(eliminated, state, drive, ramp, place)
             force = solution.force.reshape(force.shape)
             left = solution.displacement.reshape(force.shape).copy()
             left[:, :, 0] -= drive.gap
             anchor = solution.anchor
-        elif step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
+        v, p = ramp.at(1.0)
+        v = np.column_stack([v, place])
+        if solution is None and step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
             left = (product(v, response.T.T) + product(p, response.L.T)).reshape(left.shape)
             anchor = left[:, :, 1:]
         reading, reaction = self._outcome(response, v, p, np.column_stack([force.reshape(len(force), -1), stop]))
@@ -304,40 +345,65 @@ class PreparedStage:
         none = np.zeros(len(state.failed))
         return np.column_stack([np.zeros((len(none), 0)), *(state.stop.get(stop.row, none) for stop in step.stops)])
 
-    def _resolve(self, eliminated, state, drive, ramp) -> tuple[PathSolution, np.ndarray]:
-        """Follow the ramp, or the overlaps that close: the contacts' path, and the forces (n, s) of the stops."""
-        response, step, n = eliminated.response, eliminated.step, len(drive)
+    def _resolve(self, eliminated, state, drive, ramp, place) -> tuple[PathSolution, np.ndarray, np.ndarray]:
+        """Follow the ramp, or the overlaps that close: the contacts' path, the forces (n, s) of the stops, and where
+        the resting parts are (n, k), which begin at `place`."""
+        response, rest, step, n = eliminated.response, eliminated.rest, eliminated.step, len(drive)
         stops, contacts = self._stops(eliminated), state.left[0].size
         position = [limit.sign * self._position(limit, drive) for limit in step.stops]
+        normal = slice(0, contacts, self._dimension)
+        force = np.column_stack([state.force.reshape(n, -1), self._stopped(step, state)])
 
-        def unloaded(s):
-            v, p = ramp.at(s)
+        def unloaded(v, p):
             b = product(v, response.T.T) + product(p, response.L.T)
-            b[:, : contacts : self._dimension] += drive.gap
+            b[:, normal] += drive.gap
             b[:, contacts:] += np.column_stack([np.zeros((n, 0)), *position])
             return b
 
-        start, end = unloaded(0.0), unloaded(1.0)
-        if step.settles:
-            normal = slice(0, contacts, self._dimension)
-            apart = start[:, normal] + product(state.force.reshape(n, -1), response.S[normal, :contacts].T)
-            start[:, normal] += np.maximum(0.0, -apart)
-        for j, limit in enumerate(step.stops):
-            if limit.row not in state.stop:  # from where the part is, should it lie beyond
-                kind, row = limit.row
-                start[:, contacts + j] += np.maximum(0.0, limit.sign * state.reading[kind][:, row] - position[j])
-        way = np.stack([stops.spread(start), stops.spread(end)], axis=1)
-        force = stops.spread(np.column_stack([state.force.reshape(n, -1), self._stopped(step, state)]))
-        anchor = np.concatenate([state.anchor, np.zeros((n, stops.count, self._dimension - 1))], axis=1)
-        return stops.split(self._solver(eliminated).follow(way, force, anchor, self.path))
+        def follow(own, start, end):
+            way = np.stack([stops.spread(start[own]), stops.spread(end[own])], axis=1)
+            anchor = np.concatenate([state.anchor, np.zeros((n, stops.count, self._dimension - 1))], axis=1)
+            solution = self._solver(eliminated).follow(way, stops.spread(force[own]), anchor[own], self.path)
+            return stops.split(solution)
+
+        def begun(start, compliance):
+            """Where the step starts: overlaps that settle close from touching, a new limit's stop from where it is."""
+            if step.settles:
+                apart = start[:, normal] + product(force[:, :contacts], compliance[normal, :contacts].T)
+                start[:, normal] += np.maximum(0.0, -apart)
+            for j, limit in enumerate(step.stops):
+                if limit.row not in state.stop:  # from where the part is, should it lie beyond
+                    kind, row = limit.row
+                    start[:, contacts + j] += np.maximum(0.0, limit.sign * state.reading[kind][:, row] - position[j])
+            return start
+
+        (v0, p0), (v1, p1) = ramp.at(0.0), ramp.at(1.0)
+        v0, v1 = np.column_stack([v0, place]), np.column_stack([v1, place])
+        if not rest.soft.any():
+            start, end = begun(unloaded(v0, p0), response.S), unloaded(v1, p1)
+            return *follow(np.arange(n), start, end), place
+        c, G = rest.springs(response)
+        soft, e0, e1 = rest.columns(response), rest.pushed(response, v0, p0), rest.pushed(response, v1, p1)
+        v0[:, soft] += c * (e0 - product(force, G))  # springs that carry what acts as the step begins
+        start = begun(unloaded(v0, p0) - c * product(e0, G.T), eliminated.compliance)
+
+        def rested(own, target):
+            v = v1.copy()
+            v[np.ix_(own, soft)] = target[own]
+            found, stop = follow(own, start, unloaded(v, p1) - c * product(e1, G.T))
+            return found, np.column_stack([found.force, stop])
+
+        solution, found, at = rest.settle(response, rested, v1[:, soft], e1)
+        place = place.copy()
+        place[:, rest.soft] = at
+        return solution, found[:, contacts:], place
 
     def _resolution(self, start, end, solutions, drive, pushed) -> Resolution:
         whole, n = PathSolution.join(solutions), len(end.force)
         displacement = whole.displacement.reshape(end.force.shape).copy()
         displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
         resolving = next(each for each in reversed(self.steps) if self._solved(each))
-        normal = np.column_stack([end.force[..., 0], np.zeros((n, self._stops(resolving).count))])
-        bound = self._solver(resolving).bound(normal)[:, : end.force.shape[1]]
+        bound = self._bound(resolving, end.force)
         unseen, at = self._unseen(end, drive)
         none = np.zeros((n, 0))
         return Resolution(

@@ -110,12 +110,16 @@ def check_friction(scene) -> None:
 
 
 def check_held(scene) -> None:
-    """Every part needs six independent locators when it is set down, before anything can be computed.
+    """Every part has six independent locators when it is set down, or a zone on which it rests.
 
-    Of a part whose locators are not placed yet nothing is said.
+    Of a part whose locators are not placed yet nothing is said. Whether contact can hold what rests,
+    :mod:`mic.process.freedom` says.
     """
     found, stations = [], set_down_in(scene)
+    touching = {name for zone in scene.zones for name in zone.parts}
     for i, part in enumerate(scene.parts):
+        if part.name in touching:
+            continue
         stage = stations[part.name]
         own = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
         if any(locator.point is None or isinstance(locator.direction, str) for locator in own):
@@ -133,7 +137,7 @@ def check_held(scene) -> None:
             found.append(
                 f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {held} of its 6 "
                 f"rigid-body motions{_named(free)}; add locators (at least a 3-2-1 scheme) until all six are held; "
-                "where it rests on another part, soft ones (stiffness = 1), which a release opens once it is joined"
+                "where it rests on another part, a zone between the two"
             )
     _raise(found)
 

@@ -1,0 +1,97 @@
+"""Rigid bodies that touch at given points, each of which yields on springs of its own: statics by hand.
+
+Whatever a contact reads of a part yields there by 1/k along its normal and by half of that along its tangents, and
+nowhere else; everything else (locators, clamps, welds, measurements) reads the rigid body.
+"""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+import mic
+from mic.compliance.blocks import Blocks
+from mic.model.assembly import Between, Contacts
+from mic.model.rows import KINDS
+from mic.process.model import ReducedModel
+
+STIFFNESS = 2000.0  # N/mm, of a part at a contact along its normal
+
+
+def frame_of(normal):
+    """(3, 3) n, t1, t2 in columns."""
+    n = np.array(normal, dtype=float) / np.linalg.norm(normal)
+    first = np.eye(3)[np.argmin(np.abs(n))]
+    t1 = first - (first @ n) * n
+    t1 /= np.linalg.norm(t1)
+    return np.column_stack([n, t1, np.cross(n, t1)])
+
+
+def standing(pairs, stiffness=STIFFNESS, gap=0.0, shape=None, **scene):
+    """Reduced model of a scene whose zones touch at `pairs`: (name of zone, point, normal from first to second body).
+
+    `gap` is one for all or one for each; `shape(part, point) -> (3,)` displaces the points of each part per unit of the
+    scene's first deviation.
+    """
+    scene = mic.Scene(name="feet", **scene)
+    names = [part.name for part in scene.parts]
+    own = {name: [] for name in names}  # (point, direction, what it yields by)
+    entries = {kind: [] for kind in KINDS}
+
+    def reading(part, point, direction, yields=0.0):
+        own[part].append((np.array(point, dtype=float), np.array(direction, dtype=float), yields))
+        return part, len(own[part]) - 1
+
+    for kind in ("locator", "clamp", "measurement"):
+        for item in getattr(scene, f"{kind}s"):
+            entries[kind].append([(*reading(item.part, item.point, item.direction), 1.0)])
+    for weld in scene.welds:
+        for axis in np.eye(3)[[2, 0, 1]]:
+            pair = zip(weld.parts, (-1.0, 1.0))
+            entries["weld"].append([(*reading(name, weld.point, axis), sign) for name, sign in pair])
+    zones = {zone.name: i for i, zone in enumerate(scene.zones)}
+    frames = np.array([frame_of(normal) for _, _, normal in pairs]).reshape(-1, 3, 3)
+    for (zone, point, _), frame in zip(pairs, frames):
+        for axis, soft in zip(frame.T, (1.0, 0.5, 0.5)):
+            bodies = zip(scene.zones[zones[zone]].parts, (-1.0, 1.0))
+            entries["contact"].append(
+                [(*reading(name, point, axis, soft / stiffness), sign) for name, sign in bodies if name in names]
+            )
+    H = tuple(np.diag([soft for *_, soft in own[name]]) for name in names)
+    G = tuple(np.array([[*d, *np.cross(p, d)] for p, d, _ in own[name]]) for name in names)
+    compliance = Blocks(H, G)
+    rows, labels = {}, {}
+    for kind, lines in entries.items():
+        dense = np.zeros((len(lines), compliance.size))
+        for line, terms in zip(dense, lines):
+            for part, functional, share in terms:
+                line[compliance.offsets[names.index(part)] + functional] += share
+        rows[kind], labels[kind] = csr_matrix(dense), [f"{kind}{i}" for i in range(len(lines))]
+    for kind in ("locator", "clamp"):
+        labels[kind] = [item.name for item in getattr(scene, f"{kind}s")]
+    shapes = np.zeros((compliance.size, len(scene.deviations)))
+    if shape is not None:
+        shapes[:, 0] = [shape(name, p) @ d for name in names for p, d, _ in own[name]]
+    m = len(pairs)
+    zone_of = np.array([zones[zone] for zone, _, _ in pairs], dtype=int)
+    contacts = Contacts(
+        zone=zone_of,
+        stages=np.array([], dtype=str),
+        friction=np.array([[scene.zones[i].coefficient("default") for i in zone_of]]),
+        pressure=np.zeros((m, 0, 5)),
+        compliance=np.zeros(m),
+        gap=np.broadcast_to(np.asarray(gap, dtype=float), m).copy(),
+        overlap=np.zeros(m),
+        overlapping=np.zeros(m),
+        area=np.ones(m),
+        watched=np.zeros(m, bool),
+        layer=np.zeros(m),
+        nugget=np.full(m, -1),
+        bearing=np.ones(m),
+        point=np.array([point for _, point, _ in pairs], dtype=float),
+        frame=frames,
+        dimension=3,
+    )
+    nowhere = Between(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
+    weld_gap, size = np.zeros(len(scene.welds)), (3,) * len(scene.welds)
+    return ReducedModel(
+        scene, compliance, rows, labels, contacts, nowhere, size, weld_gap, shapes, np.zeros_like(shapes), {}
+    )
