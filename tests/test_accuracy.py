@@ -46,7 +46,7 @@ def estimates(accuracy):
 @pytest.mark.parametrize("size", [10.0, 5.0])
 def test_the_estimate_is_the_error_within_a_third(size, source, tmp_path, cache, limit):
     """A script is run again at half the size; a mesh from a file is divided on the curvature that it tells of."""
-    how = {"size": size} if source == "script" else {"mesh": mesh_of(tmp_path, size)}
+    how = {"size": size} if source == "script" else {"mesh": mesh_of(size)}
     assembly = curved_assembly(tmp_path, cache, **how)
     true = errors(compliance(assembly, cache), limit)
     (found,) = estimate_accuracy(assembly, cache)

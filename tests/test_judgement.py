@@ -556,6 +556,23 @@ def test_nothing_sensible_is_warned_of(case, assemblies):
     assert not found, [str(warned) for warned in found]
 
 
+def test_tongs_that_press_a_stack_pair_by_pair_are_not_askew():
+    """Of three sheets, the jaws on the lowest two push alike, and so do those on the upper two."""
+    upon = [
+        like(f"clamps.C1-{of}", name=f"C8-{part}", part=part) for of, part in (("lower", "upper"), ("upper", "top"))
+    ]
+    located = [
+        like(f"locators.{row['name']}", name=f"top-{row['name']}", part="top")
+        for row in TABLES["lap_joint"]["locators"]
+        if row["part"] == "upper"
+    ]
+    scene = edited("lap_joint", all_of(like("parts.upper", name="top"), *located, *upon))
+    about = lambda found: [str(warned) for warned in found if warned.rule == "tongs-askew"]
+    assert not about(judge(scene))
+    alone = edited("lap_joint", all_of(like("parts.upper", name="top"), *located, upon[1]))
+    assert about(judge(alone))
+
+
 def test_there_are_thirty_of_them():
     assert len(SENSIBLE) >= 30
 

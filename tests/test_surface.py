@@ -67,25 +67,32 @@ def test_a_patch_on_a_fold_covers_both_sides():
         assert patch.weight[on_floor].sum() == pytest.approx(0.5, abs=0.02)
 
 
-def test_points_on_the_rim_of_a_patch_belong_to_it():
-    surface = plane(10)
-    sizes = set()
+def test_rounding_on_the_rim_of_a_patch_decides_nothing():
+    surface, found = plane(10), []
     for seed in range(10):
         turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
         turned = Surface(surface.points @ turn, surface.triangles)
-        # Edges are divided by 15, so that midpoints lie on the circle: 25² + 25² = 35² + 5² = 1250.
-        sizes.add(len(turned.patch(np.array([5.0, 5.0, 0.0]) @ turn, np.sqrt(1250) / 45).weight))
-    assert len(sizes) == 1
+        # Edges are divided by 15, so that corners and midpoints lie on the circle: 25² + 25² = 35² + 5² = 1250.
+        patch = turned.patch(np.array([5.0, 5.0, 0.0]) @ turn, np.sqrt(1250) / 45)
+        x = turned.at(patch.triangle, patch.barycentric) @ turn.T
+        found.append(np.r_[patch.weight @ x, patch.weight @ x**2, patch.weight @ x**4])
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], (10, 9)), rtol=1e-10, atol=1e-10)
 
 
-def test_patch_averages_over_a_disc():
-    surface = plane(20)
-    centre, radius = np.array([5.2, 4.7, 0.3]), 2.0
-    patch = surface.patch(centre, radius)
-    x = surface.at(patch.triangle, patch.barycentric) - [5.2, 4.7, 0]
-    assert patch.weight.sum() == pytest.approx(1, abs=1e-14)
-    np.testing.assert_allclose(patch.weight @ x, 0, atol=0.03)
-    assert patch.weight @ (x**2).sum(1) == pytest.approx(radius**2 / 2, rel=0.03)  # mean r² over a disc
+@pytest.mark.parametrize("n", [3, 20])
+def test_patch_averages_over_a_disc_wherever_the_triangles_lie(n):
+    radius, random = 2.0, np.random.default_rng(0)
+    for _ in range(10):
+        flat = plane(n)
+        inner = ((flat.points[:, :2] > 0) & (flat.points[:, :2] < 10)).all(1)
+        move = random.uniform(-0.25, 0.25, (len(inner), 2)) * inner[:, None] * 10 / n
+        surface = Surface(flat.points + np.column_stack([move, 0 * inner]), flat.triangles)
+        centre = np.r_[random.uniform(4, 6, 2), 0.3]
+        patch = surface.patch(centre, radius)
+        x = surface.at(patch.triangle, patch.barycentric) - [*centre[:2], 0]
+        assert patch.weight.sum() == pytest.approx(1, abs=1e-14)
+        np.testing.assert_allclose(patch.weight @ x, 0, atol=1e-3 * radius)
+        assert patch.weight @ (x**2).sum(1) == pytest.approx(radius**2 / 2, rel=0.005)  # mean r² over a disc
     assert len(surface.patch(centre, 0.0).weight) == 1
 
 

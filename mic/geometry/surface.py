@@ -329,7 +329,7 @@ class Surface:
         return bound
 
     def patch(self, center, radius: float, normal=None) -> Patch:
-        """Points of the surface within `radius` of the projection of `center`, with equal weight per area.
+        """The disc of the surface within `radius` of the projection of `center`, with equal weight per area.
 
         Parameters
         ----------
@@ -367,12 +367,42 @@ class Surface:
         near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= wide + self.reach[near]]
         near = near[(self.normals[near] @ self.normals[seeds].T).max(1) > 0.5 + EQUAL]
         near = np.sort(near[self._connected(near, seed)])
-        triangle, barycentric, area = self.sample(near, radius / 8)
-        inside = np.linalg.norm(self.at(triangle, barycentric) - foot.point[0], axis=1) <= wide
-        if not inside.any():
+        triangle, barycentric, area = self._within(near, foot.point[0], radius)
+        if not len(area):
             return Patch(foot.triangle, foot.barycentric, np.ones(1))
-        area = area[inside]
-        return Patch(triangle[inside], barycentric[inside], area / area.sum())
+        return Patch(triangle, barycentric, area / area.sum())
+
+    def _within(self, triangles, center, radius):
+        """Midpoint quadrature, as by :meth:`sample`, of what of the triangles lies within a ball.
+
+        Sub-triangles that the rim crosses are cut along the chord, exactly where its ends are. Taken whole or not at
+        all by their midpoints, they would shift the disc's centre by up to a hundredth of its radius, differently on
+        each mesh: more than a fine mesh leaves of error.
+        """
+        triangle, corners, area = self._divided(triangles, radius / 8)
+        x = np.einsum("qvi,qij->qvj", corners, self.corners[triangle]) - center
+        inside = np.linalg.norm(x, axis=2) <= radius
+        found = inside.sum(axis=1)
+        centroid, share = corners.mean(axis=1), (found == 3).astype(float)
+        # The corner that lies alone on its side of the rim is cut off: kept where it is inside, left out where not.
+        cut = np.flatnonzero((found == 1) | (found == 2))
+        alone = np.argmax(inside[cut] == (found[cut] == 1)[:, None], axis=1)
+        rows, sense = np.arange(len(cut)), np.where(found[cut] == 1, 1.0, -1.0)
+        start, tip = x[cut][rows, alone], corners[cut][rows, alone]
+        piece, whole = tip.copy(), np.ones(len(cut))
+        for step in (1, 2):
+            other = (alone + step) % 3
+            edge = x[cut][rows, other] - start
+            a, b, c = ((p * q).sum(axis=1) for p, q in ((edge, edge), (start, edge), (start, start)))
+            t = (sense * np.sqrt(np.maximum(b**2 - a * (c - radius**2), 0.0)) - b) / a  # |start + t edge| = radius
+            t = np.clip(t, 0.0, 1.0)
+            piece += t[:, None] * (corners[cut][rows, other] - tip) / 3
+            whole *= t
+        share[cut] = np.where(sense > 0, whole, 1 - whole)
+        rest = (centroid[cut] - whole[:, None] * piece) / np.maximum(1 - whole, EQUAL)[:, None]
+        centroid[cut] = np.where(sense[:, None] > 0, piece, rest)
+        kept = share > EQUAL
+        return triangle[kept], centroid[kept], (share * area)[kept]
 
     def sample(self, triangles, spacing: float):
         """Midpoint quadrature on congruent sub-triangles no longer than `spacing` (at most 32 per edge).
@@ -384,18 +414,24 @@ class Surface:
         area : (q,) array
             Area that each point stands for, mm².
         """
+        triangle, corners, area = self._divided(triangles, spacing)
+        return triangle, corners.mean(axis=1), area
+
+    def _divided(self, triangles, spacing):
+        """Sub-triangles of :meth:`sample`: the triangle that each belongs to, the barycentric coordinates (q, 3, 3) of
+        its corners, its area."""
         triangles = np.asarray(triangles, dtype=np.int64)
         divisions = np.clip(np.ceil(self.edge_lengths[triangles].max(1) / spacing - EQUAL), 1, 32).astype(int)
-        triangle, barycentric, area = [], [], []
+        triangle, corners, area = [], [], []
         for n in np.unique(divisions):
             chosen = triangles[divisions == n]
-            local = _subtriangle_centroids(int(n))
+            local = _subtriangles(int(n))
             triangle.append(np.repeat(chosen, len(local)))
-            barycentric.append(np.tile(local, (len(chosen), 1)))
+            corners.append(np.tile(local, (len(chosen), 1, 1)))
             area.append(np.repeat(self.areas[chosen] / n**2, len(local)))
         if not triangle:
-            return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
-        return np.concatenate(triangle), np.concatenate(barycentric), np.concatenate(area)
+            return np.zeros(0, np.int64), np.zeros((0, 3, 3)), np.zeros(0)
+        return np.concatenate(triangle), np.concatenate(corners), np.concatenate(area)
 
     def sample_edges(self, triangle, opposite, spacing: float):
         """Midpoint quadrature on edges of triangles, on equal parts no longer than `spacing`.
@@ -445,14 +481,14 @@ def _least(value, owner, tie):
     return ~(value > least[owner] + tie)  # NaN, the direction that switches a filter off, passes
 
 
-def _subtriangle_centroids(n: int) -> np.ndarray:
-    """(n², 3) barycentric centroids of the n² congruent sub-triangles of a triangle."""
+def _subtriangles(n: int) -> np.ndarray:
+    """(n², 3, 3) barycentric coordinates of the corners of the n² congruent sub-triangles of a triangle."""
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    up = i + j <= n - 1
-    down = i + j <= n - 2
-    first = np.concatenate([(i[up] + 1 / 3), (i[down] + 2 / 3)]) / n
-    second = np.concatenate([(j[up] + 1 / 3), (j[down] + 2 / 3)]) / n
-    return np.column_stack([1 - first - second, first, second])
+    up, down = i + j <= n - 1, i + j <= n - 2
+    first = [i[up, None] + [0, 1, 0], i[down, None] + [1, 1, 0]]
+    second = [j[up, None] + [0, 0, 1], j[down, None] + [0, 1, 1]]
+    first, second = np.concatenate(first) / n, np.concatenate(second) / n
+    return np.stack([1 - first - second, first, second], axis=2)
 
 
 def _closest_barycentric(corners, x):

@@ -1,10 +1,15 @@
-"""A scene of one doubly curved part, meshed by a script at any size or read from a file."""
+"""A scene of one curved part, meshed by a script at any size or read from a file."""
+
+import re
 
 import numpy as np
 
 import mic
 from mic.geometry.readers.vtu import write_vtu
 from mic.model.assembly import assemble
+
+#: Height of the sheet over x and y, mm
+CROWN = "10 * np.sin(np.pi * x / 120) * np.sin(np.pi * y / 80) + 4 * np.sin(np.pi * x / 120)"
 
 SCRIPT = '''
 import numpy as np
@@ -13,7 +18,7 @@ SIZES = {"usual": 10.0}
 
 
 def build(part, size):
-    """120 × 80 mm, crowned by 14 mm, divided into squares of `size` and these along diagonals that alternate."""
+    """120 × 80 mm, divided into squares of `size` and these along diagonals that alternate."""
     m, n = round(120 / size), round(80 / size)
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 120, m + 1), np.linspace(0, 80, n + 1), indexing="ij"))
     i, j = (a.ravel() for a in np.meshgrid(np.arange(m), np.arange(n), indexing="ij"))
@@ -22,7 +27,7 @@ def build(part, size):
     odd = ((i + j) % 2 == 1)[:, None]
     first = np.where(odd, np.column_stack([a, b, d]), np.column_stack([a, b, c]))
     second = np.where(odd, np.column_stack([b, c, d]), np.column_stack([a, c, d]))
-    z = 10 * np.sin(np.pi * x / 120) * np.sin(np.pi * y / 80) + 4 * np.sin(np.pi * x / 120)
+    z = HEIGHT
     return np.column_stack([x, y, z]), np.concatenate([first, second])
 '''
 
@@ -90,10 +95,10 @@ HELD = {
 }
 
 
-def curved_scene(folder, size=None, mesh=None, accuracy=None, keys=""):
+def curved_scene(folder, size=None, mesh=None, accuracy=None, keys="", height=CROWN):
     """The scene in a folder, of its script at a size in mm or to an accuracy, or of a mesh (points, triangles) that is
-    written there."""
-    (folder / "panel.py").write_text(SCRIPT)
+    written there; its points on a sheet of the given height."""
+    (folder / "panel.py").write_text(SCRIPT.replace("HEIGHT", height))
     source = 'geometry = "panel.py"\n' + (f"size = {size}" if accuracy is None else f"accuracy = {accuracy}")
     if mesh is not None:
         write_vtu(folder / "panel.vtu", *mesh)
@@ -102,8 +107,14 @@ def curved_scene(folder, size=None, mesh=None, accuracy=None, keys=""):
         LOCATOR.format(name=name, point=point, direction=direction, stage=stage)
         for name, (point, direction, stage) in HELD.items()
     ]
-    (folder / "scene.toml").write_text(SCENE.format(source=source, locators="".join(locators)) + keys)
+    text = SCENE.format(source=source, locators="".join(locators)) + keys
+    (folder / "scene.toml").write_text(re.sub(r"point = \[([^]]*)\]", lambda found: _lifted(found[1], height), text))
     return mic.load_scene(folder)
+
+
+def _lifted(point, height):
+    x, y, _ = (float(value) for value in point.split(","))
+    return f"point = [{x}, {y}, {eval(height, {'np': np, 'x': x, 'y': y}):.6f}]"
 
 
 def curved_assembly(folder, cache, **how):
@@ -111,10 +122,10 @@ def curved_assembly(folder, cache, **how):
     return assemble(curved_scene(folder, **how), cache)
 
 
-def mesh_of(folder, size):
+def mesh_of(size, height=CROWN):
     """Points and triangles that the script makes."""
     names = {}
-    exec(SCRIPT, names)
+    exec(SCRIPT.replace("HEIGHT", height), names)
     return names["build"]("sheet", size)
 
 

@@ -17,7 +17,7 @@ from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
-LAP = (5.0, 2.5, 1.25, 0.625)  # mm; the last judges the index of the three before
+LAP = (2.5, 1.25, 0.625, 0.3125)  # mm, from a nugget's radius on; the last judges the index of the three before
 WHEELHOUSE, QUICK_WHEELHOUSE = (17.5, 12.8, 8.0, 5.0), (30.0, 21.0, 15.0, 10.5)  # mm
 FORMAL = 2.0  # order of the elements' energy
 NEAR, CAUTIOUS, SAFETY = 0.1, 3.0, 1.25

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -14,11 +15,12 @@ from mic.results import statistics
 from mic.sampling.draw import draw
 from verification.order.study import ORDERS, columns, evaluate, picture, table_of
 from verification.plots import panels
-from verification.scenes import shipped
+from verification.scenes import going, shipped
 from verification.study import Acceptance, Finding, Study
 
 PULL = 0.03  # weight of the pull towards the scene's own forces: twelve unknowns, six targets
 LAWS = ("frictionless", "associated", "coulomb")
+CUTS = (1, 4, 16)  #: increments of every step, the first the programme as the paper has it
 
 
 def zone_slip(model, evaluation):
@@ -94,6 +96,44 @@ def by_order(context, model, deviations, published):
     return table, figure, (means.max() - means.min()).to_numpy() / (1 - published[0])
 
 
+def laws_by_cut(context, model, deviations, followed):
+    """Mean slip of the zones under the programme and under Coulomb's law, every step cut alike.
+
+    The programme opens a contact by ``μ`` times the slip of an increment, so that it tends to Coulomb's law as
+    increments get shorter: the two are one law on one path, and what sets them apart is how the step is cut.
+
+    Parameters
+    ----------
+    deviations : (n, p) array
+    followed : (zones,) array
+        Means under Coulomb's law, its path followed, mm.
+
+    Returns
+    -------
+    DataFrame
+        One row for each of `CUTS` and each zone.
+    """
+    names = [zone.name for zone in model.scene.zones]
+    cut = {count: replace(model, scene=going(model.scene, "increments", count)) for count in CUTS}
+    tasks = [(count, law) for count in CUTS for law in LAWS[1:]]
+    found = context.team.map(lambda task: zone_slip(model, cut[task[0]].evaluate(deviations, task[1])).mean(0), tasks)
+    means = dict(zip(tasks, found))
+    return pd.DataFrame(
+        [
+            {
+                "increments of a step": count,
+                "zone": name,
+                "programme, mm": means[count, "associated"][z],
+                "Coulomb's law, mm": means[count, "coulomb"][z],
+                "programme / Coulomb's law": means[count, "associated"][z] / means[count, "coulomb"][z],
+                "Coulomb's law / followed": means[count, "coulomb"][z] / followed[z],
+            }
+            for count in CUTS
+            for z, name in enumerate(names)
+        ]
+    )
+
+
 def slip_forces(evaluation):
     """Mean over the samples of each active contact's friction force, N; active contacts are loaded in most samples."""
     resolution = evaluation.resolutions["clamp"]
@@ -157,6 +197,8 @@ def run(context):
     off = np.abs(np.log(ratio["associated"] / published_ratio))
     few = deviations[: 40 if context.quick else 100]
     orders, order_figure, moved = by_order(context, model, few, published_ratio)
+    laws = laws_by_cut(context, model, few, zone_slip(model, model.evaluate(few, "coulomb")).mean(0))
+    uncut = laws.loc[laws["increments of a step"] == CUTS[0], "Coulomb's law / followed"]
 
     figure, axes = panels(len(names), width=3.9)
     for z, (axis, name) in enumerate(zip(axes, names)):
@@ -236,8 +278,10 @@ def run(context):
         ),
         Finding(
             "laws",
-            float(np.abs(slip["associated"].mean(0) / slip["coulomb"].mean(0) - 1).max()),
-            "The paper's programme (13) against Coulomb's law proper, on the same samples.",
+            float(abs(laws["programme / Coulomb's law"] - 1).max()),
+            f"{len(few)} samples. One increment of each step leaves {uncut.min():.2f} to {uncut.max():.2f} of the mean "
+            "slip under Coulomb's law of the path followed to its end: that is a matter of the path, not of the law.",
+            table=laws,
         ),
         Finding(
             "slip-force",
@@ -289,8 +333,8 @@ STUDY = Study(
         Acceptance(
             "laws",
             (
-                "The paper's programme and Coulomb's law predict mean slips that differ by no more than this: relative "
-                "difference."
+                "The paper's programme and Coulomb's law, the path cut alike, predict mean slips that differ by no "
+                "more than this: largest relative difference over the cuts."
             ),
             0.08,
         ),
