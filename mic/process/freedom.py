@@ -34,7 +34,7 @@ SHARE = 1e-6  # of a motion: a part that moves less than this with it stays
 PRESSED = 1e-6  # of the largest force: contacts that may press with no more than this press on nothing
 INFEASIBLE = 2  # how SciPy calls it
 ROUGH = 10.0  # larger than any coefficient that depends on pressure
-AXIS = 1e-3  # of a direction: what lies across an axis by less than this lies along it
+AXIS = 0.05  # of a direction: what lies across an axis by less than this lies along it
 
 
 def rested(scene, joints: Joints, plan):
