@@ -47,6 +47,7 @@ SLOW = 0.1  # an augmentation that leaves more than this share of the change bef
 FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
 PRESSED = 1e-3  # of the largest force: a part on springs that carry more than this is not pressed on anything
 STILL = 1e-5  # mm: then it may be so far from where they carry nothing
+STAYS = 4  # augmentations in a row that change what springs carry by less than a tenth: nothing holds the part
 STIFFEST = 1e9  # ε/k at most
 
 
@@ -456,6 +457,7 @@ class _Way:
             np.searchsorted(self.system.kept, self.system.soft),
             self.system.springs[self.system.springs > 0],
         )
+        pushed, stays = np.inf, 0
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
             stronger = law.augmented(solution.force) if augmented else law
@@ -467,6 +469,14 @@ class _Way:
             settled = change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before
             if settled and not moves.any():
                 return law, solution
+            stays = stays + 1 if moves.any() and carried.max() > 0.9 * pushed else 0
+            pushed = carried.max(initial=0.0)
+            if stays == STAYS:
+                raise self._failure(
+                    share,
+                    f"a part that rests by contact alone is pushed by {pushed:.2g} N and not held",
+                    "give it locators there, or friction",
+                )
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0] and not moves.any()
             law = replace(stronger, penalty=(10 if stiffer else 1) * law.penalty)
             if moves.any():
@@ -475,12 +485,6 @@ class _Way:
                 law, solution = self._newton(solution, share, law, place, augmentation)
             except NoConvergence as problem:
                 raise self._failure(share, problem, "lower the penalty, or do without augmentation") from problem
-        if moves.any():
-            raise self._failure(
-                share,
-                f"a part that rests by contact alone is pushed by {carried.max():.2g} N and not held",
-                "give it locators there, or friction",
-            )
         raise self._failure(
             share,
             f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",
