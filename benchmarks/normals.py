@@ -3,11 +3,16 @@
     python benchmarks/normals.py                     # coarse and medium against fine, about a minute
     python benchmarks/normals.py --against 3.5       # a finer limit, mm; some minutes
     python benchmarks/normals.py --astray 0.2 0.5 1 2    # beside it, what normals cost that err by so many degrees
+    PYTHONPATH=.:tests python benchmarks/normals.py --bends    # bends of one row of triangles instead, a minute
 
 Error of the compliance along the normals, per cent: Frobenius norm over that of the limit, held by six locators and by
 all. 24 places along the flange and 4 in each other region are read on discs of 6 mm. The limit has the geometry's
 normals. With the table come the angles between estimates and the geometry's normals. Normals that err do so at random,
 vertex by vertex, by a root mean square; the change is that from the geometry's normals on the same mesh.
+
+Bends: a strip of 120 mm with two bends of radius r, 1 mm thick, either way and the same way, jittered cells of 8 or 14
+mm and a single row in each bend; error of the compliance under 24 discs, of forces that balance, against a quarter of
+the size.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.compliance.functional import Functionals
 from mic.examples import folder
+from mic.geometry import normals as corner_normals
 from mic.geometry.script import load_script
 from mic.geometry.surface import Surface
 
@@ -63,6 +69,48 @@ def astray(points, triangles, normals, degrees):
     return turned / np.linalg.norm(turned, axis=2, keepdims=True)
 
 
+def bends():
+    """Flat triangles beside exact normals, none of them refused, by what a bend of one row turns."""
+    from support import pressings  # of the tests, whose folder is not always on the path
+
+    turns, cases = (45, 60, 66, 70, 80, 90), ((6.0, 8.0, 1), (6.0, 8.0, -1), (12.0, 14.0, 1), (12.0, 14.0, -1))
+    heads = [f"r = {r:g} mm, {'same way' if way > 0 else 'either way'}" for r, _, way in cases]
+    print(f"| bend of one row, flat / curved | {' | '.join(heads)} |\n" + "| --- " * (len(heads) + 1) + "|")
+    guard, corner_normals.GUARD = corner_normals.GUARD, 90.0
+    for turn in turns:
+        cells = []
+        for r, size, way in cases:
+            arc, flat = r * np.radians(turn), 4 * r
+            pieces = [
+                (flat, 0.0),
+                (arc, np.radians(turn)),
+                (flat, 0.0),
+                (arc, way * np.radians(turn)),
+                (1.5 * flat, 0.0),
+            ]
+            fine, normals = pressings.swept(pieces, size / 4, 8)
+            limit = Surface(fine.points, fine.triangles, normals)
+            pick = np.random.default_rng(1).choice(len(fine.triangles), 24, replace=False)
+            where = fine.corners[pick].mean(axis=1), normals[pick, 0]
+            mesh, exact = pressings.swept(pieces, size, 1, jitter=0.2, seed=3)
+            found = [balanced(mesh, "dkt-opt", *where)]
+            found.append(balanced(Surface(mesh.points, mesh.triangles, exact), "dkt-opt-curved", *where))
+            reference = balanced(limit, "dkt-opt-curved", *where)
+            cells.append("{:.1f} / {:.1f} %".format(*off(found, [reference] * 2)))
+        print(f"| {turn}° | {' | '.join(cells)} |", flush=True)
+    corner_normals.GUARD = guard
+
+
+def balanced(surface, element, points, directions):
+    """Compliance under discs of 5 mm, of forces that balance, in a basis that the discs' places alone decide."""
+    count = len(points)
+    patches = tuple(surface.patch(point, 5.0, normal) for point, normal in zip(points, directions))
+    rows = Functionals(patches, np.arange(count), directions, np.zeros(count, bool), np.zeros(count), ("",) * count)
+    H = ShellPart(surface, 1.0, 210e3, 0.3, element).influence(rows)[0]
+    basis = np.linalg.svd(np.hstack([directions, np.cross(points, directions)]))[0][:, 6:]
+    return basis.T @ H @ basis
+
+
 def off(found, limit):
     """Relative errors on six locators and on all, per cent."""
     return [100 * np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(found, limit)]
@@ -73,7 +121,10 @@ def main():
     parser.add_argument("--sizes", nargs="+", default=["coarse", "medium"], help="named sizes of the wheelhouse")
     parser.add_argument("--against", type=float, help="size of the limit, mm; default: fine")
     parser.add_argument("--astray", nargs="*", type=float, default=[], help="root mean squares, degrees")
+    parser.add_argument("--bends", action="store_true", help="bends of one row of triangles")
     given = parser.parse_args()
+    if given.bends:
+        return bends()
     geometry = load_script(folder("wheelhouse") / "geometry.py")
     heads = ["part, size", "flat", "geometry's normals", "estimated", "angle, mean and largest"]
     heads += [f"{degrees:g}° astray" for degrees in given.astray]

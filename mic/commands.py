@@ -489,7 +489,7 @@ def _print_normals(console, assembly):
     console.print(table)
     for part in assembly.parts:
         for places, words in (
-            (part.surface.curvature.coarse, f"turn by more than {COARSE:g}° and count as curved: mesh the bends finer"),
+            (part.surface.curvature.coarse, f"turn by more than {COARSE:g}°, too far to follow a bend: mesh it finer"),
             (
                 part.surface.curvature.single,
                 "lie between a bend and a single wide row of triangles, of which it cannot be told whether it is flat: "

@@ -116,7 +116,7 @@ def build(part, size):
     picture = tmp_path / "normals.png"
     told = CliRunner().invoke(app, ["check", scene, "--normals", str(picture)], env=environment).output
     assert re.search(r"lower +│ nobody +│ 0 +│ [1-9]\d* +│ [1-9]\d* +│ 0", told)
-    assert "turn by more than 40° and count as curved" in " ".join(told.split())
+    assert "turn by more than 40°, too far to follow a bend" in " ".join(told.split())
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

@@ -5,7 +5,7 @@ import pytest
 from support import pressings
 from support.panels import grid, panel
 
-from mic.geometry.normals import Rule, corner_normals
+from mic.geometry.normals import COARSE, GUARD, Rule, corner_normals
 from mic.geometry.repair import repair
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
@@ -145,11 +145,18 @@ def test_sheets_that_meet_in_a_junction_keep_their_own():
     assert angles(together.corner_normals[:k], exact).max() < 1.5 < 2.5 < angles(own(curved), exact).max()
 
 
-def test_a_single_row_by_100_degrees_is_a_bend_and_said_to_be_coarse():
-    surface, exact = swept(*bend(1, angle=100.0))
+@pytest.mark.parametrize("angle", [60.0, 75.0, 100.0])
+def test_a_single_row_that_turns_far_is_taken_for_flat_and_said_to_be_coarse(angle):
+    """Normals 30° off the triangles' own still gain, 40° off even exact ones lose."""
+    surface, exact = swept(*bend(1, angle=angle))
     found = surface.curvature
-    assert angles(found.normal, exact).max() < 1e-6
-    assert len(found.coarse)
+    own_kept = angles(own(surface), exact) > GUARD
+    assert own_kept.any() == (angle > 2 * GUARD)
+    assert angles(found.normal, np.where(own_kept[..., None], own(surface), exact)).max() < 1e-6
+    assert ((found.rule == Rule.GUARDED) == own_kept).all()
+    assert bool(len(found.coarse)) == (angle > 2 * COARSE)
+    told = Surface(surface.points, surface.triangles, exact)
+    assert (told.curvature.rule == np.where(own_kept, Rule.GUARDED, Rule.GIVEN)).all()
 
 
 TURN = np.radians(35.0)

@@ -27,8 +27,9 @@ of those of that triangle's neighbours that do not go on along the edge; folds a
 that corner along the edge, by a border or a junction of more than two sheets, nobody knows what it would be, and the
 other side alone decides.
 
-Where the outcome lies farther than `GUARD` from the triangle's own normal, the triangle's own is taken: a wrong normal
-does more harm than none.
+Where the outcome, or what is given, lies farther than `GUARD` from the triangle's own normal, the triangle's own is
+taken. Such a triangle is the only row of a bend, or the normal is wrong; either way flat triangles err less
+(docs/curved_triangle.md).
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from scipy.sparse.linalg import lsmr
 
 __all__ = ["COARSE", "GUARD", "CornerNormals", "Rule", "corner_normals"]
 
-GUARD = 60.0  # degrees between a normal and the triangle's own; beyond, it belongs to another sheet
+GUARD = 33.0  # degrees between a normal and the triangle's own; beyond, flat triangles err less
 COARSE = 40.0  # degrees from triangle to triangle beyond which a bend is too coarse to be told from a fold
 
 _SMALL = 2.0  # degrees: any sheet of this dihedral is smooth
