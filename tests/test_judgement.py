@@ -126,6 +126,7 @@ NUMBERS = [
     ("parts.lower", "offset", [2.0, -1.5, 50.0, True]),
     ("zones.lap", "gap", [12.0, 1000.0, -1.0, True]),
     ("locators.lower-A1", "radius", [500.0, 60.0, 0.05, -4.0, float("inf"), True]),
+    ("locators.lower-A1", "stiffness", [1e300, 1e-9, 0.0, True]),
     ("clamps.C1-upper", "radius", [400.0, 0.01, -1.0]),
     ("clamps.C1-upper", "force", [1e9, 2e4, 1e-6, 0.0, -60.0, float("nan"), True, "60"]),
     ("welds.W1", "radius", [40.0, 0.1, -2.5]),
