@@ -100,32 +100,49 @@ def test_friction_holds_a_push_up_to_its_limit_and_beyond_it_the_sample_fails():
     np.testing.assert_array_equal(alone.measurements[0], found.measurements[3])
 
 
-def test_in_a_groove_the_sides_carry_what_the_wedge_says():
-    """45° sides: 100 N down on the ridge, N on each with 2 N cos 45° = 100; a stop along the groove, no friction."""
-    root = np.sqrt(0.5)
-    pairs = [
-        ("Z", (side * x, y, abs(x)), (-side * root, 0, root)) for side in (-1, 1) for x in (10, 20) for y in (0, 80)
-    ]
-    model = standing(
-        pairs,
+ROOT = np.sqrt(0.5)
+#: Of a groove with sides of 45°, a ridge and its four places on each side.
+SIDES = [("Z", (side * x, y, abs(x)), (-side * ROOT, 0, ROOT)) for side in (-1, 1) for x in (10, 20) for y in (0, 80)]
+
+
+def groove(friction=0.0, gap=0.0):
+    """b's ridge in a's groove, under 100 N, and a stop along it."""
+    return standing(
+        SIDES,
+        gap=gap,
         parts=[
             {"name": "a", "mesh": "a.stl", "thickness": 1.0},
             {"name": "b", "mesh": "b.stl", "thickness": 1.0, "rests": True},
         ],
         locators=[*six("a", far=FAR), {"name": "stop", "part": "b", "point": [0, 0, 0], "direction": [0, 1, 0]}],
         clamps=[push(100, (0, 40, 0))],
-        zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.0, "pairs": 1}],
+        zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         measurements=[gauge("b", (0, 40, 0)), gauge("b", (0, 40, 0), (1, 0, 0), "X")],
         stages=[{"kind": kind} for kind in ("locate", "clamp", "measure")],
     )
+
+
+def test_in_a_groove_the_sides_carry_what_the_wedge_says():
+    """100 N down on the ridge, N on each side with 2 N cos 45° = 100; no friction."""
+    model = groove()
     plan_assembly(model)
     found = model.evaluate({}, "frictionless")
     force = found.resolutions["clamp"].force[0, :, 0].reshape(2, 4)
     assert not found.failed.any()
-    np.testing.assert_allclose(force.sum(axis=1), 100 * root, rtol=1e-8)
-    np.testing.assert_allclose(force, 25 * root, rtol=1e-8)
-    # Every side yields by 25 root PAIR along its normal, so that b sinks by 1/root of that.
+    np.testing.assert_allclose(force.sum(axis=1), 100 * ROOT, rtol=1e-8)
+    np.testing.assert_allclose(force, 25 * ROOT, rtol=1e-8)
+    # Every side yields by 25 ROOT PAIR along its normal, so that b sinks by 1/ROOT of that.
     np.testing.assert_allclose(found.measurements[0], [-25 * PAIR, 0.0], atol=1e-10)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_being_put_down_rubs_nothing(path):
+    """A side that stands out by 0.1 mm shifts the ridge by 0.1 mm cos 45° each way, and no more."""
+    out = np.where(np.arange(8) < 4, -0.1, 0.0)
+    middle, aside = (groove(0.2, gap).evaluate({}) for gap in (0.0, out))
+    assert not middle.failed.any() and not aside.failed.any()
+    np.testing.assert_allclose(aside.resolutions["clamp"].force, middle.resolutions["clamp"].force, atol=1e-5)
+    np.testing.assert_allclose(aside.measurements - middle.measurements, [[0.1 * ROOT, 0.1 * ROOT]], atol=1e-6)
 
 
 def test_in_a_stack_each_carries_what_lies_above():

@@ -47,7 +47,8 @@ SLOW = 0.1  # an augmentation that leaves more than this share of the change bef
 FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
 PRESSED = 1e-3  # of the largest force: a part on springs that carry more than this is not pressed on anything
 STILL = 1e-5  # mm: then it may be so far from where they carry nothing
-STAYS = 4  # augmentations in a row that change what springs carry by less than a tenth: nothing holds the part
+STAYS = 0.1  # of what springs carry: what changes by less from one augmentation to the next stays
+OFF = 10.0  # mm: a part that springs have followed so far, and still carry, nothing holds
 STIFFEST = 1e9  # ε/k at most
 
 
@@ -457,7 +458,7 @@ class _Way:
             np.searchsorted(self.system.kept, self.system.soft),
             self.system.springs[self.system.springs > 0],
         )
-        pushed, stays = np.inf, 0
+        begun, pushed, stride = place, np.full(len(place), np.inf), 1.0
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
             stronger = law.augmented(solution.force) if augmented else law
@@ -469,18 +470,20 @@ class _Way:
             settled = change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before
             if settled and not moves.any():
                 return law, solution
-            stays = stays + 1 if moves.any() and carried.max() > 0.9 * pushed else 0
-            pushed = carried.max(initial=0.0)
-            if stays == STAYS:
+            if moves.any() and np.abs(place - begun).max() > OFF:
                 raise self._failure(
                     share,
-                    f"a part that rests by contact alone is pushed by {pushed:.2g} N and not held",
+                    f"a part that rests by contact alone is pushed off by {carried.max():.2g} N, over {OFF:g} mm, and "
+                    "not held",
                     "give it locators there, or friction",
                 )
+            now = solution.reaction[springs]  # where it stays, the part slides on, by strides that double
+            stride = 2 * stride if np.abs(now - pushed).max(initial=0.0) < STAYS * carried.max(initial=0.0) else 1.0
+            pushed = now
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0] and not moves.any()
             law = replace(stronger, penalty=(10 if stiffer else 1) * law.penalty)
             if moves.any():
-                place = self._place(solution)
+                place = place + stride * (self._place(solution) - place)
             try:
                 law, solution = self._newton(solution, share, law, place, augmentation)
             except NoConvergence as problem:

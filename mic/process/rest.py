@@ -20,7 +20,8 @@ the step q̄ goes straight from where the part was to where it comes to rest, so
 that line leaves, over c.
 
 A part that no force presses is pushed out of what overlaps, and lies where that leaves it: λ falls with the contact
-forces, and the way c λ that is left tells. Where λ stays, nothing holds the part.
+forces, and the way c λ that is left tells. Where λ stays from pass to pass, the part slides on, by strides that double,
+until something stops it; or it is pushed off.
 
 References
 ----------
@@ -48,10 +49,11 @@ __all__ = ["Leg", "Rest"]
 SOFT = 10.0  # c, of the largest compliance of a contact
 FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
 LEGS = 4  # of what is left of it
-PASSES = 50
-ROUGH = 4  # passes of a leg that is followed: more do not agree better than its steps err
-STAYS = 4  # passes in a row that change λ by less than a tenth: nothing holds the part
+PASSES = 60
+STAYS = 0.1  # of λ: what changes by less from one pass to the next stays
+OFF = 10.0  # mm: a part that has gone so far and is still pushed is pushed off
 BALANCED = 1e-10  # of the largest force: what the springs may carry
+NOISE = 1e-5  # likewise on the way of a path that is followed: its steps err by more
 PRESSED = 1e-3  # of the largest force: a part on springs that carry more than this is not pressed on anything
 STILL = 1e-5  # mm: then it may be so far from where they carry nothing; the way shrinks by 1/SOFT with each pass
 LOOSE = 1e-8  # of the best held motion: what is held by less is not held
@@ -177,30 +179,32 @@ class Rest:
         target = place.copy()
         solution, found = follow(start, unloaded(leg.end, leg.pushed_end, target), force, anchor, path)
         exact = isinstance(path, Increments)
-        before, stays = np.full(len(place), np.inf), np.zeros(len(place), dtype=int)
-        for _ in range(PASSES if exact else ROUGH):
+        before, stride, enough = np.full(place.shape, np.inf), np.ones(len(place)), BALANCED if exact else NOISE
+        for _ in range(PASSES):
             λ = leg.pushed_end - product(found, G)
             scale = np.abs(np.column_stack([found, leg.pushed_end])).max(axis=1, initial=0.0)
             carried = np.abs(λ).max(axis=1, initial=0.0)
             position = target - c * λ
             free = (carried > PRESSED * scale) & (c * carried <= STILL)
-            stays = np.where(carried > 0.9 * before, stays + 1, 0)
-            before = carried
-            open_ = (carried > BALANCED * scale) & ~free & solution.converged
-            todo = np.flatnonzero(open_ & (stays < STAYS))
+            # Where λ stays, the part slides on: by as much again, until something stops it.
+            stride = np.where(np.abs(λ - before).max(axis=1, initial=0.0) < STAYS * carried, 2 * stride, 1.0)
+            before = λ
+            off = np.abs(target - place).max(axis=1, initial=0.0) > OFF
+            open_ = (carried > enough * scale) & ~free & solution.converged
+            todo = np.flatnonzero(open_ & ~off)
             if not todo.size:
                 break
-            target[todo] = position[todo]
+            target[todo] -= c * stride[todo, None] * λ[todo]
             end = unloaded(leg.end, leg.pushed_end, target)
             again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], path)
             solution = solution.put(todo, again)
             found[todo] = pressed
-        if not exact:
-            return solution, found, target - c * (leg.pushed_end - product(found, G))
+        position = target - c * (leg.pushed_end - product(found, G))
+        if not exact:  # the last leg judges
+            return solution, found, position
         status, converged = solution.status.copy(), solution.converged & ~open_
         for sample in np.flatnonzero(open_):
-            off = stays[sample] >= STAYS
-            status[sample] = self._unheld(λ[sample], "is pushed off") if off else Status.NOT_CONVERGED
+            status[sample] = self._unheld(λ[sample], "is pushed off") if off[sample] else Status.NOT_CONVERGED
         return replace(solution, status=status, converged=converged), found, position
 
     def loose(
