@@ -16,7 +16,8 @@ from verification.algebra.study import compare
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.curved_sheets import study as curved_sheets
 from verification.law import study as law
-from verification.mesh.study import converge, fitted
+from verification.mesh import study as mesh
+from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
 from verification.scenes import going, shipped
 from verification.study import Context, Team
@@ -171,33 +172,15 @@ def test_mesh_sequences_without_an_order():
     assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
 
 
-@pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
-def test_a_sequence_that_does_not_scatter_is_fitted_exactly(order):
-    h = np.array([4.0, 3.0, 2.0, 1.3])
-    found = fitted(h, 7.0 + 0.3 * h**order)
-    assert found.order == pytest.approx(order, abs=0.01) and found.extrapolated == pytest.approx(7.0, abs=0.01)
-    assert found.index == pytest.approx(1.25 * 0.3 * h[-1] ** order, rel=0.05)
-
-
-def test_the_band_of_values_that_scatter_holds_the_limit_and_is_no_wider_for_it_than_need_be():
-    """Scatter as large as the last step: three meshes take it for a low order and widen the band tenfold."""
-    h, random = np.array([6.3, 4.6, 3.4, 2.2]), np.random.default_rng(0)
-    held, width, three = [], [], []
-    for _ in range(200):
-        values = 1 + 4e-4 * h**2 + 1e-3 * random.normal(size=4)
-        found = fitted(h, values)
-        held.append(abs(values[-1] - 1) <= found.index)
-        width.append(found.index)
-        three.append(converge(h[1:], values[1:]).index)
-    print(np.mean(held), np.quantile(width, 0.9), np.quantile(three, 0.9))
-    assert np.mean(held) > 0.95
-    assert np.quantile(width, 0.9) < 0.5 * np.quantile(three, 0.9)
-
-
-def test_values_that_only_scatter_have_a_band_as_wide_as_they_scatter():
-    found = fitted((4, 3, 2, 1), (1.0, 1.2, 0.9, 1.1))
-    assert found.kind == "oscillating" and found.index > 0.2
-    assert fitted((4, 3, 2, 1), (1.0, 1.0, 1.0, 1.0)).index == pytest.approx(0, abs=1e-12)
+def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
+    """Means too, which may be nothing."""
+    keys = [(f"{statistic} {kind}", "A") for kind in ("measurement", "displacement") for statistic in ("mean", "6σ")]
+    coarse, medium, fine, last = (dict(zip(keys, column)) for column in np.transpose([
+        (9.0, 0.2, 0.1, 0.0), (9.0, 2.2, 1.9, 2.0), (9.0, 5.0, 4.0, 3.0), (9.0, 0.5, 0.3, 0.4)
+    ]))  # fmt: skip
+    table = mesh.against_the_last([coarse, medium, fine, last])
+    assert table["medium off"].tolist() == pytest.approx([0.1, 0.1, 5.0, 0.25])
+    assert table["fine off"].tolist() == pytest.approx([0.05, 0.05, 2.5, 0.25])
 
 
 def test_curved_sheets_are_not_bent_by_triangles_that_are_taken_for_flat(monkeypatch, tmp_path):

@@ -186,6 +186,11 @@ class Part(_Table):
     poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
         None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
     )
+    rests: Flag = Field(
+        False,
+        description="whether it rests on other parts or fixtures: what its locators leave free, contact and friction "
+        "in its zones must hold; it is put down where it is drawn, or as near to that as nothing overlaps",
+    )
 
     stiffness: str | None = Field(
         None,
