@@ -195,8 +195,8 @@ class Part(_Table):
     stiffness: str | None = Field(
         None,
         description="with `mesh`: file of the part's reduced stiffness on named nodes, in place of finite elements: a "
-        "Matrix Market file with a node table beside it (`a.mtx`, `a.csv` with node, x, y, z), Nastran `DMIG`, output "
-        "of Abaqus `*MATRIX GENERATE`; free of supports",
+        "Matrix Market file or Nastran `OUTPUT4` with a node table beside it (`a.mtx` or `a.op4`, `a.csv` with node, "
+        "x, y, z), Nastran `DMIG`, output of Abaqus `*MATRIX GENERATE`; free of supports",
     )
     compliance: str | None = Field(
         None, description="or of its reduced compliance, on any statically determinate support; the same formats"
