@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from support.mesh_texts import POINTS
 
 from mic.errors import FormatError
 from mic.geometry.readers import Sheet, read_mesh, read_raw
 
-POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.0]])
 # A quadrilateral 1 and a triangle 2 beside it; nodes 1, 2, 3, 4 and 10.
 ABAQUS = """*Heading
 *Node, nset=all

@@ -503,6 +503,7 @@ SENSIBLE = {
     "a clamp that varies by a tenth": ("hat_on_plate", put("deviations.D2", sigma=10)),
     "small nuggets": ("lap_joint", every("welds", radius=1.5)),
     "three welds": ("lap_joint", like("welds.W1", name="W3", point=[75, 12.5, 0.5])),
+    "a weld told on the skin of a third sheet": ("lap_joint", put("welds.W1", point=[88, 6, 2.4])),
     "welds that close": ("lap_joint", every("welds", close=True)),
     "welds without moment": ("lap_joint", every("welds", moment=False)),
     "no friction, as stated": ("lap_joint", put("zones.lap", friction=0)),

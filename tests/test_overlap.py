@@ -10,6 +10,7 @@ import mic
 from mic.commands import app
 from mic.errors import SceneError
 from mic.model.assembly import assemble
+from mic.model.overlap import frozen_gaps
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 
@@ -91,6 +92,11 @@ def test_check_says_which_welds_freeze_a_gap(tmp_path, monkeypatch):
     (folder / "scene.toml").write_text(text.replace('name = "W1"\n', 'name = "W1"\nclose = true\n'))
     told = CliRunner().invoke(app, ["check", str(folder), "--page", str(tmp_path / "check.html")]).output
     assert "weld W2 lies over a nominal gap of 0.100 mm" in told and "weld W1 lies" not in told
+
+
+def test_no_word_is_lost_on_gaps_that_chords_leave(cache):
+    told = {gap: frozen_gaps(assemble(lap(1 - gap), cache)) for gap in (0.01, 0.03)}
+    assert not told[0.01] and len(told[0.03]) == 2
 
 
 @pytest.mark.fem

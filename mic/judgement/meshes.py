@@ -72,10 +72,12 @@ def coarse(parts) -> Iterator[Seen]:
 
 
 def off_the_sheet(assembly) -> Iterator[Seen]:
-    """Points that are not where their part is."""
+    """Points that are not where their part is; a weld's may be anywhere in the two sheets, or in a third beside."""
+    thickness = {part.name: part.thickness for part in assembly.parts}
     for table, item, part in _on_parts(assembly):
         foot = part.surface.project(item.point)
-        gap = float(foot.distance[0]) - part.thickness / 2
+        within = sum(thickness[name] for name in item.parts) if table == "welds" else part.thickness / 2
+        gap = float(foot.distance[0]) - within
         at = tuple(float(x) for x in foot.point[0])
         if gap > OFF:
             near = ", ".join(f"{x:.4g}" for x in at)

@@ -21,7 +21,7 @@ __all__ = ["CLOSED", "closed", "frozen_gaps", "joined_by"]
 #: Of the thinner sheet, overlap that is closed where a zone states no limit of its own: what one sheet explains whose
 #: thickness has changed since it was drawn, or that was drawn on its skin.
 CLOSED = 0.5
-TOLD = 1e-3  # mm: a gap that a weld freezes and that is smaller is not worth a word
+TOLD = 0.02  # mm: chords of curved sheets leave less, and a weld that freezes it is not worth a word
 
 
 def closed(key: str, rule: str | float, gap: np.ndarray, thinner: float, point: np.ndarray) -> np.ndarray:
