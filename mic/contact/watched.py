@@ -27,7 +27,6 @@ from mic.contact.path import Increments, Path, PathSolution, Trace
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
-from mic.product import product
 
 __all__ = ["PENETRATION", "WatchedSolver"]
 
@@ -73,7 +72,7 @@ class WatchedSolver:
         law: Law,
         **settings,
     ):
-        self.law, self._S, self._settings = law, S, settings
+        self.law, self._S, self._settings = law, np.ascontiguousarray(S), settings
         self._d = settings.get("dimension", 3)
         self._friction = friction if law.frictional else Friction.of(0.0, len(start))
         self._parameters = law.parameters(self._friction)
@@ -158,12 +157,16 @@ class WatchedSolver:
 
     def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
         """The solution of some samples over their working set (m,), in its place among all candidates."""
+        from mic.contact.native.kernels import responses  # compiles, or reads the cache, when it is imported
+
         m, d = len(own), self._d
         rows = np.repeat(own, d)
         force = np.zeros((len(samples), d * m))
         force[:, rows] = solution.force
         found.force[samples] = force
-        u = product(force[:, rows], self._S[rows]) + b[:, -1]
+        u = np.empty_like(force)
+        responses(self._S, force, u)
+        u += b[:, -1]
         found.displacement[samples] = u
         anchor = u.reshape(-1, m, d)[:, :, 1:].copy()
         anchor[:, own] = solution.anchor
@@ -207,6 +210,8 @@ def _loaded(normal: np.ndarray) -> np.ndarray:
 
 def _alike(working: np.ndarray, todo: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Samples of `todo` that share a working set, and the set (m,)."""
-    sets, which = np.unique(working[todo], axis=0, return_inverse=True)
-    for i, own in enumerate(sets):
-        yield todo[which.ravel() == i], own
+    together: dict[bytes, list[int]] = {}
+    for sample in todo:
+        together.setdefault(working[sample].tobytes(), []).append(sample)
+    for samples in together.values():
+        yield np.array(samples), working[samples[0]]
