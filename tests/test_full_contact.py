@@ -333,6 +333,54 @@ def test_every_node_of_the_zone(scene, cache):
     assert difference(FullModel(assembly).evaluate(sample), model.evaluate(sample)) < 1e-6
 
 
+def laid(scene, pinned):
+    """The lap joint whose upper strip rests on the lower one: pinned in plane, or on friction alone."""
+    locators = [one for one in scene.locators if one.part == "lower" or (pinned and one.direction[2] == 0)]
+    return scene.model_copy(
+        update={
+            "parts": [part.model_copy(update={"rests": part.name == "upper"}) for part in scene.parts],
+            "locators": locators,
+            "deviations": [one for one in scene.deviations if pinned or one.kind != "locator"],
+            "report": scene.report.model_copy(update={"laws": ["coulomb", "frictionless"][: 1 + pinned]}),
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    "increments, law, pinned", [(1, "coulomb", False), (3, "coulomb", False), (1, "frictionless", True)]
+)
+@pytest.mark.slow
+def test_a_part_that_rests_lies_and_carries_the_same_to_both(scene, cache, increments, law, pinned):
+    """Springs about another place, of another stiffness, and Newton's method for the whole: the same equilibrium."""
+    resting = laid(going(scene, "increments", increments), pinned)
+    model = mic.reduce(resting, cache)
+    for sample in draw(resting, 5, 0, 2):
+        full, reduced = FullModel(assemble(resting, cache)).evaluate(sample, law), model.evaluate(sample, law)
+        assert not reduced.failed.any() and difference(full, reduced) < 1e-6
+        np.testing.assert_allclose(reduced.resolutions["clamp"].force[0, :, 0].sum(), 60.0, rtol=1e-8)
+
+
+def test_a_part_that_is_pushed_off_is_told_by_the_full_solve_too(scene, cache):
+    """Friction holds 0.27 times the 60 N that press; twice that pull along x."""
+    resting = laid(scene, pinned=False)
+    pull = resting.clamps[0].model_copy(update={"name": "pull", "direction": (1.0, 0.0, 0.0), "force": 0.0})
+    more = mic.Scene(
+        **resting.model_dump()
+        | {
+            "clamps": [clamp.model_dump() for clamp in (*resting.clamps, pull)],
+            "stages": [{"kind": "locate"}, {"kind": "clamp", "increments": 1}, {"kind": "measure"}],
+            "welds": [],
+            "deviations": [{"name": "D", "kind": "clamp", "target": "pull", "sigma": 1.0}],
+            "folder": resting.folder,
+        }
+    )
+    assembly = assemble(more, cache)
+    FullModel(assembly).evaluate(np.array([10.0]))
+    with pytest.raises(ContactFailure, match=r"stage 'clamp', step 3 .* pushed by .* N and not held"):
+        FullModel(assembly).evaluate(np.array([32.0]))
+    np.testing.assert_array_equal(mic.reduce(more, cache).evaluate(np.array([[10.0], [32.0]])).failed, [False, True])
+
+
 MEMORY = """
 import gc, sys
 from pathlib import Path

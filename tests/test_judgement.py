@@ -126,6 +126,7 @@ NUMBERS = [
     ("parts.lower", "offset", [2.0, -1.5, 50.0, True]),
     ("zones.lap", "gap", [12.0, 1000.0, -1.0, True]),
     ("locators.lower-A1", "radius", [500.0, 60.0, 0.05, -4.0, float("inf"), True]),
+    ("locators.lower-A1", "stiffness", [1e300, 1e-9, 0.0, True]),
     ("clamps.C1-upper", "radius", [400.0, 0.01, -1.0]),
     ("clamps.C1-upper", "force", [1e9, 2e4, 1e-6, 0.0, -60.0, float("nan"), True, "60"]),
     ("welds.W1", "radius", [40.0, 0.1, -2.5]),
@@ -554,6 +555,23 @@ def test_nothing_sensible_is_warned_of(case, assemblies):
     scene = edited(name, edit)
     found = judge(scene, replace(assemblies[name], scene=scene))
     assert not found, [str(warned) for warned in found]
+
+
+def test_tongs_that_press_a_stack_pair_by_pair_are_not_askew():
+    """Of three sheets, the jaws on the lowest two push alike, and so do those on the upper two."""
+    upon = [
+        like(f"clamps.C1-{of}", name=f"C8-{part}", part=part) for of, part in (("lower", "upper"), ("upper", "top"))
+    ]
+    located = [
+        like(f"locators.{row['name']}", name=f"top-{row['name']}", part="top")
+        for row in TABLES["lap_joint"]["locators"]
+        if row["part"] == "upper"
+    ]
+    scene = edited("lap_joint", all_of(like("parts.upper", name="top"), *located, *upon))
+    about = lambda found: [str(warned) for warned in found if warned.rule == "tongs-askew"]
+    assert not about(judge(scene))
+    alone = edited("lap_joint", all_of(like("parts.upper", name="top"), *located, upon[1]))
+    assert about(judge(alone))
 
 
 def test_there_are_thirty_of_them():

@@ -260,6 +260,18 @@ def test_rows_without_a_name_are_numbered(tmp_path):
     assert [(item.name, item.direction) for item in scene.measurements] == [("kc-1", "normal"), ("kc-2", (0, 0, -1))]
 
 
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"points": []}, r"welds\[0\].points: there is no point in it"),
+        ({"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]}, r"welds\[0\]: give either point, of one weld, or points"),
+    ],
+)
+def test_a_weld_of_points_has_some_and_no_other(given, words):
+    with pytest.raises(ValueError, match=words):
+        Scene(**table(welds=[{"name": "W", "parts": ["plate", "ring"], **given}]))
+
+
 def test_a_weld_with_points_is_a_weld_at_each():
     weld = {"name": "W", "parts": ["plate", "ring"], "points": [[12, 30, 0.5], [48, 30, 0.5]], "radius": 3}
     scene = Scene(**table(welds=[weld]))

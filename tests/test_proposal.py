@@ -344,6 +344,27 @@ def test_sheets_with_another_between_them_have_no_zone(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_nothing_lies_between(tmp_path):
+    """The plate steps under a doubler below one foot of the hat, and touches the hat's other foot itself."""
+    plate = extruded([(0, 0), (30, 0), (40, 1), (90, 1)], 0, 80, 7)
+    sheets = {"plate": plate, "doubler": grid(22, 80, 6, z=1), "hat": hat(2.0)}
+    files = [write_deck(tmp_path / f"{name}.inp", {"S": sheet}) for name, sheet in sheets.items()]
+    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
+    scene = load_scene(folder)
+    assert {frozenset(zone.parts) for zone in scene.zones} == {
+        frozenset(pair) for pair in (("plate", "doubler"), ("doubler", "hat"), ("plate", "hat"))
+    }
+    joined = lambda *parts: {weld.point for weld in scene.welds if set(weld.parts) == set(parts)}
+    assert joined("plate", "doubler") == joined("doubler", "hat") and min(x for x, _, _ in joined("plate", "hat")) > 50
+    assert {frozenset(clamp.parts) for clamp in scene.clamps} == {frozenset(("plate", "hat"))}
+    assert {clamp.point[0] < 22 for clamp in scene.clamps} == {True, False}
+    assembly = assemble(scene, tmp_path / "cache")
+    touching = next(i for i, zone in enumerate(scene.zones) if set(zone.parts) == {"plate", "hat"})
+    assert assembly.contacts.point[assembly.contacts.zone == touching, 0].min() > 40
+    assert judge(scene, assembly) == ()
+
+
+@pytest.mark.slow
 def test_a_large_lap_begins_with_fewer_pairs(tmp_path):
     """Left to itself, a candidate an element, the zone would have twice as many; a small lap is left to itself."""
     sheets = [grid(300, 240, 6), grid(300, 240, 6.5, z=1.0)]

@@ -383,7 +383,7 @@ def test_soft_locators_open_once_a_weld_holds_the_part():
 def test_a_part_that_its_locators_do_not_hold_is_told_its_free_motions_and_the_remedy():
     few = [item for item in six("b") if item["direction"] != [0, 0, 1]]
     with pytest.raises(
-        ValueError, match=r"parts\[1\] \(b\): .* hold 3 of its 6 .*free: along z, about x, about y.*soft"
+        ValueError, match=r"parts\[1\] \(b\): .* hold 3 of its 6 .*free: along z, about x, about y.*rests = true"
     ):
         joined(stages=[{"kind": "locate"}, {"kind": "measure"}], locators=[*six("a"), *few], welds=[])
 

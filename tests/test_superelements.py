@@ -93,7 +93,79 @@ def labelled(path, K, points):
     tabled(path.with_suffix(".csv"), points)
 
 
-FORMATS = {"a.mtx": market, "a.pch": punched, "a.txt": labelled}
+def strings(column):
+    """The runs of a column that are not zero: first row, from 1, and values."""
+    rows = np.flatnonzero(column)
+    return [(run[0] + 1, column[run]) for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(run)]
+
+
+def output4_text(path, K, points, layout="dense"):
+    """Nastran's OUTPUT4 as text, three numbers a line: whole columns, or their strings, told by two integers or one."""
+    m = len(K)
+    lines = [f"{m:8d}{-m if layout == 'two' else m:8d}{6:8d}{2:8d}{'KAAX':8}1P,3E23.16"]
+
+    def numbers(values):
+        for at in range(0, len(values), 3):
+            lines.append("".join(f"{value:23.16E}" for value in values[at : at + 3]))
+
+    for number, column in enumerate(K.T, 1):
+        if layout == "dense":
+            lines.append(f"{number:8d}{1:8d}{m:8d}")
+            numbers(column)
+            continue
+        more = 2 if layout == "two" else 1
+        own = strings(column)
+        lines.append(f"{number:8d}{0:8d}{sum(2 * len(values) + more for _, values in own):8d}")
+        for first, values in own:
+            length = 2 * len(values) + 1
+            lines.append(f"{length:8d}{first:8d}" if layout == "two" else f"{first + (length << 16):12d}")
+            numbers(values)
+    lines += [f"{m + 1:8d}{1:8d}{1:8d}", f"{1.0:23.16E}"]
+    path.write_text("\n".join(lines) + "\n")
+    tabled(path.with_suffix(".csv"), points)
+
+
+def output4_binary(path, K, points, layout="dense", order="<"):
+    """The same, binary, beside another matrix that is no stiffness."""
+
+    def record(*parts):
+        body = b"".join(parts)
+        size = np.array(len(body), f"{order}i4").tobytes()
+        return size + body + size
+
+    whole = lambda *values: np.array(values, f"{order}i4").tobytes()
+    real = lambda values: np.asarray(values, f"{order}f8").tobytes()
+
+    def matrix(name, K):
+        m = len(K)
+        yield record(whole(m, -m if layout == "two" else m, 6, 2), f"{name:8}".encode())
+        for number, column in enumerate(K.T, 1):
+            if layout == "dense":
+                yield record(whole(number, 1, 2 * m), real(column))
+                continue
+            parts = []
+            for first, values in strings(column):
+                length = 2 * len(values) + 1
+                parts += [whole(length, first) if layout == "two" else whole(first + (length << 16)), real(values)]
+            body = b"".join(parts)
+            yield record(whole(number, 0, len(body) // 4), body)
+        yield record(whole(m + 1, 1, 2), real([1.0]))
+
+    path.write_bytes(b"".join([*matrix("MAAX", np.eye(2)), *matrix("KAAX", K)]))
+    tabled(path.with_suffix(".csv"), points)
+
+
+FORMATS = {
+    "a.mtx": market,
+    "a.pch": punched,
+    "a.txt": labelled,
+    "columns.op4": output4_text,
+    "strings.op4": lambda *written: output4_text(*written, "two"),
+    "packed strings.op4": lambda *written: output4_text(*written, "one"),
+    "binary columns.op4": output4_binary,
+    "binary strings.op4": lambda *written: output4_binary(*written, "two"),
+    "binary packed strings, big-endian.OP4": lambda *written: output4_binary(*written, "one", ">"),
+}
 
 
 def coefficients(path, surface, stiffness=True, unit=MM):
@@ -218,6 +290,10 @@ def test_a_place_without_a_node_near_it_and_a_node_without_rotations_are_told(tm
 MARKET = "%%MatrixMarket matrix coordinate real symmetric\n6 6 1\n1 1 2.0\n"
 TABLE = "node,x,y,z\n1,0,0,0\n"
 DMIG = "DMIG,KAAX,0,6,1,0\nGRID,1,,0.,0.,0.\nDMIG,KAAX,1,1,,1,1,2.0\n"
+OP4 = (
+    "       6       6       6       2KAAX    1P,3E23.16\n       1       1       1\n 2.0E+00\n"
+    "       7       1       1\n 1.0000000000000000E+00\n"
+)
 #: Malformed files by name: matrix, table, words.
 MALFORMED = {
     "no table.mtx": (MARKET, None, r"needs the table of its nodes, .* beside it: no table\.csv"),
@@ -238,7 +314,19 @@ MALFORMED = {
     "a word.pch": (DMIG.replace("2.0", "two"), None, "line 3: a field of this DMIG is no number"),
     "a freedom.pch": (DMIG.replace("1,1,2.0", "1,7,2.0"), None, "node 1 has a freedom 7"),
     "a system.pch": (DMIG.replace("GRID,1,,", "GRID,1,3,"), None, "line 2: grid points in coordinate system 3"),
-    "binary.op4": ("KAAX", None, "binary matrices are not read"),
+    "no table.op4": (OP4, None, r"an OUTPUT4 file needs the table of its nodes, .* beside it: no table\.csv"),
+    "no matrix.op4": ("", TABLE, "holds no matrix"),
+    "a word.op4": (OP4.replace("2.0", "two"), TABLE, "it is cut short, or no OUTPUT4 file"),
+    "cut.op4": (OP4[:-40], TABLE, "it is cut short, or no OUTPUT4 file"),
+    "a row too many.op4": (
+        OP4.replace("       1       1       1\n", "       1       7       1\n"),
+        TABLE,
+        "cut short, or",
+    ),
+    "complex.op4": (OP4.replace("       2KAAX", "       4KAAX"), TABLE, "KAAX is complex"),
+    "too few nodes.op4": (OP4, TABLE + "2,9,0,0\n3,0,9,0\n", "has 6 × 6 entries, and the 3 nodes"),
+    "two matrices.op4": (OP4 + OP4.replace("KAAX", "KBBX"), TABLE, "holds KAAX, KBBX, and one stiffness is wanted"),
+    "binary.sim": ("KAAX", None, "own binary matrices are not read"),
     "a word.txt": ("1,1,1,one,2.0\n", None, "line 1: this is no entry of a matrix"),
     "short.txt": ("1,1,1,1\n", None, "line 1: this is no entry of a matrix"),
     "empty.txt": ("** nothing\n", None, "holds no entries"),

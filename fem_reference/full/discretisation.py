@@ -38,6 +38,11 @@ class System:
     place: np.ndarray
     springs: np.ndarray
 
+    @property
+    def soft(self) -> np.ndarray:
+        """(k,) numbers of the rows that are springs of resting parts."""
+        return self.rows.shape[0] - len(self.place) + np.flatnonzero(self.springs)
+
     def consistent(self, value: np.ndarray) -> np.ndarray:
         """Values of the independent rows, once those of the others follow from them.
 

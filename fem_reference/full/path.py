@@ -28,7 +28,7 @@ from fem_reference.full.equilibrium import NoConvergence
 from mic.contact.increments import Increments
 from mic.contact.states import OPEN, SLIP, STICK
 
-__all__ = ["TOUCHING", "FullTrace", "Point", "extrapolated", "increments", "shares"]
+__all__ = ["TOUCHING", "FullTrace", "Point", "extrapolated", "increments", "shares", "transition"]
 
 SEQUENCE = (1, 2, 3)  #: n of (1): the lowest that leave an error of third order and an estimate of it
 SHORTEST = 1e-8  #: of a path; below, rounding in the forces is as large as what a step changes
@@ -138,9 +138,14 @@ def increments(solve: Solver, start: Point, count: int) -> tuple[Point, FullTrac
     point, trace = start, FullTrace.start(*start.force.shape)
     for end in Increments(count).ends:
         before, point = point, solve(point, end, point.position)
-        gone = _gone(before, point, point.state == SLIP)
-        trace += FullTrace(*gone, shares(point.state) * (end - before.share), np.nan, 1, 1)
+        trace += replace(transition(before, point), error=np.nan)
     return point, trace
+
+
+def transition(before: Point, after: Point) -> FullTrace:
+    """One step of backward Euler's method, whose error nothing tells."""
+    gone = _gone(before, after, after.state == SLIP)
+    return FullTrace(*gone, shares(after.state) * (after.share - before.share), 0.0, 1, 1)
 
 
 def extrapolated(solve: Solver, start: Point, tolerance: float) -> tuple[Point, FullTrace]:

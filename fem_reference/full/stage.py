@@ -28,9 +28,10 @@ import numpy as np
 from fem_reference.full.discretisation import Discretisation, System
 from fem_reference.full.equilibrium import ContactLaw, Iteration, NoConvergence, State
 from fem_reference.full.friction import ContactFriction
-from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares
+from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares, transition
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
+from mic.model.resting import put_down
 from mic.process.actions import Joints, Row, Settle
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, yielding
@@ -43,7 +44,10 @@ AUGMENTED = 1e-10  # change of the contact forces in the last augmentation, of t
 ROUNDING = 1e-8  # of the largest force: a change below this that no longer shrinks is rounding
 FAR = 1e3  # mm: gap of contacts that take no part any more, since a weld has fused the sheets there
 SLOW = 0.1  # an augmentation that leaves more than this share of the change before raises ε tenfold
-STILL = 1e-5  # mm: springs that part by less from where nothing presses a part are left as they are
+FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
+PRESSED = 1e-3  # of the largest force: a part on springs that carry more than this is not pressed on anything
+STILL = 1e-5  # mm: then it may be so far from where they carry nothing
+STAYS = 4  # augmentations in a row that change what springs carry by less than a tenth: nothing holds the part
 STIFFEST = 1e9  # ε/k at most
 
 
@@ -194,6 +198,8 @@ class FullStage:
         for number, step in enumerate(self.plan.steps, start=1):
             state = replace(state, frozen=self._make_welds(step, state, drive))
             if step.resolves or step.sets_down:
+                if step.settles and step.resting:
+                    state = self._put_down(step, state, drive)
                 way = self._way(number, step, state, drive)
                 if step.resolves and len(self.friction) + len(step.stops):
                     state, end, trace = self._resolve(way, state)
@@ -270,6 +276,28 @@ class FullStage:
         ]
         return _Way(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
 
+    def _put_down(self, step, state, drive) -> FullState:
+        """With the resting parts that nothing presses yet where they overlap nowhere, and their anchors with them.
+
+        What the contacts read of each of their rest rows, equilibrium itself tells.
+        """
+        mesh, system = self.mesh, self.mesh.system(step)
+        p, _ = self._loads(step, state, drive)
+        v = (system.rows @ state.solution.u)[system.kept]
+        none = np.zeros((len(state.left) + len(step.stops), state.left.shape[1]))
+        start = system.equilibrium.linear(p, v, none)
+        unit = np.eye(len(v))[np.searchsorted(system.kept, system.soft)]
+        moved = [system.equilibrium.linear(p, v + one, none).u - start.u for one in unit]
+        G = np.array([mesh.contact(u) for u in moved]).reshape(len(unit), *state.left.shape)
+        G[:, self._out(step)] = 0.0
+        touched = np.abs(G).max(axis=(0, 2), initial=0.0) > TOUCHING
+        if state.solution.force[touched].any():
+            return state
+        by = put_down(drive.gap[0] + mesh.contact(start.u)[:, 0], G[:, :, 0].T)
+        slid = np.einsum("k,kmd->md", by, G)
+        solution = replace(state.solution, u=state.solution.u + np.tensordot(by, np.array(moved), 1))
+        return replace(state, solution=solution, left=state.left + slid, anchor=state.anchor + slid[:, 1:])
+
     def _out(self, step) -> np.ndarray:
         """(m,) contacts that take no part any more."""
         return self.mesh.assembly.contacts.out(step.welds, step.away)
@@ -323,7 +351,12 @@ class FullStage:
             less = (np.linalg.norm(start.force[:m, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any()
             if less or start.force[:m][self._out(way.step)].any():
                 start = way.solve(start, 0.0, start.position)  # there is less friction than before, or a weld instead
+            first = FullTrace.start(*start.force.shape)
+            if len(way.system.soft):  # what lay loose comes to lie on something, by a finite way under no load
+                before, start = start, way.solve(start, FIRST, start.position)
+                first = transition(before, start)
             end, trace = extrapolated(way.solve, start, self.tolerance)
+            trace = first + trace
         else:
             end, trace = increments(way.solve, start, self.plan.increments)
         solution = way.system.equilibrium.unpack(end.held)
@@ -389,17 +422,11 @@ class _Way:
 
     def _place(self, solution: State) -> np.ndarray:
         """(k,) where the parts are that lie on springs."""
-        return (self.system.rows @ solution.u)[self._springs]
-
-    @property
-    def _springs(self) -> np.ndarray:
-        """(k,) numbers of the rows that are springs of resting parts."""
-        rest = self.system
-        return rest.rows.shape[0] - len(rest.place) + np.flatnonzero(rest.springs)
+        return (self.system.rows @ solution.u)[self.system.soft]
 
     def _newton(self, solution, share, law, place, augmentation):
         p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
-        v[np.searchsorted(self.system.kept, self._springs)] = place
+        v[np.searchsorted(self.system.kept, self.system.soft)] = place
         law = replace(law, gap=gap)
         solution, iterations = self.system.equilibrium.newton(solution, p, v, law)
         penalty = float(law.penalty[0] / law.stiffness[0])
@@ -427,19 +454,29 @@ class _Way:
         carry nothing: or, of parts that nothing presses, until that is no way any more."""
         change, stiffness, augmented = np.inf, law.stiffness, self.stage.penalty.augmented
         springs, softness = (
-            np.searchsorted(self.system.kept, self._springs),
+            np.searchsorted(self.system.kept, self.system.soft),
             self.system.springs[self.system.springs > 0],
         )
+        pushed, stays = np.inf, 0
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
             stronger = law.augmented(solution.force) if augmented else law
             change = float(np.abs(stronger.estimate - law.estimate).max())
             largest = max(np.abs(solution.force).max(), np.abs(solution.reaction).max())
             carried = np.abs(solution.reaction[springs])
-            moves = (carried > AUGMENTED * largest) & (softness * carried > STILL)
+            free = (carried > PRESSED * largest) & (softness * carried <= STILL)
+            moves = (carried > AUGMENTED * largest) & ~free
             settled = change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before
             if settled and not moves.any():
                 return law, solution
+            stays = stays + 1 if moves.any() and carried.max() > 0.9 * pushed else 0
+            pushed = carried.max(initial=0.0)
+            if stays == STAYS:
+                raise self._failure(
+                    share,
+                    f"a part that rests by contact alone is pushed by {pushed:.2g} N and not held",
+                    "give it locators there, or friction",
+                )
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0] and not moves.any()
             law = replace(stronger, penalty=(10 if stiffer else 1) * law.penalty)
             if moves.any():
@@ -448,12 +485,6 @@ class _Way:
                 law, solution = self._newton(solution, share, law, place, augmentation)
             except NoConvergence as problem:
                 raise self._failure(share, problem, "lower the penalty, or do without augmentation") from problem
-        if moves.any():
-            raise self._failure(
-                share,
-                f"a part that rests by contact alone is pushed by {carried.max():.2g} N and not held",
-                "give it locators there, or friction",
-            )
         raise self._failure(
             share,
             f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",

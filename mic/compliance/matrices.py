@@ -3,6 +3,8 @@
 - Matrix Market (``.mtx``), with a node table beside it: ``lower.mtx`` and ``lower.csv``, a line ``node, x, y, z`` for
   each node. The matrix has six freedoms a node in the order of the table, u_x, u_y, u_z, θ_x, θ_y, θ_z, or the three
   displacements alone.
+- Nastran ``OUTPUT4`` (``.op4``), text or binary, with a node table as the former has it: one matrix, or one that is
+  called K… among others.
 - Nastran ``DMIG`` (punch files of superelements, ``KAAX``), and Abaqus ``*MATRIX GENERATE`` output in the format of
   matrix input (``node, freedom, node, freedom, value``). Both name their nodes by number; where these stand, a node
   table beside the file tells, or ``GRID`` cards in it, or the part's own mesh file.
@@ -18,6 +20,7 @@ import numpy as np
 from scipy.io import mmread
 from scipy.sparse import coo_matrix, csr_matrix
 
+from mic.compliance.output4 import matrices
 from mic.errors import FormatError
 from mic.geometry.readers import nastran
 
@@ -68,8 +71,10 @@ def read_matrix(path: Path) -> NodalMatrix:
             found = _market(path, places, table)
         elif path.suffix.lower() in NASTRAN:
             found = _dmig(path, places)
-        elif path.suffix.lower() in (".op4", ".sim"):
-            raise FormatError("binary matrices are not read; write DMIG cards, matrix input, or a Matrix Market file")
+        elif path.suffix.lower() == ".op4":
+            found = _output4(path, places, table)
+        elif path.suffix.lower() == ".sim":
+            raise FormatError("Abaqus' own binary matrices are not read; write matrix input or a Matrix Market file")
         else:
             found = _labelled(path, places)
     except FormatError as problem:
@@ -104,6 +109,28 @@ def _market(path: Path, places: dict[int, tuple[float, ...]], table: Path) -> No
         matrix = csr_matrix(mmread(path))
     except Exception as problem:  # SciPy raises whatever its parsing trips over
         raise FormatError(f"it cannot be read ({' '.join(str(problem).split())}); write it again") from problem
+    return _by_table(matrix, places, table)
+
+
+def _output4(path: Path, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
+    if not places:
+        raise FormatError(f"an OUTPUT4 file needs the table of its nodes, node, x, y, z, beside it: {table.name}")
+    found = matrices(path.read_bytes())
+    return _by_table(found[_only(list(found), "no matrix")], places, table)
+
+
+def _only(names: list[str], nothing: str) -> str:
+    """The one matrix of a file, or the one stiffness among several."""
+    chosen = [name for name in names if name.upper().startswith("K")] or names
+    if not names:
+        raise FormatError(f"it holds {nothing}")
+    if len(chosen) > 1:
+        raise FormatError(f"it holds {', '.join(chosen)}, and one stiffness is wanted; leave the others out")
+    return chosen[0]
+
+
+def _by_table(matrix: csr_matrix, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
+    """A matrix whose freedoms follow the order of the node table."""
     n, m = len(places), matrix.shape[0]
     each = {6 * n: 6, 3 * n: 3}.get(m)
     if each is None or matrix.shape != (m, m):
@@ -137,16 +164,10 @@ def _dmig(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
             raise FormatError(f"{where}: {problem}") from None
         except (ValueError, IndexError):
             raise FormatError(f"{where}: a field of this {card[0]} is no number, or is missing") from None
-    names = [name for name in found if name.startswith("K")] or list(found)
-    if len(names) != 1:
-        raise FormatError(
-            f"it holds {', '.join(found) or 'no DMIG'}, and one stiffness is wanted; leave the others out"
-            if found
-            else "it holds no DMIG cards; it is no punched superelement"
-        )
-    if forms.get(names[0], "6") not in ("1", "6"):
-        raise FormatError(f"{names[0]} is rectangular; a stiffness is square")
-    return _of_entries(found[names[0]], places)
+    name = _only(list(found), "no DMIG cards; it is no punched superelement")
+    if forms.get(name, "6") not in ("1", "6"):
+        raise FormatError(f"{name} is rectangular; a stiffness is square")
+    return _of_entries(found[name], places)
 
 
 def _labelled(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:

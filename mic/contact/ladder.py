@@ -98,9 +98,10 @@ SPLITTING = Rung(
     "splitting",
     "Each step is one product with an inverse formed once per S, however many contacts touch: for loads that stick.",
     _frictional,
-    # Steps before the first Newton, and rounds of twice as many each; Newton uses W⁻¹ up to this condition number of W:
-    # the inverse is then good to 1e-8, and each step gains that much.
-    {"steps": 20, "rounds": 4, "invertible": 1e8},
+    # Steps before the first Newton, which is mostly wasted after 20, and rounds of twice as many each: what the last
+    # one leaves goes to the interior point, which takes as long as all of them. Newton uses W⁻¹ up to this condition
+    # number of W: the inverse is then good to 1e-8, and each step gains that much.
+    {"steps": 50, "rounds": 5, "invertible": 1e8},
 )
 NEWTON = Rung(
     "newton",

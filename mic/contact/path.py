@@ -94,6 +94,10 @@ class Trace:
             np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3)), np.zeros(n), none, none.copy()
         )
 
+    def weighted(self, weight: float) -> Trace:
+        """With the shares of the path multiplied, where paths of unequal length come one after the other."""
+        return replace(self, share=weight * self.share)
+
     def __add__(self, other: Trace) -> Trace:
         """One after the other; shares add up, for :meth:`PathSolution.join` to divide by the number of paths."""
         return Trace(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(Trace)})

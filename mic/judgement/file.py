@@ -48,18 +48,35 @@ def clamped_twice(scene) -> Iterator[Seen]:
 
 
 def tongs_askew(scene) -> Iterator[Seen]:
-    """Two clamps of different parts at one place that do not press these together with one force."""
+    """Two clamps of different parts at one place that do not press these together with one force.
+
+    Tongs that press a stack of sheets pair by pair push some of them alike, but all of them together push nothing.
+    """
     for a, b in itertools.combinations(scene.clamps, 2):
-        if a.part == b.part or a.stage != b.stage or _apart(a, b) > a.radius + b.radius:
+        if a.part == b.part or not _jaws(a, b):
             continue
         cosine, step = _cosine(a, b), np.subtract(b.point, a.point)
         item, other = of("clamps", a), f"clamp {b.name} of part {b.part} opposite"
-        if cosine > 0.5:
+        if cosine > 0.5 and not _balanced([clamp for clamp in scene.clamps if clamp is a or _jaws(a, clamp)]):
             yield item, f"pushes the same way as {other}: they press one side only", a.point
         elif cosine < -0.5 and np.linalg.norm(step) > 0.1 and np.dot(step, a.direction) < -0.5 * np.linalg.norm(step):
             yield item, f"and {other} pull the parts apart", a.point
         elif cosine < -0.5 and None not in (a.force, b.force) and abs(a.force - b.force) > 0.2 * max(a.force, b.force):
             yield item, f"pushes with {a.force:g} N, {other} with {b.force:g} N: the rest pushes both parts", a.point
+
+
+def _jaws(a: Any, b: Any) -> bool:
+    """Whether two clamps stand at one place in one stage."""
+    return a.stage == b.stage and _apart(a, b) <= a.radius + b.radius
+
+
+def _balanced(clamps: list[Any]) -> bool:
+    """Whether clamps together push nothing; those that hold a position count alike."""
+    if any(isinstance(clamp.direction, str) for clamp in clamps):
+        return False  # not placed yet
+    forces = np.array([1.0 if clamp.force is None else clamp.force for clamp in clamps])
+    total = forces @ np.array([clamp.direction for clamp in clamps])
+    return bool(np.linalg.norm(total) <= 0.2 * np.abs(forces).max())
 
 
 def clamps_that_may_pull(scene) -> Iterator[Seen]:

@@ -61,6 +61,14 @@ FILE: tuple[Rule, ...] = (
         0.0,
     ),
     number(
+        "locators.stiffness",
+        1e-3,
+        1e7,
+        "N/mm",
+        "from a soft spring that carries a part to the steel of a fixture's frame",
+        "give it in N/mm, or leave it out where the locator is rigid",
+    ),
+    number(
         "clamps.radius",
         1.0,
         30.0,

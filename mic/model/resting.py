@@ -2,8 +2,18 @@
 
 A contact pair reads what its second body moves less its first. What it reads of one of the two alone is a row too, and
 of a part's contacts six such rows tell where the part is. They hold nothing: a part that rests by contact alone is
-*where they read*. Until contact has it, it lies where it is drawn; where that leaves it a choice, it moves as little as
-these rows can tell.
+*where they read*.
+
+It is put down where it is drawn, or as near to that as nothing overlaps: with u the gaps there, G what they change with
+the rows q,
+
+    min ‖q‖²,        u + G q ≥ 0,
+
+a problem of least distance (Lawson and Hanson 1974, chapter 23). No force acts: nothing presses it yet.
+
+References
+----------
+Lawson, Hanson (1974), Solving Least Squares Problems, Prentice-Hall.
 """
 
 from __future__ import annotations
@@ -12,12 +22,35 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import completing, independent, motion_size
 
-__all__ = ["RestRows"]
+__all__ = ["RestRows", "put_down"]
+
+CLEAR = 1e-9  # mm: how far apart parts are put down that would overlap, more than rounding
+FEASIBLE = 1e-9  # residual of the dual below which no motion takes the parts apart
+
+
+def put_down(gap: np.ndarray, G: np.ndarray) -> np.ndarray:
+    """(k,) by how much the rest rows move for gaps (m,) that change by G (m, k) not to overlap; none where they cannot.
+
+    Gaps that none of them changes do not count.
+    """
+    read = np.abs(G).max(axis=1, initial=0.0) > FEASIBLE
+    gap, G = gap[read], G[read]
+    if not (gap < 0.0).any():
+        return np.zeros(G.shape[1])
+    gap = gap - CLEAR
+    overlap = -gap.min()
+    dual = np.vstack([G.T, -gap / overlap])
+    unit = np.append(np.zeros(G.shape[1]), 1.0)
+    residual = dual @ nnls(dual, unit)[0] - unit
+    if -residual[-1] <= FEASIBLE:
+        return np.zeros(G.shape[1])
+    return overlap * residual[:-1] / -residual[-1]
 
 
 @dataclass(frozen=True)

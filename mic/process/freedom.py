@@ -2,8 +2,8 @@
 
 A locator, or a clamp that holds a position, at x along d reads ``d · (q + φ × (x - c))`` of a part's rigid motion
 (q, φ) about c; a weld reads both parts' motions at its point, second minus first, translations first and rotations
-where it carries moment. A part that these leave free *rests*: contact alone can hold it, where a zone joins it to what
-does not move along.
+where it carries moment. What these leave free of a part that `rests`, and of what is welded to it, contact alone can
+hold, where a zone joins it to what does not move along.
 
 Whether contact can, the pairs tell before anything is factorised. With N the motions that the rows leave free,
 
@@ -34,7 +34,7 @@ SHARE = 1e-6  # of a motion: a part that moves less than this with it stays
 PRESSED = 1e-6  # of the largest force: contacts that may press with no more than this press on nothing
 INFEASIBLE = 2  # how SciPy calls it
 ROUGH = 10.0  # larger than any coefficient that depends on pressure
-AXIS = 1e-3  # of a direction: what lies across an axis by less than this lies along it
+AXIS = 0.05  # of a direction: what lies across an axis by less than this lies along it
 
 
 def rested(scene, joints: Joints, plan):
@@ -66,6 +66,7 @@ def rested(scene, joints: Joints, plan):
             resting = bodies.moved(error.motions)
             zones = [zone for i, zone in enumerate(scene.zones) if step.sets_down or i not in step.away]
             try:
+                completing(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)
                 completing(held, bodies.joined(zones), bodies.size)
             except FreeMotion as lost:
                 there = [p for p in bodies.moved(lost.motions) if p not in step.parked]
@@ -81,7 +82,7 @@ def free(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
     once = f" once {', '.join(opened[:4])}{' …' * (len(opened) > 4)} opened" if opened else ""
     return SceneError(
         f"stages ({plan.name}): {error}{once}, mostly of part {scene.parts[part].name!r}; keep more locators in this "
-        "stage, join the part by welds with moment, or give it a zone on which it rests"
+        "stage, or join the part by welds with moment; where contact is to hold it, give it rests = true and a zone"
     )
 
 
@@ -237,6 +238,10 @@ class _Bodies:
                 item = getattr(self.scene, f"{kind}s")[row]
                 line[self._own(item.part)] = self._along(item.point, item.direction)
         return reading
+
+    def whole(self, parts) -> np.ndarray:
+        """(6 p, 6P) all motions of some parts."""
+        return np.concatenate([np.zeros((0, len(self.size))), *(np.eye(len(self.size))[self._own(p)] for p in parts)])
 
     def joined(self, zones) -> np.ndarray:
         """(6 z, 6P) all that bodies may move against each other that zones join; a fixture stays."""

@@ -36,18 +36,43 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mic.compliance.elimination import Response
-from mic.contact.path import PathSolution
+from mic.contact.laws import Law
+from mic.contact.path import Increments, Path, PathSolution
+from mic.contact.solution import Status
 from mic.contact.states import SLIP, STICK
 from mic.process.freedom import towards
 from mic.product import product
 
-__all__ = ["Rest"]
+__all__ = ["Leg", "Rest"]
 
-SOFT = 1e5  # c, of the largest compliance of a contact
-PASSES = 8
+SOFT = 10.0  # c, of the largest compliance of a contact
+FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
+LEGS = 4  # of what is left of it
+PASSES = 50
+ROUGH = 4  # passes of a leg that is followed: more do not agree better than its steps err
+STAYS = 4  # passes in a row that change λ by less than a tenth: nothing holds the part
 BALANCED = 1e-10  # of the largest force: what the springs may carry
-STILL = 1e-5  # mm: or so far as the part may be from where they carry nothing; it shrinks by 1/SOFT with each pass
+PRESSED = 1e-3  # of the largest force: a part on springs that carry more than this is not pressed on anything
+STILL = 1e-5  # mm: then it may be so far from where they carry nothing; the way shrinks by 1/SOFT with each pass
 LOOSE = 1e-8  # of the best held motion: what is held by less is not held
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of a step, for n samples.
+
+    Attributes
+    ----------
+    start, end : (n, d m + s) array
+        b at its start and its end, the parts as they were drawn.
+    pushed_start, pushed_end : (n, k) array
+        e there.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    pushed_start: np.ndarray
+    pushed_end: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -88,60 +113,95 @@ class Rest:
         return response.S + c * (G @ G.T)
 
     def pushed(self, response: Response, v: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """(n, k) e of the soft rows: what loads and values leave to the rest rows."""
+        """(n, k) e of the soft rows: what values (n, b) of bilateral rows, and loads, leave to the rest rows."""
         own = self.columns(response)
-        return product(v, response.reaction_T[own].T) + product(p, response.reaction_L[own].T)
+        return product(v, response.reaction_T[own, : v.shape[1]].T) + product(p, response.reaction_L[own].T)
+
+    def legs(self, path: Path, law: Law) -> list[tuple[float, Path]]:
+        """Where the legs of a path end, and how each is followed: every increment is one of its own.
+
+        A part that lay loose comes to lie on something as soon as anything presses it, and moves by a finite way under
+        no load at all: no path to be followed. That takes the first leg, in one increment. What steps of a path that is
+        followed leave differs from pass to pass by their error; so the last leg stands still.
+        """
+        if isinstance(path, Increments) or not law.frictional:
+            ends = path.ends if law.frictional else [1.0]
+            return [(float(end), Increments(1)) for end in ends]
+        ends = np.linspace(FIRST, 1.0, LEGS + 1)[1:]
+        return [(FIRST, Increments(1)), *((float(end), path) for end in ends), (1.0, Increments(1))]
 
     def settle(
         self,
         response: Response,
-        follow: Callable[[np.ndarray, np.ndarray], tuple[PathSolution, np.ndarray]],
-        start: np.ndarray,
-        pushed: np.ndarray,
+        leg: Leg,
+        drawn: np.ndarray,
+        place: np.ndarray,
+        force: np.ndarray,
+        anchor: np.ndarray,
+        follow: Callable[..., tuple[PathSolution, np.ndarray]],
+        path: Path,
     ) -> tuple[PathSolution, np.ndarray, np.ndarray]:
-        """Find where the parts come to rest.
+        """Go along a leg, and find where the parts come to rest at its end.
 
         Parameters
         ----------
         response : Response
             Of the step.
+        leg : Leg
+        drawn, place : (n, k) array
+            What the rest rows read where the leg's b was taken, and where it begins.
+        force : (n, d m + s) array
+            Of contacts and stops, where it begins.
+        anchor : (n, m, d - 1) array
         follow : function
-            ``follow(own, q̄)`` takes the samples `own` along the step, to the rest positions (n, k), and returns their
-            paths and the forces (n, d m + s) of contacts and stops.
-        start : (n, k) array
-            Rest positions to begin with.
-        pushed : (n, k) array
-            e at the step's end.
+            ``follow(b0, b1, force, anchor, path)`` takes samples along, and returns their paths and the forces at the
+            end.
+        path : Path
 
         Returns
         -------
         solution : PathSolution
             Samples that the springs still carry are not converged; their status says which part nothing holds, where.
+            Of a path that is followed the springs may carry what its steps err by.
         force : (n, d m + s) array
         position : (n, k) array
-            q.
+            q at the end.
         """
         c, G = self.springs(response)
-        target, todo = start.copy(), np.arange(len(start))
-        solution, force = follow(todo, target)
-        for _ in range(PASSES):
-            λ = pushed - product(force, G)
-            scale = np.abs(np.column_stack([force, pushed])).max(axis=1, initial=0.0)
+
+        def unloaded(b, e, target):
+            return b + product(target - drawn - c * e, G.T)
+
+        # Springs that carry at first what acts at first, so that the leg starts in equilibrium.
+        start = unloaded(leg.start, leg.pushed_start, place + c * (leg.pushed_start - product(force, G)))
+        target = place.copy()
+        solution, found = follow(start, unloaded(leg.end, leg.pushed_end, target), force, anchor, path)
+        exact = isinstance(path, Increments)
+        before, stays = np.full(len(place), np.inf), np.zeros(len(place), dtype=int)
+        for _ in range(PASSES if exact else ROUGH):
+            λ = leg.pushed_end - product(found, G)
+            scale = np.abs(np.column_stack([found, leg.pushed_end])).max(axis=1, initial=0.0)
             carried = np.abs(λ).max(axis=1, initial=0.0)
             position = target - c * λ
-            open_ = (carried > BALANCED * scale) & (c * carried > STILL) & solution.converged
-            todo = np.flatnonzero(open_)
+            free = (carried > PRESSED * scale) & (c * carried <= STILL)
+            stays = np.where(carried > 0.9 * before, stays + 1, 0)
+            before = carried
+            open_ = (carried > BALANCED * scale) & ~free & solution.converged
+            todo = np.flatnonzero(open_ & (stays < STAYS))
             if not todo.size:
-                return solution, force, position
+                break
             target[todo] = position[todo]
-            again, pressed = follow(todo, target)
+            end = unloaded(leg.end, leg.pushed_end, target)
+            again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], path)
             solution = solution.put(todo, again)
-            force[todo] = pressed
-        status, converged = solution.status.copy(), solution.converged.copy()
-        for sample in todo:
-            status[sample] = self._unheld(λ[sample], "is pushed off")
-        converged[todo] = False
-        return replace(solution, status=status, converged=converged), force, position
+            found[todo] = pressed
+        if not exact:
+            return solution, found, target - c * (leg.pushed_end - product(found, G))
+        status, converged = solution.status.copy(), solution.converged & ~open_
+        for sample in np.flatnonzero(open_):
+            off = stays[sample] >= STAYS
+            status[sample] = self._unheld(λ[sample], "is pushed off") if off else Status.NOT_CONVERGED
+        return replace(solution, status=status, converged=converged), found, position
 
     def loose(
         self, response: Response, force: np.ndarray, state: np.ndarray, bound: np.ndarray, stopped: np.ndarray

@@ -33,12 +33,13 @@ from mic.contact.path import Followed, Increments, Path, PathSolution
 from mic.contact.states import classify
 from mic.contact.watched import WatchedSolver
 from mic.errors import FreeMotion
+from mic.model.resting import put_down
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.freedom import free
 from mic.process.path import Ramp
 from mic.process.plan import Limit, StagePlan, Step, yielding
-from mic.process.rest import Rest
+from mic.process.rest import Leg, Rest
 from mic.process.state import ProcessState
 from mic.process.stops import Stops
 from mic.product import product
@@ -351,52 +352,72 @@ class PreparedStage:
         response, rest, step, n = eliminated.response, eliminated.rest, eliminated.step, len(drive)
         stops, contacts = self._stops(eliminated), state.left[0].size
         position = [limit.sign * self._position(limit, drive) for limit in step.stops]
-        normal = slice(0, contacts, self._dimension)
+        normal, anchor = slice(0, contacts, self._dimension), state.anchor
         force = np.column_stack([state.force.reshape(n, -1), self._stopped(step, state)])
 
-        def unloaded(v, p):
-            b = product(v, response.T.T) + product(p, response.L.T)
+        def unloaded(s, place):
+            v, p = ramp.at(s)
+            b = product(np.column_stack([v, place]), response.T.T) + product(p, response.L.T)
             b[:, normal] += drive.gap
             b[:, contacts:] += np.column_stack([np.zeros((n, 0)), *position])
             return b
 
-        def follow(own, start, end):
-            way = np.stack([stops.spread(start[own]), stops.spread(end[own])], axis=1)
-            anchor = np.concatenate([state.anchor, np.zeros((n, stops.count, self._dimension - 1))], axis=1)
-            solution = self._solver(eliminated).follow(way, stops.spread(force[own]), anchor[own], self.path)
-            return stops.split(solution)
+        if step.settles and rest.soft.any():
+            place, anchor = self._put_down(eliminated, state, unloaded(0.0, place), place)
+        start, end = unloaded(0.0, place), unloaded(1.0, place)
+        lift = np.zeros_like(start)
+        if step.settles:
+            apart = start[:, normal] + product(force[:, :contacts], response.S[normal, :contacts].T)
+            lift[:, normal] = np.maximum(0.0, -apart)
+        for j, limit in enumerate(step.stops):
+            if limit.row not in state.stop:  # from where the part is, should it lie beyond
+                kind, row = limit.row
+                lift[:, contacts + j] = np.maximum(0.0, limit.sign * state.reading[kind][:, row] - position[j])
+        solver = self._solver(eliminated)
 
-        def begun(start, compliance):
-            """Where the step starts: overlaps that settle close from touching, a new limit's stop from where it is."""
-            if step.settles:
-                apart = start[:, normal] + product(force[:, :contacts], compliance[normal, :contacts].T)
-                start[:, normal] += np.maximum(0.0, -apart)
-            for j, limit in enumerate(step.stops):
-                if limit.row not in state.stop:  # from where the part is, should it lie beyond
-                    kind, row = limit.row
-                    start[:, contacts + j] += np.maximum(0.0, limit.sign * state.reading[kind][:, row] - position[j])
-            return start
+        def follow(b0, b1, force, anchor, path) -> tuple[PathSolution, np.ndarray]:
+            way = np.stack([stops.spread(b0), stops.spread(b1)], axis=1)
+            none = np.zeros((len(b0), stops.count, self._dimension - 1))
+            found = solver.follow(way, stops.spread(force), np.concatenate([anchor, none], axis=1), path)
+            solution, stopped = stops.split(found)
+            return solution, np.column_stack([solution.force, stopped])
 
-        (v0, p0), (v1, p1) = ramp.at(0.0), ramp.at(1.0)
-        v0, v1 = np.column_stack([v0, place]), np.column_stack([v1, place])
         if not rest.soft.any():
-            start, end = begun(unloaded(v0, p0), response.S), unloaded(v1, p1)
-            return *follow(np.arange(n), start, end), place
-        c, G = rest.springs(response)
-        soft, e0, e1 = rest.columns(response), rest.pushed(response, v0, p0), rest.pushed(response, v1, p1)
-        v0[:, soft] += c * (e0 - product(force, G))  # springs that carry what acts as the step begins
-        start = begun(unloaded(v0, p0) - c * product(e0, G.T), eliminated.compliance)
+            solution, force = follow(start + lift, end, force, anchor, self.path)
+            return solution, force[:, contacts:], place
 
-        def rested(own, target):
-            v = v1.copy()
-            v[np.ix_(own, soft)] = target[own]
-            found, stop = follow(own, start, unloaded(v, p1) - c * product(e1, G.T))
-            return found, np.column_stack([found.force, stop])
+        def leg(s0, s1) -> Leg:
+            """Of the step, whatever its place: loads without contacts, and what they leave to the rest rows."""
+            left = [rest.pushed(response, *ramp.at(s)) for s in (s0, s1)]
+            return Leg(unloaded(s0, place) + (1 - s0) * lift, unloaded(s1, place) + (1 - s1) * lift, *left)
 
-        solution, found, at = rest.settle(response, rested, v1[:, soft], e1)
+        legs, s0 = rest.legs(self.path, solver.law), 0.0
+        pieces, begin, at = [], place[:, rest.soft], place[:, rest.soft]
+        for s1, path in legs:
+            solution, force, at = rest.settle(response, leg(s0, s1), begin, at, force, anchor, follow, path)
+            anchor, trace = solution.anchor, solution.trace.weighted((s1 - s0) * len(legs))
+            if isinstance(self.path, Followed) and isinstance(path, Increments):  # short: they belong to the path
+                solution = replace(solution, rung=np.where(solution.rung == "increments", "followed", solution.rung))
+                trace = replace(trace, error=np.zeros(n))
+            pieces.append(replace(solution, trace=trace))
+            s0 = s1
         place = place.copy()
         place[:, rest.soft] = at
-        return solution, found[:, contacts:], place
+        return PathSolution.join(pieces), force[:, contacts:], place
+
+    def _put_down(self, eliminated, state, unloaded, place) -> tuple[np.ndarray, np.ndarray]:
+        """Where resting parts are (n, k) that nothing presses yet, so that they overlap nowhere, and the anchors, which
+        go with them."""
+        rest, (_, m, d) = eliminated.rest, state.force.shape
+        G = rest.springs(eliminated.response)[1][: m * d].reshape(m, d, -1)
+        G = np.where(self._contacts.out(eliminated.step.nuggets, eliminated.step.away)[:, None, None], 0.0, G)
+        touched = np.abs(G[:, 0]).max(axis=1, initial=0.0) > 0
+        place, anchor = place.copy(), state.anchor.copy()
+        for sample in np.flatnonzero(~state.force[:, touched].any(axis=(1, 2))):
+            moved = put_down(unloaded[sample, : m * d : d], G[:, 0])
+            place[sample, rest.soft] += moved
+            anchor[sample] += G[:, 1:] @ moved
+        return place, anchor
 
     def _resolution(self, start, end, solutions, drive, pushed) -> Resolution:
         whole, n = PathSolution.join(solutions), len(end.force)

@@ -65,6 +65,9 @@ _NOTHING = {
 
 def _sentence(scene, step: Step) -> str:
     clauses = [clause for action in step.move for clause in _clauses(scene, action)]
+    rests = [scene.parts[p].name for p in step.resting if p not in step.parked]
+    if rests and any(isinstance(action, SetDown | Arrive | Transfer | Open | Withdraw) for action in step.move):
+        clauses.append(f"contact alone holds {_listed(rests)}")
     if step.settles and len(clauses) > 1:
         return f"{', '.join(clauses[1:])}; meanwhile {clauses[0]}"
     return ("; " if any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move) else ", ").join(
@@ -82,6 +85,10 @@ def _clauses(scene, action: Action) -> Iterable[str]:
             own = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
             if own:
                 yield f"{part.name} is set down on {_listed(own)}"
+        if isinstance(action, SetDown):
+            for part in scene.parts:
+                if all(one.part != part.name for one in scene.locators):
+                    yield f"{part.name} is laid down"
     elif isinstance(action, Settle):
         yield "parts that overlap come to rest on each other"
     elif isinstance(action, Hold):

@@ -15,7 +15,7 @@ from mic.geometry.sides import TOLD, offsets
 from mic.geometry.surface import Surface
 from mic.proposal.bodies import Body
 
-__all__ = ["Faying", "find_faying", "nearest_distance"]
+__all__ = ["Faying", "closer", "find_faying", "nearest_distance"]
 
 GAP = 2.0  # mm between facing surfaces, as zones have it
 ANGLE = 30.0  # degrees between two surfaces that face each other, as zones have it
@@ -113,6 +113,24 @@ def find_faying(first: Body, second: Body) -> Faying | None:
         else float(np.sign(area[facing] @ along[facing]))
     )
     return replace(found, side=side)
+
+
+def closer(lap: Faying, near: np.ndarray) -> Faying | None:
+    """Those places of a lap alone, (n,) bool, as a lap of their own; None where too little is left."""
+    area = lap.area * float(near.mean())
+    if area < LEAST:
+        return None
+    point = lap.point[near]
+    depth = lap.depth[near] if near.all() else np.minimum(lap.depth[near], cKDTree(lap.point[~near]).query(point)[0])
+    return replace(
+        lap,
+        point=point,
+        normal=lap.normal[near],
+        height=lap.height[near],
+        depth=depth,
+        piece=_pieces(point, 2.5 * lap.spacing),
+        area=area,
+    )
 
 
 def nearest_distance(first: Body, second: Body) -> float:

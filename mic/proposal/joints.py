@@ -35,14 +35,26 @@ class Joints:
     Attributes
     ----------
     welds, tongs : (n, 3) array
-        mm, in the middle between the drawn surfaces.
+        mm, in the middle between the drawn surfaces, or of a stack.
+    through : (m,) int array
+        Tongs of other laps that stand on this one too.
     """
 
     welds: np.ndarray
     tongs: np.ndarray
+    through: np.ndarray
 
 
-def propose_joints(lap: Faying, gap: np.ndarray, listed: np.ndarray | None = None) -> Joints:
+NONE = np.zeros((0, 3))
+
+
+def propose_joints(
+    lap: Faying,
+    gap: np.ndarray,
+    listed: np.ndarray | None = None,
+    welded: np.ndarray = NONE,
+    pressed: np.ndarray = NONE,
+) -> Joints:
     """Welds and tongs of a lap; with `listed` welds, (n, 3), tongs alone.
 
     Every piece of the lap that has room for a nugget gets a weld. They stand where the sheets are flat and lie closest,
@@ -54,24 +66,44 @@ def propose_joints(lap: Faying, gap: np.ndarray, listed: np.ndarray | None = Non
     gap : (n,) array
         Between the facing surfaces at its places, mm.
     listed : (w, 3) array, optional
+    welded, pressed : (n, 3) array
+        Where laps that share a sheet with this one have welds and tongs.
     """
     pitch, lines = PITCH, _lines(lap, gap)
+    through, pressing = welded[_standing(lap, welded)], np.flatnonzero(_standing(lap, pressed))
     while True:
-        welds = [] if listed is not None else [one for own in lines for one in own[_row(lap.point[own], pitch)]]
+        welds = (
+            [] if listed is not None else [one for own in lines for one in own[_row(lap.point[own], pitch, through)]]
+        )
         if len(welds) <= MOST or pitch > 1e4:
             break
         pitch *= 1.25
-    points = lap.point[np.array(welds, dtype=np.int64)] if listed is None else listed
+    points = np.concatenate([through, lap.point[np.array(welds, dtype=np.int64)]]) if listed is None else listed
     tongs: list[int] = []
     for own in lines:
         at = lap.point[own]
-        near = points if len(points) else None
-        count = max(1, round(len(_row(at, pitch)) / 2))
-        for one in spread(at, count, near):
-            others = np.concatenate([points, lap.point[np.array(tongs, dtype=np.int64)]])
+        there = cKDTree(at).query(pressed[pressing])[0] <= DEEP
+        count = max(1, round(len(_row(at, pitch)) / 2)) - int(there.sum())
+        near = np.concatenate([points, pressed[pressing]])
+        for one in spread(at, max(0, count), near if len(near) else None):
+            others = np.concatenate([near, lap.point[np.array(tongs, dtype=np.int64)]])
             if not len(others) or np.linalg.norm(others - at[one], axis=1).min() >= CLEAR:
                 tongs.append(own[one])
-    return Joints(_middle(lap, points) if listed is None else listed, lap.point[np.array(tongs, dtype=np.int64)])
+    if listed is None:
+        points = np.concatenate([through, _middle(lap, points[len(through) :])])
+    return Joints(points, lap.point[np.array(tongs, dtype=np.int64)], pressing)
+
+
+def _standing(lap: Faying, points: np.ndarray) -> np.ndarray:
+    """(n,) whether points of other laps stand on this one, seen along its normal, a nugget's width off its edge."""
+    if not len(points):
+        return np.zeros(0, dtype=bool)
+    near = cKDTree(lap.point).query(points)[1]
+    step = points - lap.point[near]
+    along = np.einsum("ij,ij->i", step, lap.normal[near])
+    beside = np.linalg.norm(step - along[:, None] * lap.normal[near], axis=1)
+    thick = lap.first.thickness + lap.second.thickness
+    return (beside <= lap.spacing) & (np.abs(along) <= NEAR + thick) & (lap.depth[near] >= LEAST)
 
 
 def _lines(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
@@ -95,8 +127,16 @@ def _lines(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
     return lines
 
 
-def _row(points: np.ndarray, pitch: float) -> np.ndarray:
-    """Numbers of points that are a pitch apart, the ends first; two at least where they can be half a pitch apart."""
+def _row(points: np.ndarray, pitch: float, given: np.ndarray = NONE) -> np.ndarray:
+    """Numbers of points that are a pitch apart, the ends first; two at least where they can be half a pitch apart.
+
+    Where some are `given`, such as are a pitch off these too.
+    """
+    if len(given):
+        chosen = spread(points, min(len(points), 4 * MOST), given)
+        others = [np.concatenate([given, points[chosen[:i]]]) for i in range(len(chosen))]
+        off = [float(np.linalg.norm(own - points[one], axis=1).min()) for own, one in zip(others, chosen)]
+        return chosen[: next((i for i, one in enumerate(off) if one < 0.75 * pitch), len(off))]
     chosen = spread(points, min(len(points), 4 * MOST))
     at = points[chosen]
     if len(at) > 1 and np.linalg.norm(at[1] - at[0]) < pitch:

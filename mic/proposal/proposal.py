@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mic.proposal.bodies import Body
-from mic.proposal.faying import Faying, find_faying, nearest_distance
+from mic.proposal.faying import Faying, closer, find_faying, nearest_distance
 from mic.proposal.fixture import Support, conditioning, propose_fixture, spread
-from mic.proposal.joints import Joints, propose_joints
+from mic.proposal.joints import NONE, Joints, propose_joints
 
-__all__ = ["Proposal", "Shaping", "propose"]
+__all__ = ["Proposal", "Shaping", "Tong", "propose"]
 
 CLOSED = 0.25  # of the thinner sheet: so much drawn overlap a zone closes unasked
 BETWEEN = 0.8  # of the thickness of a sheet that lies between two others: their gap, at least
@@ -41,6 +41,22 @@ class Shaping:
 
 
 @dataclass(frozen=True)
+class Tong:
+    """A tong that presses the outer two of the sheets that lie upon each other at its point.
+
+    Attributes
+    ----------
+    first, second : Body
+    point : (3,) array
+        mm.
+    """
+
+    first: Body
+    second: Body
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
 class Proposal:
     """What a scene is made of, by the names of its parts.
 
@@ -57,8 +73,11 @@ class Proposal:
         By lap, the drawn overlap that its zone must be told to close, mm; 0 for none.
     spacing : float or None
         Between the candidates of all zones, mm, where left to themselves they would be many.
+    reach : list of float
+        By lap, the gap beyond which another sheet lies between the two, mm; 0 where none does.
     joints : list of Joints
         By lap.
+    tongs : list of Tong
     fixtures : dict of str to list of Support
         The first six of each hold the part.
     conditioned : dict of str to float
@@ -77,7 +96,9 @@ class Proposal:
     laps: list[Faying]
     overlap: list[float]
     spacing: float | None
+    reach: list[float]
     joints: list[Joints]
+    tongs: list[Tong]
     fixtures: dict[str, list[Support]]
     conditioned: dict[str, float]
     base: list[str]
@@ -91,7 +112,7 @@ class Proposal:
             "part": len(self.bodies),
             "locator": sum(map(len, self.fixtures.values())),
             "contact zone": len(self.laps),
-            "clamp": sum(len(joint.tongs) for joint in self.joints),
+            "clamp": len(self.tongs),
             "weld": sum(len(joint.welds) for joint in self.joints),
         }
         return ", ".join(f"{number or 'no'} {what}{'' if number == 1 else 's'}" for what, number in count.items())
@@ -120,16 +141,9 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
     ]
     laps.sort(key=lambda lap: -lap.area)
     offsets, why = _offsets(bodies, laps, sentences)
-    laps = [lap for lap in laps if not any(_between(body, lap, offsets) for body in bodies)]
+    laps, reach = _touching(bodies, laps, offsets)
     overlap = [_overlap(lap, offsets) for lap in laps]
-    joints = []
-    for lap in laps:
-        pair = (lap.first.name, lap.second.name)
-        listed = None
-        if welds is not None:
-            none = np.zeros((0, 3))
-            listed = np.concatenate([welds.get(pair, none), welds.get(pair[::-1], none)])
-        joints.append(propose_joints(lap, lap.gap(offsets), listed))
+    joints = _joints(laps, offsets, welds)
     taken = {
         body.name: np.concatenate(
             [np.zeros((0, 3))] + [_touched(lap, body) for lap in laps if body in (lap.first, lap.second)]
@@ -145,7 +159,9 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
         laps,
         overlap,
         _spacing(laps),
+        reach,
         joints,
+        _tongs(laps, joints),
         fixtures,
         {name: conditioning(six[:6]) for name, six in fixtures.items()},
         _base(bodies, laps, joints, welds),
@@ -183,13 +199,61 @@ def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float
     return {body.name: known.get(body.name, 0.0) for body in bodies}, why
 
 
-def _between(body: Body, lap: Faying, offsets: Mapping[str, float]) -> bool:
-    """Whether another sheet lies between those of a lap, so that they cannot touch."""
-    if body in (lap.first, lap.second) or np.median(lap.gap(offsets)) < BETWEEN * body.thickness:
+def _touching(bodies, laps: Sequence[Faying], offsets) -> tuple[list[Faying], list[float]]:
+    """Laps without the places that other sheets keep apart, and by lap the gap that begins there, mm."""
+    found, reach = [], []
+    for lap in laps:
+        gap = lap.gap(offsets)
+        least = min((BETWEEN * body.thickness for body in bodies if _between(body, lap, gap)), default=np.inf)
+        rest = lap if np.isinf(least) else closer(lap, gap < least)
+        if rest is not None:
+            found.append(rest)
+            reach.append(0.0 if np.isinf(least) else round(least, 2))
+    return found, reach
+
+
+def _between(body: Body, lap: Faying, gap: np.ndarray) -> bool:
+    """Whether another sheet lies between those of a lap, at some of its places, so that they cannot touch there."""
+    wide = gap >= BETWEEN * body.thickness
+    if body in (lap.first, lap.second) or not wide.any():
         return False
-    middle = lap.point + lap.normal * lap.height[:, None] / 2
-    distance = body.surface.project(middle, reach=float(np.abs(lap.height).max() + body.thickness)).distance
-    return bool(np.mean(distance <= np.abs(lap.height) / 2 + body.thickness / 4) > 0.5)
+    height = lap.height[wide]
+    middle = lap.point[wide] + lap.normal[wide] * height[:, None] / 2
+    distance = body.surface.project(middle, reach=float(np.abs(height).max() + body.thickness)).distance
+    return bool(np.mean(distance <= np.abs(height) / 2 + body.thickness / 4) > 0.5)
+
+
+def _joints(laps: Sequence[Faying], offsets, welds) -> list[Joints]:
+    """Welds and tongs lap by lap; what stands in a stack already is not proposed once more."""
+    joints: list[Joints] = []
+    for lap in laps:
+        pair = (lap.first.name, lap.second.name)
+        listed = None
+        if welds is not None:
+            listed = np.concatenate([welds.get(pair, NONE), welds.get(pair[::-1], NONE)])
+        upon = [one for other, one in zip(laps, joints) if {other.first.name, other.second.name} & set(pair)]
+        welded = np.concatenate([NONE, *(one.welds for one in upon)])
+        pressed = np.concatenate([NONE, *(one.tongs for one in joints)])
+        joints.append(propose_joints(lap, lap.gap(offsets), listed, welded, pressed))
+    return joints
+
+
+def _tongs(laps: Sequence[Faying], joints: Sequence[Joints]) -> list[Tong]:
+    """Tongs through all the sheets that lie upon each other where they stand."""
+    points = np.concatenate([NONE, *(joint.tongs for joint in joints)])
+    owner = [lap for lap, joint in zip(laps, joints) for _ in joint.tongs]
+    tongs = []
+    for number, (point, lap) in enumerate(zip(points, owner)):
+        stack = {lap.first.name: lap.first, lap.second.name: lap.second}
+        for other, joint in zip(laps, joints):
+            if number in joint.through and {other.first.name, other.second.name} & set(stack):
+                stack |= {other.first.name: other.first, other.second.name: other.second}
+        n = lap.normal[np.argmin(np.linalg.norm(lap.point - point, axis=1))]
+        feet = {name: body.surface.project(point).point[0] for name, body in stack.items()}
+        order = sorted(stack, key=lambda name: float((feet[name] - point) @ n) * (lap.side or 1.0))
+        first, second = order[0], order[-1]
+        tongs.append(Tong(stack[first], stack[second], (feet[first] + feet[second]) / 2 if len(order) > 2 else point))
+    return tongs
 
 
 def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:

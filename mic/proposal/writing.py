@@ -76,12 +76,10 @@ def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = 
     """
     page = _Page()
     page.say(
-        "A first scene, proposed by mic init from the meshes alone. Everything here is a guess but what the "
-        "meshes tell: "
-        "go through it from top to bottom and put in what you know. Lengths are mm, forces N, stiffness MPa. "
-        "`mic check` says what the scene means and what is wrong with it, `mic run` computes it. The scene "
-        "reference of "
-        "the documentation has every key."
+        "A first scene, proposed by mic init from the meshes alone. Everything here is a guess but what the meshes "
+        "tell: go through it from top to bottom and put in what you know. Lengths are mm, forces N, stiffness MPa. "
+        "`mic check` says what the scene means and what is wrong with it, `mic run` computes it. The scene reference "
+        "of the documentation has every key."
     )
     page.blank()
     page.table(
@@ -162,10 +160,9 @@ def _size(body: Body) -> str:
 
 def _locators(page: _Page, proposal: Proposal) -> None:
     page.say(
-        '--- Locators: each holds a part in one direction, over a round pad. The six of stage "locate" set a '
-        "part down: "
-        'three along the sheet\'s normal (A), two across it (B), one along it (C). Further ones close in stage "clamp" '
-        "and bend the part to its nominal shape there."
+        '--- Locators: each holds a part in one direction, over a round pad. The six of stage "locate" set a part '
+        "down: three along the sheet's normal (A), two across it (B), one along it (C). Further ones close in stage "
+        '"clamp" and bend the part to its nominal shape there.'
     )
     for body in proposal.bodies:
         own = proposal.fixtures[body.name]
@@ -208,7 +205,7 @@ def _zones(page: _Page, proposal: Proposal) -> None:
     if not proposal.laps:
         return
     page.say("--- Contact zones: where two parts may touch. A zone finds by itself where they face each other.")
-    for lap, overlap in zip(proposal.laps, proposal.overlap):
+    for lap, overlap, reach in zip(proposal.laps, proposal.overlap, proposal.reach):
         a, b = lap.first.name, lap.second.name
         gap = lap.gap(proposal.offsets)
         rows: list[Row] = [
@@ -221,11 +218,12 @@ def _zones(page: _Page, proposal: Proposal) -> None:
                 (
                     "nominal_overlap",
                     overlap,
-                    f"mm: the sheets are drawn {-gap.min():.2f} mm into each other here, which counts as "
-                    "touching up to "
-                    "this; thicknesses or offsets may be wrong",
+                    f"mm: the sheets are drawn {-gap.min():.2f} mm into each other here, which counts as touching up "
+                    "to this; thicknesses or offsets may be wrong",
                 )
             )
+        if reach:
+            rows.append(("max_gap", reach, "mm between them; where they lie farther apart, another sheet lies between"))
         if proposal.spacing is not None:
             rows.append(
                 (
@@ -239,22 +237,19 @@ def _zones(page: _Page, proposal: Proposal) -> None:
 
 
 def _clamps(page: _Page, proposal: Proposal) -> None:
-    if not any(len(joint.tongs) for joint in proposal.joints):
+    if not proposal.tongs:
         return
     page.say(
         "--- Clamps: tongs press two parts together by a force; a clamp on one `part` pushes it along a direction."
     )
-    count = 0
-    for lap, joint in zip(proposal.laps, proposal.joints):
-        for point in joint.tongs:
-            count += 1
-            rows: list[Row] = [
-                ("name", f"T{count}", "names it in `order` and in deviations"),
-                ("parts", [lap.first.name, lap.second.name], "the two that it presses together"),
-                ("point", _point(point), "where, mm"),
-                ("force", _number(force(lap.first, lap.second)), "N"),
-            ]
-            page.table("[[clamps]]", rows)
+    for count, tong in enumerate(proposal.tongs, 1):
+        rows: list[Row] = [
+            ("name", f"T{count}", "names it in `order` and in deviations"),
+            ("parts", [tong.first.name, tong.second.name], "the two that it presses together"),
+            ("point", _point(tong.point), "where, mm"),
+            ("force", _number(force(tong.first, tong.second)), "N"),
+        ]
+        page.table("[[clamps]]", rows)
 
 
 def _welds(page: _Page, proposal: Proposal, file: str | None) -> None:
@@ -287,7 +282,7 @@ def _stages(page: _Page, proposal: Proposal, welds: str | None) -> None:
     page.say("--- The process, stage after stage. `mic check` prints it step by step.")
     page.table("[[stages]]", [("kind", "locate", "the parts are set down on their six locators")])
     further = any(one.further for own in proposal.fixtures.values() for one in own)
-    tongs = any(len(joint.tongs) for joint in proposal.joints)
+    tongs = bool(proposal.tongs)
     welded = welds is not None or any(len(joint.welds) for joint in proposal.joints)
     if further or tongs:
         page.table("[[stages]]", [("kind", "clamp", "")], "further locators close, then one clamp after the other")
@@ -305,11 +300,9 @@ def _stages(page: _Page, proposal: Proposal, welds: str | None) -> None:
 
 def _deviations(page: _Page, proposal: Proposal) -> None:
     page.say(
-        "--- Deviations: what varies from assembly to assembly, each on its own. These are placeholders, so "
-        "that a first "
-        "run says something: put in what your parts and fixtures do. A corrective force gives a part another "
-        "stress-free "
-        "shape; a locator that is off moves its part."
+        "--- Deviations: what varies from assembly to assembly, each on its own. These are placeholders, so that a "
+        "first run says something: put in what your parts and fixtures do. A corrective force gives a part another "
+        "stress-free shape; a locator that is off moves its part."
     )
     for body in proposal.bodies:
         shaping = proposal.shaping[body.name]

@@ -110,7 +110,7 @@ def check_friction(scene) -> None:
 
 
 def check_held(scene) -> None:
-    """Every part has six independent locators when it is set down, or a zone on which it rests.
+    """Every part has six independent locators when it is set down, or rests, in a zone.
 
     Of a part whose locators are not placed yet nothing is said. Whether contact can hold what rests,
     :mod:`mic.process.freedom` says.
@@ -118,7 +118,11 @@ def check_held(scene) -> None:
     found, stations = [], set_down_in(scene)
     touching = {name for zone in scene.zones for name in zone.parts}
     for i, part in enumerate(scene.parts):
-        if part.name in touching:
+        if part.rests:
+            if part.name not in touching:
+                found.append(
+                    f"parts[{i}].rests ({part.name}): it is in no zone, so there is nothing to rest on; add one"
+                )
             continue
         stage = stations[part.name]
         own = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
@@ -137,7 +141,7 @@ def check_held(scene) -> None:
             found.append(
                 f"parts[{i}] ({part.name}): its {len(own)} locators of the locate stage hold {held} of its 6 "
                 f"rigid-body motions{_named(free)}; add locators (at least a 3-2-1 scheme) until all six are held; "
-                "where it rests on another part, a zone between the two"
+                "where it rests on another part, rests = true, and a zone between the two"
             )
     _raise(found)
 

@@ -186,12 +186,17 @@ class Part(_Table):
     poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
         None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
     )
+    rests: Flag = Field(
+        False,
+        description="whether it rests on other parts or fixtures: what its locators leave free, contact and friction "
+        "in its zones must hold; it is put down where it is drawn, or as near to that as nothing overlaps",
+    )
 
     stiffness: str | None = Field(
         None,
         description="with `mesh`: file of the part's reduced stiffness on named nodes, in place of finite elements: a "
-        "Matrix Market file with a node table beside it (`a.mtx`, `a.csv` with node, x, y, z), Nastran `DMIG`, output "
-        "of Abaqus `*MATRIX GENERATE`; free of supports",
+        "Matrix Market file or Nastran `OUTPUT4` with a node table beside it (`a.mtx` or `a.op4`, `a.csv` with node, "
+        "x, y, z), Nastran `DMIG`, output of Abaqus `*MATRIX GENERATE`; free of supports",
     )
     compliance: str | None = Field(
         None, description="or of its reduced compliance, on any statically determinate support; the same formats"

@@ -35,7 +35,7 @@ def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
     Raises
     ------
     SceneError
-        A line for each cell that is wrong, with file, row and column.
+        A line for each cell that is wrong, with file, row and column; for a weld without any point.
     """
     if not isinstance(table, dict):
         return table
@@ -58,7 +58,7 @@ def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
                 own = f"{key}[{i}].file"
                 changed[key] += _from_file(own, item, kind, Path(table.get("folder") or "."), names, problems)
             elif what == "points":
-                changed[key] += _from_points(item)
+                changed[key] += _from_points(f"{key}[{i}]", item, problems)
             else:
                 changed[key].append(item)
     if problems:
@@ -72,8 +72,12 @@ def _stands_for(key: str, item: dict[str, Any]) -> str | None:
     return "points" if key == "welds" and isinstance(item.get("points"), list) else None
 
 
-def _from_points(item: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _from_points(key, item: dict[str, Any], problems) -> Iterator[dict[str, Any]]:
     """A weld at each point, numbered from 1."""
+    if "point" in item:
+        problems.append(f"{key}: give either point, of one weld, or points, of one weld at each, not both")
+    if not item["points"]:
+        problems.append(f"{key}.points: there is no point in it; give one at least, or remove the weld")
     rest = {key: value for key, value in item.items() if key != "points"}
     for number, point in enumerate(item["points"], 1):
         yield rest | {"point": point} | ({"name": f"{rest['name']}-{number}"} if "name" in rest else {})

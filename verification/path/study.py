@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -50,10 +51,19 @@ def slips(model, evaluation):
     return found
 
 
-def statistics_of(model, evaluation):
-    """Rows of (quantity, mean, 6σ), mm; key characteristics have no stage."""
+def quantities_of(model, evaluation):
+    """What the report prints statistics of, (n,) each, mm; key characteristics have no stage."""
     quantities = {" ".join(name): y for name, y in slips(model, evaluation).items()}
-    quantities |= {item.name: y for item, y in zip(model.scene.measurements, evaluation.measurements.T)}
+    return quantities | {item.name: y for item, y in zip(model.scene.measurements, evaluation.measurements.T)}
+
+
+def extrapolated(coarser, finer, ratio):
+    """The limit of increments, from so many and `ratio` times as many: what they leave falls with their number."""
+    return {name: y + (y - coarser[name]) / (ratio - 1) for name, y in finer.items()}
+
+
+def statistics_of(model, quantities):
+    """Rows of (quantity, mean, 6σ), mm."""
     keys = {item.name for item in model.scene.measurements}
     return pd.DataFrame(
         [
@@ -93,7 +103,7 @@ def errors(found, reference):
 
 
 def on_scene(context, name, counts, samples):
-    """One scene: followed, and by so many increments a step; the last count is the judge."""
+    """One scene: followed, and by so many increments a step, of which the last counts are the judge, extrapolated."""
     model = context.model(shipped(name, "coarse"))
     deviations = draw(model.scene, SEED, 0, samples)
     followed = evaluate(model, deviations)
@@ -101,10 +111,15 @@ def on_scene(context, name, counts, samples):
     for label, evaluation in {"followed": followed, **plain}.items():
         if evaluation.failed.any():
             raise ArithmeticError(f"{name}, {label}: {evaluation.failed.sum()} samples failed")
-    reference = statistics_of(model, plain[counts[-1]])
+    found_by = {label: quantities_of(model, e) for label, e in {"followed": followed, **plain}.items()}
+    limits = [
+        statistics_of(model, extrapolated(found_by[coarser], found_by[finer], finer / coarser))
+        for coarser, finer in pairwise((1, *counts))
+    ]
+    reference = limits[-1]
     rows = []
     for label, evaluation in {"followed": followed, **plain}.items():
-        found = statistics_of(model, evaluation)
+        found = statistics_of(model, found_by[label])
         share = off(found, reference).max(axis=1)
         key = found["key"].to_numpy()
         rows.append(
@@ -116,6 +131,7 @@ def on_scene(context, name, counts, samples):
                 "key characteristic / allowed": share[key].max(),
                 "factorisations per sample": cost(evaluation) / samples,
                 "times one increment": cost(evaluation) / cost(plain[1]),
+                "judge / allowed": off(limits[-2], reference).max(),
             }
         )
     exact = evaluate(model, deviations, TIGHT)
@@ -235,7 +251,8 @@ def run(context):
             "slip",
             float(followed["slip / allowed"].max()),
             f"Worst: {worst.name}, {worst['worst slip']}. {samples} samples of each scene, coarse, the same for all "
-            f"paths; the judge is {counts[-1]} increments a step, itself of first order.",
+            f"paths; the judge is the limit of {counts[-2]} and {counts[-1]} increments a step, and differs from that "
+            f"of fewer by {worst['judge / allowed']:.2g} of what is allowed.",
             picture(table),
             table,
         ),
@@ -280,7 +297,7 @@ def picture(table):
     figure, axes = panels(2, width=4.6)
     for axis, quantity in zip(axes, ("slip / allowed", "key characteristic / allowed")):
         for name, own in table.groupby("scene", sort=False):
-            plain, followed = own[own["path"] != "followed"].iloc[:-1], own[own["path"] == "followed"]
+            plain, followed = own[own["path"] != "followed"], own[own["path"] == "followed"]
             (line,) = axis.loglog(plain["times one increment"], plain[quantity], "o-", label=name.replace("_", " "))
             axis.loglog(followed["times one increment"], followed[quantity], "*", ms=14, color=line.get_color())
         axis.axhline(1, color="0.5", lw=1, ls=":")
@@ -298,14 +315,15 @@ STUDY = Study(
         "how far off each sample may be, and is the one that the full finite elements follow by another method."
     ),
     reference=(
-        "Many increments; closed forms of one and two contacts and of the layered cantilever; the full finite "
-        "elements, whose path is extrapolated."
+        "Ever more increments, extrapolated; closed forms of one and two contacts and of the layered cantilever; the "
+        "full finite elements, whose path is extrapolated."
     ),
     acceptance=(
         Acceptance(
             "slip",
-            "Mean and 6σ of zone slip, and of tangential displacement, by the followed path against many increments: "
-            "largest difference, of what is allowed, 1 % or 2 µm (a sixth of what 500 samples leave open).",
+            "Mean and 6σ of zone slip, and of tangential displacement, by the followed path against many increments, "
+            "extrapolated: largest difference, of what is allowed, 1 % or 2 µm (a sixth of what 500 samples leave "
+            "open).",
             1.0,
         ),
         Acceptance(

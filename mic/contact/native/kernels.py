@@ -272,14 +272,25 @@ def force_scale(scale, q, y, w):
 
 @jit(void(MATRIX, VECTOR, VECTOR))
 def times(W, x, out):
-    """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes."""
+    """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes; two of the others at a time."""
     out[:] = 0.0
+    first = -1
     for i in range(0, len(x), 3):
-        x0, x1, x2 = x[i], x[i + 1], x[i + 2]
-        if x0 != 0.0 or x1 != 0.0 or x2 != 0.0:
-            row0, row1, row2 = W[i], W[i + 1], W[i + 2]
-            for j in range(len(x)):
-                out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
+        if x[i] == 0.0 and x[i + 1] == 0.0 and x[i + 2] == 0.0:
+            continue
+        if first < 0:
+            first = i
+            continue
+        x0, x1, x2, x3, x4, x5 = x[first], x[first + 1], x[first + 2], x[i], x[i + 1], x[i + 2]
+        row0, row1, row2, row3, row4, row5 = W[first], W[first + 1], W[first + 2], W[i], W[i + 1], W[i + 2]
+        for j in range(len(x)):
+            out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2 + row3[j] * x3 + row4[j] * x4 + row5[j] * x5
+        first = -1
+    if first >= 0:
+        x0, x1, x2 = x[first], x[first + 1], x[first + 2]
+        row0, row1, row2 = W[first], W[first + 1], W[first + 2]
+        for j in range(len(x)):
+            out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
 
 
 @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS, NUMBER))

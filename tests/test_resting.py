@@ -1,0 +1,341 @@
+"""Parts that rest on others by contact alone: statics by hand, what is not held, and the words for it."""
+
+import numpy as np
+import pytest
+from support.feet import STIFFNESS, standing
+from support.springs import six
+
+import mic
+from mic.model.resting import put_down
+from mic.process.plan import plan_assembly, plan_stages
+from mic.process.words import sentences
+from mic.sampling.draw import draw
+
+FEET = [(0, 0, 0), (100, 0, 0), (0, 60, 0)]
+PAIR = 2 / STIFFNESS  # mm/N, of both bodies' springs at one foot, along the normal
+FAR = [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 0], [100, 0, 0], [0, 0, 0]]
+UP = (0, 0, 1)
+
+
+def push(force, at, direction=(0, 0, -1), name="C", part="b", **keys):
+    return {"name": name, "part": part, "point": list(at), "direction": list(direction), "force": force} | keys
+
+
+def gauge(part, at, direction=UP, name="M"):
+    return {"name": name, "part": part, "point": list(at), "direction": list(direction), "lower": -1, "upper": 1}
+
+
+def table(clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, **change):
+    """b stands on a by its feet, under clamps; a is held by six locators."""
+    keys = {
+        "parts": [
+            {"name": "a", "mesh": "a.stl", "thickness": 1.0},
+            {"name": "b", "mesh": "b.stl", "thickness": 1.0, "rests": True},
+        ],
+        "locators": six("a", far=FAR),
+        "clamps": list(clamps),
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
+        "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(feet)],
+        "stages": [{"kind": kind} for kind in kinds],
+    }
+    return standing([("Z", foot, UP) for foot in feet], gap=gap, shape=shape, **keys | change)
+
+
+def refused(model, words):
+    with pytest.raises(mic.SceneError, match=words):
+        plan_assembly(model)
+
+
+PATHS = [{}, {"increments": 3}, {"path": "one-step"}]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_under_an_off_centre_clamp_the_feet_carry_what_the_levers_say(path):
+    """100 N at (30, 20): 0.3 of it on the foot at x = 100, a third on the one at y = 60."""
+    stages = [{"kind": "locate"}, {"kind": "clamp"} | path, {"kind": "measure"}]
+    found = table([push(100, (30, 20, 0))], stages=stages).evaluate({})
+    third = 100 / 3
+    carried = [100 - 30 - third, 30, third]
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-8)
+    np.testing.assert_allclose(found.measurements[0], -PAIR * np.array(carried), rtol=1e-8)
+    # What a carries goes to its locators: their three supports hold 100 N in all.
+    np.testing.assert_allclose(found.resolutions["clamp"].reaction[0][:3].sum(), 100.0, rtol=1e-9)
+    # The rigid motions of the outcome, from which fields are drawn: b sinks by the first foot.
+    np.testing.assert_allclose(found.motion[0, 8], -PAIR * carried[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
+def test_pins_hold_the_part_in_plane_and_contact_along_its_normal_under_every_law(law):
+    pins = [item | {"part": "b", "name": f"p{i}"} for i, item in enumerate(six("b", far=FAR)[3:])]
+    found = table([push(100, (30, 20, 0))], locators=six("a", far=FAR) + pins).evaluate({}, law)
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], [100 - 30 - 100 / 3, 30, 100 / 3], rtol=1e-8)
+
+
+def sideways(model, force):
+    return model.evaluate(np.array([[force]]))
+
+
+def test_friction_holds_a_push_up_to_its_limit_and_beyond_it_the_sample_fails():
+    """Feet that carry N hold μ N together; each yields by half of `PAIR` along its tangents."""
+    clamps = [push(100, (30, 20, 0)), push(0, (30, 20, 0), (1, 0, 0), "D")]
+    deviation = {"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}
+    model = table(clamps, deviations=[deviation], measurements=[gauge("b", (0, 0, 0), (1, 0, 0))])
+    plan_assembly(model)
+    forces = np.array([[12.0], [-15.0], [25.0], [19.0]])
+    found = model.evaluate(forces)
+    np.testing.assert_array_equal(found.failed, [False, False, True, False])
+    resolution = found.resolutions["clamp"]
+    assert resolution.status[2] == "not held: part b is pushed off along x"
+    # t1 of the frame of a foot is x. Below the limit of every foot they share by stiffness, alike.
+    np.testing.assert_allclose(resolution.force[:2, :, 1], [[-4.0] * 3, [5.0] * 3], rtol=1e-7)
+    np.testing.assert_allclose(found.measurements[:2, 0], [4 * PAIR / 2, -5 * PAIR / 2], rtol=1e-7)
+    # 19 N of 20 N: the foot that carries 30 N slips at 6 N, and all three together hold it.
+    carried = resolution.force[3]
+    np.testing.assert_allclose(carried.sum(axis=0), [100.0, -19.0, 0.0], atol=1e-7)
+    assert (np.hypot(*carried[:, 1:].T) <= 0.2 * carried[:, 0] + 1e-7).all()
+    # A sample knows nothing of the others, nor of one that fails beside it.
+    alone = model.evaluate(forces[3:])
+    np.testing.assert_array_equal(alone.measurements[0], found.measurements[3])
+
+
+def test_in_a_groove_the_sides_carry_what_the_wedge_says():
+    """45° sides: 100 N down on the ridge, N on each with 2 N cos 45° = 100; a stop along the groove, no friction."""
+    root = np.sqrt(0.5)
+    pairs = [
+        ("Z", (side * x, y, abs(x)), (-side * root, 0, root)) for side in (-1, 1) for x in (10, 20) for y in (0, 80)
+    ]
+    model = standing(
+        pairs,
+        parts=[
+            {"name": "a", "mesh": "a.stl", "thickness": 1.0},
+            {"name": "b", "mesh": "b.stl", "thickness": 1.0, "rests": True},
+        ],
+        locators=[*six("a", far=FAR), {"name": "stop", "part": "b", "point": [0, 0, 0], "direction": [0, 1, 0]}],
+        clamps=[push(100, (0, 40, 0))],
+        zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.0, "pairs": 1}],
+        measurements=[gauge("b", (0, 40, 0)), gauge("b", (0, 40, 0), (1, 0, 0), "X")],
+        stages=[{"kind": kind} for kind in ("locate", "clamp", "measure")],
+    )
+    plan_assembly(model)
+    found = model.evaluate({}, "frictionless")
+    force = found.resolutions["clamp"].force[0, :, 0].reshape(2, 4)
+    assert not found.failed.any()
+    np.testing.assert_allclose(force.sum(axis=1), 100 * root, rtol=1e-8)
+    np.testing.assert_allclose(force, 25 * root, rtol=1e-8)
+    # Every side yields by 25 root PAIR along its normal, so that b sinks by 1/root of that.
+    np.testing.assert_allclose(found.measurements[0], [-25 * PAIR, 0.0], atol=1e-10)
+
+
+def test_in_a_stack_each_carries_what_lies_above():
+    zones = [{"name": f"Z{pair}", "parts": list(pair), "friction": 0.2, "pairs": 1} for pair in ("ab", "bc")]
+    model = standing(
+        [("Zab", foot, UP) for foot in FEET] + [("Zbc", foot, UP) for foot in FEET],
+        parts=[{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": name != "a"} for name in "abc"],
+        locators=six("a", far=FAR),
+        clamps=[push(90, (20, 20, 0), part="c"), push(30, (20, 20, 0), name="D")],
+        zones=zones,
+        measurements=[gauge("c", (20, 20, 0)), gauge("b", (20, 20, 0), name="N")],
+        stages=[{"kind": kind} for kind in ("locate", "clamp", "measure")],
+    )
+    plan_assembly(model)
+    found = model.evaluate({})
+    share = np.array([1 - 0.2 - 1 / 3, 0.2, 1 / 3])
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], [*(120 * share), *(90 * share)], rtol=1e-7)
+    sunk = -PAIR * 120 * share @ share
+    np.testing.assert_allclose(found.measurements[0], [sunk - PAIR * 90 * share @ share, sunk], rtol=1e-7)
+
+
+def test_what_overlaps_as_it_is_drawn_is_put_down_on_top_and_then_pressed():
+    """a's feet stand 0.3, 0.1 and 0.2 mm high: b lies on them, tilted, and sinks from there."""
+    high = np.array([0.3, 0.1, 0.2])
+    found = table([push(100, (30, 20, 0))], gap=-high).evaluate({})
+    carried = np.array([100 - 30 - 100 / 3, 30, 100 / 3])
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
+    np.testing.assert_allclose(found.measurements[0], high - PAIR * carried, atol=1e-8)
+
+
+def test_a_shape_that_deviates_is_measured_from_where_the_part_rests():
+    """b's first foot is longer by d and the rest follows: it stands d higher there, whatever the force."""
+    deviation = {"name": "D", "kind": "force", "part": "b", "point": [0, 0, 0], "direction": [0, 0, 1], "sigma": 1.0}
+    longer = lambda part, at: np.array([0, 0, -1.0 * (part == "b" and not at.any())])
+    model = table([push(100, (30, 20, 0))], shape=longer, deviations=[deviation])
+    nominal, moved = model.evaluate({}), model.evaluate({"D": 0.2})
+    np.testing.assert_allclose(moved.resolutions["clamp"].force, nominal.resolutions["clamp"].force, atol=1e-6)
+    # Of the point at the foot the shape says −d, and b stands d higher there: it reads as before.
+    np.testing.assert_allclose(moved.measurements, nominal.measurements, atol=1e-8)
+
+
+def test_welded_it_is_held_by_the_weld_and_comes_along_when_the_clamp_opens():
+    """Three welds at the feet keep what they find; with the clamp gone, springs press on against them."""
+    welds = [{"name": f"W{i}", "parts": ["a", "b"], "point": list(foot)} for i, foot in enumerate(FEET)]
+    kinds = ("locate", "clamp", "weld", "release", "measure")
+    model = table([push(100, (30, 20, 0))], kinds=kinds, welds=welds)
+    plans = plan_assembly(model)
+    assert [plan.steps[-1].resting for plan in plans] == [(1,), (1,), (), (), ()]
+    found = model.evaluate({})
+    assert not found.failed.any()
+    carried = np.array([100 - 30 - 100 / 3, 30, 100 / 3])
+    np.testing.assert_allclose(found.measurements[0], -PAIR * carried, rtol=1e-7)
+    np.testing.assert_allclose(found.resolutions["release"].force[0, :, 0], carried, rtol=1e-7)
+
+
+def test_locators_may_open_where_friction_holds_what_they_held():
+    """b is set down on six locators and pressed by 100 N; with the six gone it stays, and 12 N along x move it on."""
+    clamps = [push(100, (30, 20, 0)), push(12, (30, 20, 0), (1, 0, 0), "D", stage="second")]
+    stages = [
+        {"kind": "locate"},
+        {"kind": "clamp"},
+        {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]},
+        {"kind": "clamp", "name": "second"},
+        {"kind": "measure"},
+    ]
+    model = table(
+        clamps,
+        locators=[*six("a", far=FAR), *six("b", far=FAR)],
+        stages=stages,
+        measurements=[gauge("b", (0, 0, 0), (1, 0, 0)), gauge("b", (0, 0, 0), name="Z")],
+    )
+    plans = plan_assembly(model)
+    assert [plan.steps[-1].resting for plan in plans] == [(), (), (1,), (1,), (1,)]
+    found = model.evaluate({})
+    carried = 100 - 30 - 100 / 3
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force, 0.0, atol=1e-9)  # the locators carry it
+    np.testing.assert_allclose(found.resolutions["release"].force[0, 0, 0], carried, rtol=1e-7)
+    np.testing.assert_allclose(found.measurements[0], [4 * PAIR / 2, -PAIR * carried], rtol=1e-6)
+
+
+def test_a_clamp_of_limited_force_presses_a_part_on_that_rests():
+    """Of its force F the feet carry the shares s, so that its point sinks by F Σ s² `PAIR`; it is to sink by 0.1 mm."""
+    share = np.array([1 - 0.3 - 1 / 3, 0.3, 1 / 3])
+    needed = 0.1 / (PAIR * share @ share)
+    stop = {"name": "C", "part": "b", "point": [30, 20, 0], "direction": [0, 0, -1], "stroke": 0.1}
+    for limit, pressed in ((60.0, 60.0), (2 * needed, needed)):
+        model = table([stop | {"limit": limit}])
+        plan_assembly(model)
+        found = model.evaluate({})
+        clamp = found.resolutions["clamp"]
+        assert not found.failed.any() and found.built[0] == (limit > needed)
+        np.testing.assert_allclose(clamp.pushed[0], [pressed], rtol=1e-7)
+        np.testing.assert_allclose(clamp.force[0, :, 0], pressed * share, rtol=1e-7)
+        if not found.built[0]:
+            np.testing.assert_allclose(clamp.needed[0], [needed], rtol=1e-7)
+
+
+def test_flexible_sheets_are_laid_on_one_another_and_welded(lap_scene, cache):
+    """The lap joint, its upper strip without locators: 60 N press it on, welds hold it once they are made."""
+    model = mic.reduce(
+        lap_scene.model_copy(
+            update={
+                "parts": [part.model_copy(update={"rests": part.name == "upper"}) for part in lap_scene.parts],
+                "locators": [one for one in lap_scene.locators if one.part == "lower"],
+                "deviations": [one for one in lap_scene.deviations if one.kind == "force"],
+                "report": lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False}),
+            }
+        ),
+        cache,
+    )
+    samples = draw(model.scene, 5, 0, 4)
+    found = model.evaluate(samples)
+    assert not found.failed.any()
+    for stage in ("clamp", "release"):
+        assert found.resolutions[stage].residual.max() <= 1e-10
+        assert set(found.resolutions[stage].rung) == {"followed"}
+    force = found.resolutions["clamp"].force
+    np.testing.assert_allclose(force.sum(axis=1), [[60.0, 0.0, 0.0]] * 4, atol=1e-7)
+    # Of both parts' forces, those of the fixture included, no resultant is left.
+    assert np.abs(model.compliance.resultants(found.functional_force)).max() < 1e-6
+    one = model.evaluate(samples[2])
+    np.testing.assert_array_equal(one.measurements[0], found.measurements[2])
+
+
+# --------------------------------------------------------------------------------------------------- what is not held
+
+
+def test_without_friction_the_directions_that_slide_are_named_before_anything_is_computed():
+    refused(table([push(100, (30, 20, 0))], friction=0.0), r"\(clamp\): part 'b' .* holds it along x, along y, about z")
+    laws = {"laws": ["coulomb", "frictionless"]}
+    words = r"without friction \(law frictionless\).* take \"frictionless\" out of report.laws"
+    refused(table([push(100, (30, 20, 0))], report=laws), words)
+    with pytest.raises(mic.SceneError, match=words):
+        table([push(100, (30, 20, 0))]).evaluate({}, "frictionless")
+
+
+@pytest.mark.parametrize(
+    "clamps",
+    [
+        pytest.param([push(100, (80, 50, 0))], id="beside its feet, it tips"),
+        pytest.param([push(100, (30, 20, 0), UP)], id="pulled off"),
+        pytest.param([push(100, (30, 20, 0)), push(29, (30, 20, 0), (1, 0, 0), "D")], id="pushed beyond friction"),
+    ],
+)
+def test_a_push_that_no_contact_can_balance_is_refused(clamps):
+    refused(table(clamps), r"stages \(clamp\): contact alone holds 'b', and no forces of it balance the clamps")
+
+
+def test_a_part_that_nothing_presses_lies_loose():
+    refused(
+        table([push(100, (30, 20, 0), part="a")]), r"\(clamp\): part 'b' .* nothing presses it there: it lies loose"
+    )
+
+
+def test_a_clamp_that_does_not_come_down_leaves_the_part_loose_and_the_sample_fails():
+    """Three strokes hold b at its feet; above a gap nothing has it in plane, pressed friction has."""
+    strokes = [
+        {"name": f"C{i}", "part": "b", "point": list(foot), "direction": [0, 0, -1], "stroke": 0.0}
+        for i, foot in enumerate(FEET)
+    ]
+    deviation = {"name": "D", "kind": "clamp", "target": [f"C{i}" for i in range(3)], "sigma": 0.1}
+    model = table(strokes, gap=0.1, deviations=[deviation])
+    plan_assembly(model)
+    found = model.evaluate(np.array([[0.2], [0.05]]))
+    np.testing.assert_array_equal(found.failed, [False, True])
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], 0.1 / PAIR, rtol=1e-7)
+    assert found.resolutions["clamp"].status[1].startswith("not held: part b lies loose")
+
+
+def test_only_a_part_that_says_so_may_rest():
+    parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0} for name in "ab"]
+    with pytest.raises(ValueError, match=r"parts\[1\] \(b\): its 0 locators .* rests = true"):
+        table([push(100, (30, 20, 0))], parts=parts)
+    alone = [*parts, {"name": "c", "mesh": "a.stl", "thickness": 1.0, "rests": True}]
+    with pytest.raises(ValueError, match=r"parts\[2\].rests \(c\): it is in no zone"):
+        table([], parts=alone, locators=[*six("a", far=FAR), *six("b", far=FAR)])
+    stages = [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}]
+    held = table(
+        [push(100, (30, 20, 0))],
+        parts=parts,
+        locators=[*six("a", far=FAR), *six("b", far=FAR)],
+        stages=stages,
+        measurements=[],
+    )
+    with pytest.raises(mic.SceneError, match=r"stages \(release\): 6 rigid-body motions are free .* rests = true"):
+        plan_stages(held.scene, held.weld_size)
+
+
+def test_the_process_in_words_says_what_rests():
+    model = table([push(100, (30, 20, 0))])
+    said = [sentences(model.scene, plan) for plan in plan_stages(model.scene, model.weld_size)]
+    assert said == [
+        ["a is set down on al0, al1, al2, al3, al4 and al5; b is laid down; contact alone holds b"],
+        ["parts that overlap come to rest on each other", "clamp C closes (100 N)"],
+        ["3 key characteristics are read"],
+    ]
+
+
+# -------------------------------------------------------------------------------------------- where a part is put down
+
+
+def test_put_down_moves_a_part_least_so_that_nothing_overlaps():
+    """By hand: one foot, the level of two, and a groove's two sides."""
+    np.testing.assert_allclose(put_down(np.array([-0.3, 0.1]), np.eye(2)), [0.3, 0.0], atol=2e-9)
+    sides = np.array([[1.0, 1.0], [-1.0, 1.0]])
+    np.testing.assert_allclose(put_down(np.array([-0.2, -0.2]), sides), [0.0, 0.2], atol=2e-9)
+    np.testing.assert_allclose(put_down(np.array([-0.2, 0.2]), sides), [0.1, 0.1], atol=2e-9)
+    np.testing.assert_array_equal(put_down(np.array([0.0, 0.4]), sides), [0.0, 0.0])
+    walls = np.array([[1.0], [-1.0]])  # too narrow for it: it stays as it is drawn
+    np.testing.assert_array_equal(put_down(np.array([-0.2, -0.1]), walls), [0.0])
