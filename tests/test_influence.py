@@ -98,8 +98,8 @@ def test_an_indefinite_matrix_is_refused():
 
 #: Largest three eigenvalues of H on balanced forces, of the panel below, mm/N.
 COMPLIANCE = {
-    "dkt-opt-curved": (1.004901452712e-05, 3.748662501810e-05, 1.186714764067e-04),
-    "dkmt-opt-curved": (1.009550229243e-05, 3.752432041487e-05, 1.188474333833e-04),
+    "dkt-opt-curved": (1.005014230023e-05, 3.750048980812e-05, 1.187984466135e-04),
+    "dkmt-opt-curved": (1.009667744194e-05, 3.753813159768e-05, 1.189746776533e-04),
     "dkt-opt": (9.182787856985e-06, 3.147470142548e-05, 9.923381312995e-05),
     "p2-cr": (9.477040579903e-06, 3.411630200963e-05, 9.863116031831e-05),
 }
@@ -112,7 +112,7 @@ def test_an_element_gives_the_coefficients_that_caches_hold(element):
     H, G = ShellPart(surface, T, E, NU, element).influence(functionals(surface, PLACES, 6.0))
     balanced = np.linalg.svd(G)[0][:, 6:]
     found = np.linalg.eigvalsh(balanced.T @ H @ balanced)[-3:]
-    assert GENERATION == 6 and found == pytest.approx(COMPLIANCE[element], rel=1e-8)
+    assert GENERATION == 7 and found == pytest.approx(COMPLIANCE[element], rel=1e-8)
 
 
 @pytest.mark.parametrize("element", ELEMENTS)

@@ -84,6 +84,22 @@ def test_a_quadratic_isometry_of_a_quadratic_surface_costs_no_membrane_energy(se
     assert curved < 1e-12 * flat
 
 
+@pytest.mark.parametrize("degrees", [20.0, 60.0, 90.0])
+def test_a_bend_of_one_row_opens_without_membrane_energy_whatever_its_edges_turn(degrees):
+    """The ends of an arc turn about its generators; their distance follows, along the other edges alike."""
+    α, radius = np.radians(degrees) / 2, 10.0
+    x, y = radius * np.sin(α) * np.array([-1, -1, 1]), np.array([7.0, 0.0, 11.0])
+    side = np.sign(x)[:, None] * np.array([1.0, 0.0, 0.0])
+    points, normals = np.column_stack([x, y, 0 * x]), np.sin(α) * side + np.cos(α) * np.array([0.0, 0.0, 1.0])
+    θ, apart = np.sign(x)[:, None] * np.array([0.0, 1.0, 0.0]), radius * side
+    energy = lambda u: membrane_energy(*(field @ turn(2).T for field in (points, normals, u, θ)))
+    here, more, less = (energy(step * apart) for step in (0, 1, -1))
+    least = here - (more - less) ** 2 / (8 * (more + less - 2 * here))
+    assert abs(least) < 1e-10 * here
+    closer = (less - more) / (2 * (more + less - 2 * here)) * radius  # of each end, for each radian
+    assert closer == pytest.approx(-(radius * np.sin(α) / α - radius * np.cos(α)), rel=0.17)
+
+
 def matrices(surface, name):
     """K in the order of the surface's vertices, six freedoms each."""
     part = ShellPart(surface, 0.8, E, NU, name)

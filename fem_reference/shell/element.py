@@ -226,7 +226,7 @@ def dkmt_strains(T: Triangle, v: Kinematics, material: Material):
     has it in equilibrium (Katili 1993). With k the `SHEAR_FACTOR`,
 
         β = Σ λi βi + Σ_edges 3/2 γ_s/(1 + φ) s 4 λi λj,      φ = 2/(k (1 − ν)) t²/l²
-        γ = Σ_edges l γ_s φ/(1 + φ) (λi ∇λj − λj ∇λi)                                                               (9)
+        γ = Σ_edges l γ_s φ/(1 + φ) (λi ∇λj − λj ∇λi)                                                              (10)
 
     whose tangential component on each edge is γ_s φ/(1 + φ). On thin sheet φ vanishes and DKT is left.
     """
@@ -260,8 +260,13 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
     """Membrane strain of the optimal triangle with drilling freedoms on a curved surface.
 
     The surface is known by its unit normals n_i at the corners. An edge i→j, L its chord of length l with the unit
-    vector s, is the cubic whose end tangents L + a_i, a_i = −(L·n_i) n_i, lie in the tangent planes there. They turn
-    with the nodal rotations, δa_i = θ_i × (L + a_i) − ΔL, where ΔL = u_j − u_i, and the mean strain along the edge is
+    vector s, is the cubic whose end tangents L + a_i lie in the tangent planes there and have the length that an arc
+    asks for. With cos α = |n_i + n_j|/2, Δn = n_j − n_i and P_i = I − n_i n_iᵀ,
+
+        L + a_i = P_i (L + k Δn),   k = (L·Δn) (3 + cos α)/(4 cos α (1 + cos α)(2 + cos α)).
+
+    They turn with the nodal rotations, δa_i = θ_i × (L + a_i) − ΔL, where ΔL = u_j − u_i, and the mean strain along the
+    edge is
 
         l² ε_e = L·ΔL + r_e,   r_e = q_i·δa_i + q_j·δa_j,   q_i = 2/15 a_i − 1/30 a_j,                              (3)
 
@@ -285,11 +290,14 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
 
     where ω̃_i is the mean over the corner's two edges of
 
-        φ_i + m·ε_0 s − l²/6 δ(κτ),   m = e3 × s,                                                                    (8)
+        φ_i + m·ε_0 s − F l²/6 δ(κτ),   m = e3 × s,                                                                  (8)
 
     the turn of the edge in the mean strain, and the turn of the chord out of the geodesic, whose normal curvature and
-    torsion are κ = −(n_j − n_i)·s/l and τ = −(n_j − n_i)·m/l. With θ′ the rotation relative to that of the triangle,
-    δκ = −(θ′_j × n_j − θ′_i × n_i)·s/l and δτ likewise with m.
+    torsion are κ = −Δn·s/l and τ = −Δn·m/l. With θ′ the rotation relative to that of the triangle, δκ = −(θ′_j × n_j −
+    θ′_i × n_i)·s/l and δτ likewise with m. F makes (8) vanish for a cylinder that opens, whatever its edges turn; with
+    the arc over its chord c = 3/(2 + cos α),
+
+        F = ¾ (1/cos α + c (3 + 2 c cos α)/(3 (6 − c cos α))) · (|n_i × s| |n_j × s|)^−½.                            (9)
 
     Every quadratic inextensional displacement of every quadratic surface has ε_b = ε_h = 0, whatever the shape of the
     triangle (docs/curved_triangle.md proves it). With n_i = e3 all a, κ and τ vanish, φ_i = ω_i − m·∇u s, (8) is the
@@ -304,7 +312,9 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
     mean = sym(v.grad_u)
     for i, j, _, chord in edges:
         L, ΔL = dot(P, chord), dot(at.grad_u, chord)
-        a = {c: -dot(L, n[c]) * n[c] for c in (i, j)}
+        Δn, cosine = n[j] - n[i], half_turn(n[i], n[j])
+        bow = (3 + cosine) / (4 * cosine * (1 + cosine) * (2 + cosine)) * dot(L, Δn) * Δn
+        a = {c: bow - dot(L + bow, n[c]) * n[c] for c in (i, j)}
         q = {c: 2 / 15 * a[c] - 1 / 30 * a[o] for c, o in ((i, j), (j, i))}
         # q·δa with the product of three vectors turned round: one cross product of constants for each corner
         r = sum(dot(θ[c], cross(L + a[c], q[c])) for c in (i, j)) - dot(q[i] + q[j], ΔL)
@@ -317,9 +327,14 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
         M, Δn = dot(P, across), n[j] - n[i]
         turn = cross(at.relative[j], n[j]) - cross(at.relative[i], n[i])
         geodesic = (dot(Δn, M) * dot(turn, L) + dot(Δn, L) * dot(turn, M)) / l2  # l² δ(κτ)
-        φ = {c: dot(unit(cross(n[c], L)), cross(θ[c], L) - ΔL) / sqrt(l2) for c in (i, j)}
+        across_normal = {c: cross(n[c], L) for c in (i, j)}
+        cosine = half_turn(n[i], n[j])
+        arc = 3 / (2 + cosine)
+        finite = 3 / 4 * (1 / cosine + arc * (3 + 2 * arc * cosine) / (3 * (6 - arc * cosine)))
+        finite *= sqrt(l2 / sqrt(dot(across_normal[i], across_normal[i]) * dot(across_normal[j], across_normal[j])))
+        φ = {c: dot(unit(across_normal[c]), cross(θ[c], L) - ΔL) / sqrt(l2) for c in (i, j)}
         for c in (i, j):
-            ω_dev[c] += (φ[c] + dot(across, dot(mean, chord)) / l2 - geodesic / 6) / 2
+            ω_dev[c] += (φ[c] + dot(across, dot(mean, chord)) / l2 - finite * geodesic / 6) / 2
         basic += α_b * A / 3 * (φ[j] - φ[i]) * outer(dλ[k], dλ[k])
     for i, j, k in T.edges:
         s_k = (1 - 3 * λ[j]) * ω_dev[i] - (1 - 3 * λ[i]) * ω_dev[j] + (λ[i] - λ[j]) * ω_dev[k]
@@ -327,11 +342,16 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
     return basic + sqrt(material.beta0) * higher
 
 
+def half_turn(n_i, n_j):
+    """cos α, 2α the angle between two unit normals."""
+    return sqrt(1 - dot(n_j - n_i, n_j - n_i) / 4)
+
+
 def dkt_opt(V, material: Material, normals, shear: bool = False):
     """Bilinear form of (1) for the six-freedom element on V = [P1]⁶.
 
     `normals`, of [DG0]⁹, holds n at corners 0, 1, 2 of each cell in turn, on the side of the cell's e3. With `shear`
-    bending is DKMT's in place of DKT's, and ``½ k G t |γ|²`` is added with (9).
+    bending is DKMT's in place of DKT's, and ``½ k G t |γ|²`` is added with (10).
     """
     T, t = triangle(V.mesh), material.thickness
     G = material.young / (2 * (1 + material.poisson))

@@ -18,7 +18,7 @@ __all__ = ["GENERATION", "Part"]
 
 #: Raised whenever the coefficients of the same part come out otherwise than before, by another formulation of its
 #: element or another meaning of a functional: caches then hold none of them.
-GENERATION = 6
+GENERATION = 7
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ that corner along the edge, by a border or a junction of more than two sheets, n
 other side alone decides.
 
 Where the outcome, or what is given, lies farther than `GUARD` from the triangle's own normal, the triangle's own is
-taken. Such a triangle is the only row of a bend, or the normal is wrong; either way flat triangles err less
-(docs/curved_triangle.md).
+taken: a wrong normal does more harm than none.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from scipy.sparse.linalg import lsmr
 
 __all__ = ["COARSE", "GUARD", "CornerNormals", "Rule", "corner_normals"]
 
-GUARD = 33.0  # degrees between a normal and the triangle's own; beyond, flat triangles err less
+GUARD = 60.0  # degrees between a normal and the triangle's own; beyond, it belongs to another sheet
 COARSE = 40.0  # degrees from triangle to triangle beyond which a bend is too coarse to be told from a fold
 
 _SMALL = 2.0  # degrees: any sheet of this dihedral is smooth
