@@ -261,7 +261,7 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
 
     The surface is known by its unit normals n_i at the corners. An edge i→j, L its chord of length l with the unit
     vector s, is the cubic whose end tangents L + a_i lie in the tangent planes there and have the length that an arc
-    asks for. With cos α = |n_i + n_j|/2, Δn = n_j − n_i and P_i = I − n_i n_iᵀ,
+    asks for. With cos α = ‖n_i + n_j‖/2, Δn = n_j − n_i and P_i = I − n_i n_iᵀ,
 
         L + a_i = P_i (L + k Δn),   k = (L·Δn) (3 + cos α)/(4 cos α (1 + cos α)(2 + cos α)).
 
