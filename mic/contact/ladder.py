@@ -98,9 +98,9 @@ SPLITTING = Rung(
     "splitting",
     "Each step is one product with an inverse formed once per S, however many contacts touch: for loads that stick.",
     _swept,
-    # Steps before the first Newton, and rounds of twice as many each: under Coulomb's law what does not stick by then is
-    # better left to Newton's method. Newton uses W⁻¹ up to this condition number of W: the inverse is then good to 1e-8,
-    # and each step gains that much.
+    # Steps before the first Newton, and rounds of twice as many each: under Coulomb's law what does not stick by then
+    # is better left to Newton's method. Newton uses W⁻¹ up to this condition number of W: the inverse is then good to
+    # 1e-8, and each step gains that much.
     {"steps": 20, "rounds": 4, "invertible": 1e8},
 )
 NEWTON = Rung(
