@@ -31,7 +31,7 @@ SCENES = {
     "lap_joint_watched": ("lap_joint", False),
     "hat_on_plate": ("hat_on_plate", True),
 }
-SHIPPED = Format("shipped compliance", 2, "make it again: PYTHONPATH=tests python -m support.shipped")
+SHIPPED = Format("shipped compliance", 3, "make it again: PYTHONPATH=tests python -m support.shipped")
 SAME = 1e-7  # mm, and components of unit vectors: readings that are closer than this are one
 
 
@@ -46,6 +46,20 @@ def places(part) -> np.ndarray:
         rows.append([*centre, np.sqrt(share @ ((at - centre) ** 2).sum(axis=1)), *moment])
     f = part.functionals
     return np.column_stack([np.array(rows)[f.patch], f.direction, f.rotation, f.side])
+
+
+def half(H):
+    """(F (F + 1)/2,) the upper half of a symmetric matrix, row by row."""
+    return H[np.triu_indices(len(H))]
+
+
+def whole(half):
+    """(F, F) the symmetric matrix of which this is the upper half."""
+    size = (int(np.sqrt(1 + 8 * len(half))) - 1) // 2
+    H, upper = np.zeros((size, size)), np.triu_indices(size)
+    H[upper] = half
+    H.T[upper] = half
+    return H
 
 
 def body(part) -> dict:
@@ -63,6 +77,8 @@ class Shipped:
     def __init__(self):
         files = (DATA / f"{file}.npz" for file in SCENES)  # none of them while they are made
         self.files = [load_arrays(file, SHIPPED) for file in files if file.is_file()]
+        for _, arrays in self.files:
+            arrays |= {name: whole(half) for name, half in arrays.items() if name.endswith(":H")}
 
     @property
     def elements(self) -> set[str]:
@@ -109,7 +125,7 @@ def main(cache: Path) -> None:
         for part in assembly.parts:
             one = coefficients[part.name]
             header[part.name] = body(part)
-            arrays |= {f"{part.name}:H": one.H, f"{part.name}:G": one.G, f"{part.name}:places": places(part)}
+            arrays |= {f"{part.name}:H": half(one.H), f"{part.name}:G": one.G, f"{part.name}:places": places(part)}
         save_arrays(DATA / f"{file}.npz", SHIPPED, header, arrays)
 
 
