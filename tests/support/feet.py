@@ -5,13 +5,13 @@ nowhere else; everything else (locators, clamps, welds, measurements) reads the 
 """
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 import mic
 from mic.compliance.blocks import Blocks
-from mic.model.assembly import Between, Contacts
+from mic.model.assembly import Contacts
 from mic.model.rows import KINDS
 from mic.process.model import ReducedModel
+from support.springs import NOWHERE, rows_and_labels
 
 STIFFNESS = 2000.0  # N/mm, of a part at a contact along its normal
 
@@ -58,15 +58,7 @@ def standing(pairs, stiffness=STIFFNESS, gap=0.0, shape=None, **scene):
     H = tuple(np.diag([soft for *_, soft in own[name]]) for name in names)
     G = tuple(np.array([[*d, *np.cross(p, d)] for p, d, _ in own[name]]) for name in names)
     compliance = Blocks(H, G)
-    rows, labels = {}, {}
-    for kind, lines in entries.items():
-        dense = np.zeros((len(lines), compliance.size))
-        for line, terms in zip(dense, lines):
-            for part, functional, share in terms:
-                line[compliance.offsets[names.index(part)] + functional] += share
-        rows[kind], labels[kind] = csr_matrix(dense), [f"{kind}{i}" for i in range(len(lines))]
-    for kind in ("locator", "clamp"):
-        labels[kind] = [item.name for item in getattr(scene, f"{kind}s")]
+    rows, labels = rows_and_labels(scene, compliance, entries)
     shapes = np.zeros((compliance.size, len(scene.deviations)))
     if shape is not None:
         shapes[:, 0] = [shape(name, p) @ d for name in names for p, d, _ in own[name]]
@@ -90,8 +82,7 @@ def standing(pairs, stiffness=STIFFNESS, gap=0.0, shape=None, **scene):
         frame=frames,
         dimension=3,
     )
-    nowhere = Between(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
     weld_gap, size = np.zeros(len(scene.welds)), (3,) * len(scene.welds)
     return ReducedModel(
-        scene, compliance, rows, labels, contacts, nowhere, size, weld_gap, shapes, np.zeros_like(shapes), {}
+        scene, compliance, rows, labels, contacts, NOWHERE, size, weld_gap, shapes, np.zeros_like(shapes), {}
     )

@@ -20,6 +20,25 @@ FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
 ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]
 
 
+#: No points between the pairs at which penetration is looked for.
+NOWHERE = Between(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
+
+
+def rows_and_labels(scene, compliance, entries):
+    """Rows (r, F) and their labels by kind, from what each row reads: (part, functional, coefficient) each."""
+    names = [part.name for part in scene.parts]
+    rows, labels = {}, {}
+    for kind, lines in entries.items():
+        dense = np.zeros((len(lines), compliance.size))
+        for line, terms in zip(dense, lines):
+            for part, functional, share in terms:
+                line[compliance.offsets[names.index(part)] + functional] += share
+        rows[kind], labels[kind] = csr_matrix(dense), [f"{kind}{i}" for i in range(len(lines))]
+    for kind in ("locator", "clamp"):
+        labels[kind] = [item.name for item in getattr(scene, f"{kind}s")]
+    return rows, labels
+
+
 def six(part, stage="locate", far=FAR):
     """Six locators of a part."""
     return [
@@ -75,24 +94,15 @@ def spring_model(gap, weld_gap=(), **scene):
             G[functional] = np.eye(6)[axis]
         blocks.append((H, G))
     compliance = Blocks(*zip(*blocks))
-    rows, labels = {}, {}
-    for kind, lines in entries.items():
-        dense = np.zeros((len(lines), compliance.size))
-        for line, terms in zip(dense, lines):
-            for part, functional, share in terms:
-                line[compliance.offsets[names.index(part)] + functional] += share
-        rows[kind], labels[kind] = csr_matrix(dense), [f"{kind}{i}" for i in range(len(lines))]
-    for kind in ("locator", "clamp"):
-        labels[kind] = [item.name for item in getattr(scene, f"{kind}s")]
-    none, no_shape = np.zeros(0), np.zeros((compliance.size, len(scene.deviations)))
-    nowhere = Between(np.zeros(0, int), none, np.zeros(0, int), np.zeros((0, 3)))
+    rows, labels = rows_and_labels(scene, compliance, entries)
+    no_shape = np.zeros((compliance.size, len(scene.deviations)))
     return ReducedModel(
         scene,
         compliance,
         rows,
         labels,
         _pairs([zone.coefficient("default") for zone in scene.zones], gap),
-        nowhere,
+        NOWHERE,
         size,
         np.array(weld_gap, dtype=float),
         no_shape,

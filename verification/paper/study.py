@@ -197,7 +197,8 @@ def run(context):
     off = np.abs(np.log(ratio["associated"] / published_ratio))
     few = deviations[: 40 if context.quick else 100]
     orders, order_figure, moved = by_order(context, model, few, published_ratio)
-    laws = laws_by_cut(context, model, few, zone_slip(model, model.evaluate(few, "coulomb")).mean(0))
+    there = int((~evaluations["coulomb"].failed[: len(few)]).sum())  # of the slips, those of the few samples
+    laws = laws_by_cut(context, model, few, slip["coulomb"][:there].mean(0))
     uncut = laws.loc[laws["increments of a step"] == CUTS[0], "Coulomb's law / followed"]
 
     figure, axes = panels(len(names), width=3.9)
