@@ -515,14 +515,29 @@ def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
         int64,
         VECTOR,
         COUNTS,
+        COUNTS,
     )
 )
 def solve_by_splitting(
-    equation, shift, W, inverse, resolvent, rho, Q, parameters, Y, tol, steps, rounds, errors, iterations
+    equation,
+    shift,
+    W,
+    inverse,
+    resolvent,
+    rho,
+    Q,
+    parameters,
+    Y,
+    tol,
+    steps,
+    rounds,
+    errors,
+    iterations,
+    factorisations,
 ):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    ``Y`` holds the initial guess and receives the forces.
+    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.
     """
     m = len(parameters)
     for s in range(len(Q)):
@@ -539,6 +554,7 @@ def solve_by_splitting(
             w += q
             error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
             iterations[s] += run + more
+            factorisations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
@@ -548,8 +564,24 @@ def solve_by_splitting(
         errors[s] = best
 
 
-@jit(void(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, MATRIX, MATRIX, NUMBER, int64, int64, NUMBER, VECTOR, COUNTS))
-def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations):
+@jit(
+    void(
+        EQUATION_POINTER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
+        int64,
+        int64,
+        NUMBER,
+        VECTOR,
+        COUNTS,
+        COUNTS,
+    )
+)
+def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations, factorisations):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
     ``Y`` holds the initial guess and receives the forces.  A law whose single contact Gauss-Seidel does not solve has
@@ -577,6 +609,7 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
             guess = y.copy()
             error, more = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, 15, 0, crowd)
             iterations[s] += more
+            factorisations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
@@ -589,8 +622,8 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
         errors[s] = best
 
 
-@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS))
-def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
+@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS, COUNTS))
+def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations, factorisations):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 
     ``W`` (m, m) holds the normal rows only.  ``Y`` holds the initial guess and receives the forces.
@@ -645,6 +678,7 @@ def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
                     y[active[a]] = d[a]
                 w = np.dot(W, y) + q
                 total += 1
+                factorisations[s] += 1
             if best <= tol:
                 break
             y[:] = guess

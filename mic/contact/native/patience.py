@@ -1,6 +1,6 @@
 """The patient rungs: one stubborn sample, by one method after the other.
 
-Every method is a generator of forces ``y``, the iterations and the work (factorisations of ``W``) since the last one;
+Every method is a generator of forces ``y``, and of the sweeps and the factorisations that each took since the last one;
 who asks for them certifies each and stops at the first that is good enough.
 """
 
@@ -11,7 +11,7 @@ from itertools import islice
 
 import numpy as np
 
-from mic.contact.ladder import INTERIOR_POINT, SWEEP_COST
+from mic.contact.ladder import INTERIOR_POINT
 from mic.contact.native import kernels
 from mic.contact.native.batch import relaxation
 from mic.contact.native.interior_point import interior_point
@@ -49,7 +49,8 @@ class Search:
 
 def newton(search, rung):
     """Newton from the best force."""
-    yield from polished(search.problem, search.q, search.best)
+    for y, steps in polished(search.problem, search.q, search.best):
+        yield y, 0, steps
 
 
 def renewed_friction(search, rung):
@@ -59,18 +60,14 @@ def renewed_friction(search, rung):
     """
     problem, q, y = search.problem, search.q, search.best
     mu, share, before = problem.friction.copy(), np.ones(len(problem.parameters)), np.zeros(len(problem.parameters))
-    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
     for _ in range(rung["steps"]):
-        Y = y[None].copy()
-        counts[0] = 0
-        relaxation(problem.held(), rung, rung["tol"])(q[None], Y, errors, counts)
-        y = Y[0]
-        if errors[0] > rung["tol"]:
-            y, steps = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
-            counts[0] += steps
-        for z, more, _ in polished(problem, q, y):
-            yield z, int(counts[0]) + more, int(counts[0]) + more
-            counts[0] = 0
+        y, error, sweeps, steps = _relaxed(problem.held(), rung, rung["tol"], q, y)
+        if error > rung["tol"]:
+            y, more = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
+            steps += more
+        for z, more in polished(problem, q, y):
+            yield z, sweeps, steps + more
+            sweeps = steps = 0
         step = problem.renewed(y).friction - mu
         share = np.where(step * before < 0.0, 0.5 * share, np.minimum(1.0, 2.0 * share))
         before, mu = step, mu + share * step
@@ -107,18 +104,15 @@ def proximal_points(search, rung):
     """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, move there, and lower ``α`` while that succeeds."""
     q = search.q
     starts = (search.best, search.interior) if search.problem.law.frictional else (search.best,)
-    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
     for y in starts:
         alpha = rung["start"]
         for _ in range(rung["steps"]):
-            Q, Y = (q - alpha * y)[None], y[None].copy()
-            counts[0] = 0
-            relaxation(search.problem.proximal(alpha), rung, 1e-13)(Q, Y, errors, counts)
+            z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 1e-13, q - alpha * y, y)
             # A step from a problem that is itself unsolved leads astray, unless it is long against its error.
-            step = np.linalg.norm(Y[0] - y)
-            solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
-            y = Y[0]
-            yield y, int(counts[0]), int(counts[0])
+            step = np.linalg.norm(z - y)
+            solved = error <= max(1e-13, 1e-2 * step / max(np.linalg.norm(z), np.finfo(float).tiny))
+            y = z
+            yield y, *counts
             alpha = (
                 max(rung["gain"] * alpha, rung["smallest"]) if solved else min(rung["loss"] * alpha, rung["largest"])
             )
@@ -131,16 +125,24 @@ def interior_proximal_points(search, rung):
         problem, y = search.problem.proximal(alpha), np.zeros_like(q)
         for _ in range(rung["steps"]):
             z, steps = interior_point(problem.W, q - alpha * y, problem.friction, law.shift, **INTERIOR_POINT.settings)
-            y, more, _ = next(polished(problem, q - alpha * y, z))
-            yield y, steps + more, steps + more
+            y, more = next(polished(problem, q - alpha * y, z))
+            yield y, 0, steps + more
 
 
 def _interior_polished(search, shift, held=None):
     problem, q = search.problem, search.q
     search.interior, steps = interior_point(problem.W, q, problem.friction, shift, held, **INTERIOR_POINT.settings)
-    for y, more, _ in polished(problem, q, search.interior):
-        yield y, steps + more, steps + more
+    for y, more in polished(problem, q, search.interior):
+        yield y, 0, steps + more
         steps = 0
+
+
+def _relaxed(problem, rung, tol, q, y):
+    """One problem by :func:`relaxation` from y: forces, error, sweeps, and steps of Newton's method."""
+    Y, errors, counts = y[None].copy(), np.zeros(1), np.zeros((2, 1), dtype=np.int64)
+    relaxation(problem, rung, tol)(q[None], Y, errors, *counts)
+    (passes,), (steps,) = counts.tolist()
+    return Y[0], errors[0], passes - steps, steps
 
 
 def _sweeping(search, rung):
@@ -153,8 +155,8 @@ def _sweeping(search, rung):
             problem.W, problem.factors, problem.parameters, y, w, slip, rung["sweeps"] * 2**run, 1e-15
         )
         w = problem.W @ y + q
-        for z, more, _ in polished(problem, q, y):
-            yield z, sweeps + more, SWEEP_COST * sweeps / len(q) + more
+        for z, more in polished(problem, q, y):
+            yield z, sweeps, more
             sweeps = 0
 
 
