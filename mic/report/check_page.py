@@ -11,6 +11,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from mic.errors import Problems
 from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
 from mic.judgement import Warned, verdict
@@ -61,7 +62,10 @@ def write_check(
     Path
     """
     bodies = dict(surfaces)
-    bodies |= {fixture.name: fixture_surface(fixture, scene.folder) for fixture in scene.fixtures if fixture.point}
+    for fixture in scene.fixtures:
+        with Problems():  # one that cannot be read is among the errors already
+            if fixture.part is None:  # else its part's mesh has not placed it
+                bodies[fixture.name] = fixture_surface(fixture, scene.folder)
     environment = Environment(
         loader=PackageLoader("mic.report", ""),
         autoescape=True,

@@ -248,22 +248,59 @@ class Part(_Table):
 
 
 class Fixture(_Table):
-    """A rigid surface that parts may touch: a mesh, or a flat round pad."""
+    """A rigid surface that parts may touch: a mesh, or a flat round pad.
+
+    A pad with `part` is set against that part as it is drawn: its face touches the skin, at a place told as elsewhere.
+    """
 
     name: Name = Field(description="names the fixture in `[[zones]]`")
     mesh: str | None = Field(None, description="mesh file, relative to the scene file")
-    point: Vector | None = Field(None, description="or the centre of a flat round pad, mm")
-    normal: Vector | None = Field(None, description="the pad's outward normal")
+    point: Vector | None = Field(
+        None, description="or the centre of a flat round pad, mm; with `part` a place at most 5 mm off the part"
+    )
+    part: Name | None = Field(None, description="the part that the pad is set against, touching its skin")
+    node: Count | None = Field(None, description="with `part`, in place of `point`: a node by its number")
+    set: Annotated[str, Field(min_length=1)] | None = Field(
+        None, description="or a set of nodes by its name in the part's mesh file: their middle"
+    )
+    hole: Vector | None = Field(None, description="or a point near the centre of a hole, over which the pad then lies")
+    normal: Direction | None = Field(
+        None,
+        description="the pad's outward normal; with `part` also `normal`, the default, which is that of the sheet, or "
+        "`-normal`: the pad lies on the side that it comes from",
+    )
     radius: Positive | None = Field(None, description="the pad's radius, mm")
     stage: Name | None = Field(None, description="the locate stage in whose station it stands; if left out, the first")
 
-    _normal = field_validator("normal")(_unit)
-
     @model_validator(mode="after")
     def _one_shape(self):
-        pad = [self.point, self.normal, self.radius]
-        if (self.mesh is None) == all(value is None for value in pad) or (self.mesh is None and None in pad):
+        places = [key for key in ("point", "node", "set", "hole") if getattr(self, key) is not None]
+        given = places + [key for key in ("part", "normal", "radius") if getattr(self, key) is not None]
+        if (self.mesh is None) == (not given):
             raise ValueError('give either mesh = "file", or point, normal and radius of a flat pad')
+        if self.mesh is not None:
+            return self
+        if self.part is None:
+            alone = [key for key in places if key != "point"]
+            if alone:
+                raise ValueError(f"{alone[0]} is one of a part's: add part, which the pad is set against")
+            if not {"point", "normal", "radius"} <= set(given):
+                raise ValueError('give either mesh = "file", or point, normal and radius of a flat pad')
+            if isinstance(self.normal, str):
+                raise ValueError(f"normal = {self.normal!r} is a part's: add part, or give normal = [x, y, z]")
+            return self
+        if len(places) != 1:
+            raise ValueError(
+                f"{' and '.join(places)} each say where the pad lies: give one of them"
+                if places
+                else "give point = [x, y, z], or node or set or hole, where the pad lies on its part"
+            )
+        if self.radius is None:
+            raise ValueError("a pad needs radius, mm: add it")
+        if self.normal is None:
+            object.__setattr__(self, "normal", NORMAL)
+        if isinstance(self.normal, str) and "in-plane" in self.normal:
+            raise ValueError('a pad lies flat against its part: normal is "normal", "-normal" or [x, y, z]')
         return self
 
 
@@ -809,7 +846,7 @@ class Scene(_Table):
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
-    locators: Annotated[list[Locator], Field(min_length=1)]
+    locators: list[Locator] = []
     clamps: list[Clamp] = []
     welds: list[Weld] = []
     zones: list[Zone] = []
