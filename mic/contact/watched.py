@@ -27,6 +27,7 @@ from mic.contact.path import Increments, Path, PathSolution, Trace
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
+from mic.product import product
 
 __all__ = ["PENETRATION", "WatchedSolver"]
 
@@ -157,16 +158,12 @@ class WatchedSolver:
 
     def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
         """The solution of some samples over their working set (m,), in its place among all candidates."""
-        from mic.contact.native.kernels import responses  # compiles, or reads the cache, when it is imported
-
         m, d = len(own), self._d
         rows = np.repeat(own, d)
         force = np.zeros((len(samples), d * m))
         force[:, rows] = solution.force
         found.force[samples] = force
-        u = np.empty_like(force)
-        responses(self._S, force, u)
-        u += b[:, -1]
+        u = product(force, self._S) + b[:, -1]
         found.displacement[samples] = u
         anchor = u.reshape(-1, m, d)[:, :, 1:].copy()
         anchor[:, own] = solution.anchor

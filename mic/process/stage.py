@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -49,6 +50,8 @@ __all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_ste
 FLOOR = 5e-5  # mm: forty steps that err alike leave the 2 µm that a coordinate measuring machine tells
 ROUNDING = 1e-9  # mm: a way left that is none
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
+#: of a response, what values, loads and contact forces are mapped by
+MAPS = ("T", "L", "T_out", "L_out", "S_out", "reaction_T", "reaction_L", "reaction_S")
 
 
 @dataclass(frozen=True)
@@ -131,6 +134,9 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
                 response.S[np.diag_indices(contact_rows)] += layer
+                # Samples are multiplied by their transposes, which so have their rows one after the other.
+                maps: dict[str, Any] = {name: np.asfortranarray(getattr(response, name)) for name in MAPS}
+                response = replace(response, **maps)
                 shared[held] = bilateral, response, chosen
             bilateral, response, chosen = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
@@ -367,8 +373,8 @@ class PreparedStage:
         start, end = unloaded(0.0, place), unloaded(1.0, place)
         lift = np.zeros_like(start)
         if step.settles:
-            apart = start[:, normal] + product(force[:, :contacts], response.S[normal, :contacts].T)
-            lift[:, normal] = np.maximum(0.0, -apart)
+            apart = start + product(force[:, :contacts], response.S[:contacts])
+            lift[:, normal] = np.maximum(0.0, -apart[:, normal])
         for j, limit in enumerate(step.stops):
             if limit.row not in state.stop:  # from where the part is, should it lie beyond
                 kind, row = limit.row
