@@ -34,7 +34,6 @@ __all__ = [
     "jit",
     "local_factors",
     "newton",
-    "responses",
     "solve_by_splitting",
     "solve_by_sweeps",
     "solve_frictionless",
