@@ -1,13 +1,18 @@
 """Parts that rest on others by contact alone: statics by hand, what is not held, and the words for it."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from support.feet import STIFFNESS, standing
 from support.springs import six
 
 import mic
+from mic.contact.states import OPEN, SLIP, STICK
 from mic.model.resting import put_down
 from mic.process.plan import plan_assembly, plan_stages
+from mic.process.rest import Rest
 from mic.process.words import sentences
 from mic.sampling.draw import draw
 
@@ -105,7 +110,7 @@ ROOT = np.sqrt(0.5)
 SIDES = [("Z", (side * x, y, abs(x)), (-side * ROOT, 0, ROOT)) for side in (-1, 1) for x in (10, 20) for y in (0, 80)]
 
 
-def groove(friction=0.0, gap=0.0):
+def groove(friction=0.0, gap=0.0, path=None):
     """b's ridge in a's groove, under 100 N, and a stop along it."""
     return standing(
         SIDES,
@@ -118,7 +123,7 @@ def groove(friction=0.0, gap=0.0):
         clamps=[push(100, (0, 40, 0))],
         zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         measurements=[gauge("b", (0, 40, 0)), gauge("b", (0, 40, 0), (1, 0, 0), "X")],
-        stages=[{"kind": kind} for kind in ("locate", "clamp", "measure")],
+        stages=[{"kind": "locate"}, {"kind": "clamp"} | (path or {}), {"kind": "measure"}],
     )
 
 
@@ -143,6 +148,15 @@ def test_being_put_down_rubs_nothing(path):
     assert not middle.failed.any() and not aside.failed.any()
     np.testing.assert_allclose(aside.resolutions["clamp"].force, middle.resolutions["clamp"].force, atol=1e-5)
     np.testing.assert_allclose(aside.measurements - middle.measurements, [[0.1 * ROOT, 0.1 * ROOT]], atol=1e-6)
+
+
+def test_where_it_is_put_down_friction_begins_however_the_path_is_followed():
+    """Sides that stick at once, one of them 0.1 mm out: what was put down is no slip, in one step either."""
+    out = np.where(np.arange(8) < 4, -0.1, 0.0)
+    one, three = (groove(3.0, out, path).evaluate({}) for path in ({"path": "one-step"}, {"increments": 3}))
+    assert not one.failed.any() and not three.failed.any()
+    np.testing.assert_allclose(one.measurements, three.measurements, atol=1e-6)
+    assert one.measurements[0, 0] > 0.1 * ROOT - 0.005  # it sinks by micrometres from there
 
 
 def test_in_a_stack_each_carries_what_lies_above():
@@ -305,7 +319,110 @@ def test_without_a_locator_and_without_friction_it_is_said_what_slides():
         on_pads(parts=parts)
 
 
+def test_a_body_welded_to_what_rests_presses_through_its_weld():
+    """a, on it b, and c welded to b above, on which the clamp pushes: a carries what the levers say."""
+    parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": name == "b"} for name in "abc"]
+    welds = [{"name": f"W{i}", "parts": ["c", "b"], "point": list(foot)} for i, foot in enumerate(FEET)]
+    model = standing(
+        [("Z", foot, UP) for foot in FEET],
+        parts=parts,
+        locators=[*six("a", far=FAR), *six("c", far=FAR)],
+        clamps=[push(100, (30, 20, 0), part="c"), push(10, (30, 20, 0), name="K", part="b", stage="first")],
+        welds=welds,
+        zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
+        measurements=[gauge("c", (30, 20, 0))],
+        stages=[{"kind": "locate"}, {"kind": "clamp", "name": "first"}, {"kind": "weld"}, {"kind": "clamp"}]
+        + [{"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}, {"kind": "measure"}],
+    )
+    plans = plan_assembly(model)
+    assert [plan.steps[-1].resting for plan in plans] == [(1,), (1,), (), (), (1, 2), (1, 2)]
+    found = model.evaluate({})
+    assert not found.failed.any()
+    carried = [100 - 30 - 100 / 3, 30, 100 / 3]
+    np.testing.assert_allclose(found.resolutions["release"].force[0, :, 0], carried, rtol=1e-6)
+
+
+def test_a_part_that_arrives_later_is_not_asked_for_before():
+    """b comes to the second station, where it rests; what presses a before does not press b."""
+    pins = [one | {"part": "b", "name": f"p{i}", "stage": "second"} for i, one in enumerate(six("b", far=FAR)[3:])]
+    stages = [{"kind": "locate"}, {"kind": "clamp", "name": "first"}, {"kind": "locate", "name": "second"}]
+    model = table(
+        [push(30, (30, 20, 0), part="a", name="K", stage="first"), push(100, (30, 20, 0))],
+        locators=[*six("a", far=FAR), *pins],
+        stages=[*stages, {"kind": "clamp"}, {"kind": "measure"}],
+    )
+    plans = plan_assembly(model)
+    assert [plan.steps[-1].parked for plan in plans] == [(1,), (1,), (), (), ()]
+    found = model.evaluate({})
+    carried = np.array([100 - 30 - 100 / 3, 30, 100 / 3])
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["first"].force, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
+
+
+def test_a_force_that_varies_about_zero_may_press_a_part_on():
+    deviation = {"name": "F", "kind": "clamp", "target": "C", "mean": 100.0, "sigma": 1.0}
+    model = table([push(0, (30, 20, 0))], deviations=[deviation])
+    plan_assembly(model)
+    assert not model.evaluate(np.array([[100.0]])).failed.any()
+
+
 # --------------------------------------------------------------------------------------------------- what is not held
+
+
+@pytest.mark.parametrize("way", [(0.6, 0.8, 0), (-0.6, -0.8, 0)])
+def test_it_is_said_which_way_a_part_is_pushed_off(way):
+    clamps = [push(100, (30, 20, 0)), push(0, (30, 20, 0), way, "D")]
+    model = table(clamps, deviations=[{"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}])
+    (status,) = model.evaluate(np.array([[30.0]])).resolutions["clamp"].status
+    said = re.fullmatch(r"not held: part b is pushed off along \[(.*)\]", status)
+    assert np.array(said[1].split(","), dtype=float) @ way > 0.9
+
+
+def test_a_couple_that_friction_does_not_hold_turns_the_part():
+    """Three feet at the corners of an equilateral triangle, of 33 N each, pressed in the middle; a couple about it."""
+    middle = np.array([50, 50 / 3**0.5, 0])
+    turning = [push(0, middle + (0, side * 60, 0), (side, 0, 0), name) for side, name in ((1, "D"), (-1, "E"))]
+    model = table(
+        [push(100, middle), *turning],
+        feet=[(0, 0, 0), (100, 0, 0), (50, 50 * 3**0.5, 0)],
+        deviations=[{"name": "F", "kind": "clamp", "target": ["D", "E"], "sigma": 1.0}],
+    )
+    found = model.evaluate(np.array([[30.0], [5.0]]))
+    np.testing.assert_array_equal(found.failed, [True, False])
+    assert found.resolutions["clamp"].status[0] == "not held: part b is pushed off and turns"
+
+
+#: A contact along z, and a stop that holds x; in columns, what they read of three rest rows of b along x, y and z.
+ALONG_Z, STOPS_X = np.eye(3)[[2, 0, 1]], np.eye(3)[[0]]
+
+
+def loose(force, state, bound, stopped=0.0):
+    """What is said of b under one contact, and one stop, that read its three translations."""
+    rest = Rest(np.arange(1, 5), np.array([True, True, True, False]), np.eye(4)[:, :3], tuple("bbbc"))
+    rows = np.column_stack([np.full((4, 1), 9.0), np.vstack([ALONG_Z, STOPS_X]), np.full((4, 1), 9.0)])
+    response = SimpleNamespace(S=np.eye(4), T=rows)
+    arrays = np.array([[force]]), np.array([[state]]), np.array([[bound]]), np.array([[stopped]])
+    return rest.loose(response, *arrays).get(0)
+
+
+def test_a_contact_holds_along_what_it_resists_and_nothing_else():
+    """Sticking in all directions; slipping across its slip; without friction along its normal; open not at all."""
+    assert loose((10.0, 0.5, 0.5), STICK, 2.0) is None
+    said = loose((10.0, 1.2, 1.6), SLIP, 2.0)  # friction along (0.6, 0.8): so it may go on slipping
+    assert said in (
+        "not held: part b lies loose along [0.6, 0.8, 0]",
+        "not held: part b lies loose along [-0.6, -0.8, 0]",
+    )
+    assert loose((10.0, 0.0, 2.0), SLIP, 2.0) == "not held: part b lies loose along y"
+    assert "lies loose" in loose((10.0, 0.0, 0.0), STICK, 0.0)
+    assert "lies loose" in loose((0.0, 0.0, 0.0), OPEN, 0.0)
+    assert "lies loose" in loose((0.0, 0.0, 0.0), OPEN, 2.0)
+
+
+def test_a_stop_holds_while_it_carries_anything():
+    assert loose((10.0, 2.0, 0.0), SLIP, 2.0) == "not held: part b lies loose along x"
+    assert loose((10.0, 2.0, 0.0), SLIP, 2.0, stopped=3.0) is None
 
 
 def test_without_friction_the_directions_that_slide_are_named_before_anything_is_computed():
@@ -389,5 +506,7 @@ def test_put_down_moves_a_part_least_so_that_nothing_overlaps():
     np.testing.assert_allclose(put_down(np.array([-0.2, -0.2]), sides), [0.0, 0.2], atol=2e-9)
     np.testing.assert_allclose(put_down(np.array([-0.2, 0.2]), sides), [0.1, 0.1], atol=2e-9)
     np.testing.assert_array_equal(put_down(np.array([0.0, 0.4]), sides), [0.0, 0.0])
+    aside = np.array([[1.0, 0.0], [0.0, 0.0]])  # a gap that nothing changes does not count
+    np.testing.assert_allclose(put_down(np.array([-0.3, -0.1]), aside), [0.3, 0.0], atol=2e-9)
     walls = np.array([[1.0], [-1.0]])  # too narrow for it: it stays as it is drawn
     np.testing.assert_array_equal(put_down(np.array([-0.2, -0.1]), walls), [0.0])
