@@ -30,7 +30,9 @@ def gauge(part, at, direction=UP, name="M"):
     return {"name": name, "part": part, "point": list(at), "direction": list(direction), "lower": -1, "upper": 1}
 
 
-def table(clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, **change):
+def table(
+    clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, normal=UP, **change
+):
     """b stands on a by its feet, under clamps; a is held by six locators."""
     keys = {
         "parts": [
@@ -43,7 +45,7 @@ def table(clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "m
         "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(feet)],
         "stages": [{"kind": kind} for kind in kinds],
     }
-    return standing([("Z", foot, UP) for foot in feet], gap=gap, shape=shape, **keys | change)
+    return standing([("Z", foot, normal) for foot in feet], gap=gap, shape=shape, **keys | change)
 
 
 def refused(model, words):
@@ -360,6 +362,19 @@ def test_a_part_that_arrives_later_is_not_asked_for_before():
     np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
 
 
+def test_what_nothing_presses_yet_is_lifted_by_what_it_lies_on():
+    """a stands on springs of 100 N/mm; 60 N lift it in their middle by 0.2 mm before 100 N press b on."""
+    soft = [one | ({"stiffness": 100.0} if i < 3 else {}) for i, one in enumerate(six("a", far=FAR))]
+    middle = (100 / 3, 100 / 3, 0)
+    lift = push(60, middle, UP, part="a", name="K")
+    stages = [{"kind": "locate"}, {"kind": "clamp", "order": [["K"], ["C"]]}, {"kind": "measure"}]
+    model = table([lift, push(100, middle)], locators=soft, feet=[(0, 0, 0), (100, 0, 0), (0, 100, 0)], stages=stages)
+    found = model.evaluate({})
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], 100 / 3, rtol=1e-6)
+    np.testing.assert_allclose(found.measurements[0], (60 - 100) / 300 - PAIR * 100 / 3, atol=1e-6)
+
+
 def test_a_force_that_varies_about_zero_may_press_a_part_on():
     deviation = {"name": "F", "kind": "clamp", "target": "C", "mean": 100.0, "sigma": 1.0}
     model = table([push(0, (30, 20, 0))], deviations=[deviation])
@@ -370,10 +385,14 @@ def test_a_force_that_varies_about_zero_may_press_a_part_on():
 # --------------------------------------------------------------------------------------------------- what is not held
 
 
+@pytest.mark.parametrize("normal, parts", [(UP, ["a", "b"]), ((0, 0, -1), ["b", "a"])])
 @pytest.mark.parametrize("way", [(0.6, 0.8, 0), (-0.6, -0.8, 0)])
-def test_it_is_said_which_way_a_part_is_pushed_off(way):
+def test_it_is_said_which_way_a_part_is_pushed_off(way, normal, parts):
+    """Whichever of the two bodies of its zone it is."""
     clamps = [push(100, (30, 20, 0)), push(0, (30, 20, 0), way, "D")]
-    model = table(clamps, deviations=[{"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}])
+    zones = [{"name": "Z", "parts": parts, "friction": 0.2, "pairs": 1}]
+    deviations = [{"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}]
+    model = table(clamps, normal=normal, zones=zones, deviations=deviations)
     (status,) = model.evaluate(np.array([[30.0]])).resolutions["clamp"].status
     said = re.fullmatch(r"not held: part b is pushed off along \[(.*)\]", status)
     assert np.array(said[1].split(","), dtype=float) @ way > 0.9
@@ -393,15 +412,17 @@ def test_a_couple_that_friction_does_not_hold_turns_the_part():
     assert found.resolutions["clamp"].status[0] == "not held: part b is pushed off and turns"
 
 
-#: A contact along z, and a stop that holds x; in columns, what they read of three rest rows of b along x, y and z.
-ALONG_Z, STOPS_X = np.eye(3)[[2, 0, 1]], np.eye(3)[[0]]
+#: A contact along z, and a stop that holds x, in rows: what they read of b's translations along z, x and y.
+ALONG_Z, STOPS_X = np.eye(3), np.eye(3)[[1]]
 
 
-def loose(force, state, bound, stopped=0.0):
-    """What is said of b under one contact, and one stop, that read its three translations."""
-    rest = Rest(np.arange(1, 5), np.array([True, True, True, False]), np.eye(4)[:, :3], tuple("bbbc"))
-    rows = np.column_stack([np.full((4, 1), 9.0), np.vstack([ALONG_Z, STOPS_X]), np.full((4, 1), 9.0)])
-    response = SimpleNamespace(S=np.eye(4), T=rows)
+def loose(force, state, bound, stopped=0.0, free=3):
+    """What is said of b, free along z, or along x and y too, under one contact and one stop."""
+    soft = np.append(np.full(free, True), False)
+    directions = np.vstack([np.eye(3)[[2, 0, 1]][:free], np.eye(3)[:1]])
+    rest = Rest(np.arange(1, free + 2), soft, directions, (*"bbb"[:free], "c"))
+    read = np.vstack([ALONG_Z, STOPS_X])[:, :free]
+    response = SimpleNamespace(S=np.eye(4), T=np.column_stack([np.full(4, 9.0), read, np.full(4, 9.0)]))
     arrays = np.array([[force]]), np.array([[state]]), np.array([[bound]]), np.array([[stopped]])
     return rest.loose(response, *arrays).get(0)
 
@@ -416,8 +437,8 @@ def test_a_contact_holds_along_what_it_resists_and_nothing_else():
     )
     assert loose((10.0, 0.0, 2.0), SLIP, 2.0) == "not held: part b lies loose along y"
     assert "lies loose" in loose((10.0, 0.0, 0.0), STICK, 0.0)
-    assert "lies loose" in loose((0.0, 0.0, 0.0), OPEN, 0.0)
-    assert "lies loose" in loose((0.0, 0.0, 0.0), OPEN, 2.0)
+    assert loose((10.0, 0.0, 0.0), STICK, 0.0, free=1) is None
+    assert loose((0.0, 0.0, 0.0), OPEN, 2.0, free=1) == "not held: part b lies loose along z"
 
 
 def test_a_stop_holds_while_it_carries_anything():
@@ -484,6 +505,13 @@ def test_only_a_part_that_says_so_may_rest():
     )
     with pytest.raises(mic.SceneError, match=r"stages \(release\): 6 rigid-body motions are free .* rests = true"):
         plan_stages(held.scene, held.weld_size)
+
+
+def test_parts_that_rest_on_each_other_alone_are_told_what_is_missing():
+    parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": True} for name in "ab"]
+    refused(
+        table([push(100, (30, 20, 0))], parts=parts, locators=[]), r"\(locate\): 6 rigid-body .* no zones lead from it"
+    )
 
 
 def test_the_process_in_words_says_what_rests():

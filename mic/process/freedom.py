@@ -64,9 +64,8 @@ def rested(scene, joints: Joints, plan):
             resting: tuple[int, ...] = ()
         except FreeMotion as error:
             resting = bodies.moved(error.motions)
-            arrives = any(
-                isinstance(action, SetDown | Arrive | Transfer) for action in step.move
-            )  # touching nothing yet
+            # What arrives touches nothing yet, but will.
+            arrives = any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move)
             zones = [zone for i, zone in enumerate(scene.zones) if arrives or i not in step.away]
             try:
                 completing(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)
@@ -83,9 +82,14 @@ def free(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
     """The error of a step that leaves a part free."""
     opened = [getattr(scene, f"{kind}s")[i].name for kind, i in step.released if kind != "weld"]
     once = f" once {', '.join(opened[:4])}{' …' * (len(opened) > 4)} opened" if opened else ""
+    contact = (
+        "it rests, but no zones lead from it to a fixture, or to a part that locators hold: add one"
+        if scene.parts[part].rests
+        else "where contact is to hold it, give it rests = true and a zone"
+    )
     return SceneError(
         f"stages ({plan.name}): {error}{once}, mostly of part {scene.parts[part].name!r}; keep more locators in this "
-        "stage, or join the part by welds with moment; where contact is to hold it, give it rests = true and a zone"
+        f"stage, or join the part by welds with moment; {contact}"
     )
 
 
