@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.compliance.support import statically_determinate
 from mic.density import DENSER, denser
 from mic.errors import SceneError
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.process.model import ReducedModel
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"

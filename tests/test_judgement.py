@@ -16,10 +16,10 @@ from support.random_scenes import Case
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.geometry.structured import extrude
 from mic.judgement import FILE, MESHES, PARTS, judge, readable, refuse, suspect
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.scene import Scene, SceneError
 from mic.scene.load import read_table
 from verification.scenes import FEW

@@ -31,6 +31,7 @@ from mic.geometry.pairing import (
 )
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
+from mic.model.modes import write_modes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.rows import AXES, Rows
@@ -178,7 +179,7 @@ class Assembly:
     decks : dict of str to Deck
         What the mesh files of the parts tell beside the mesh.
     placed : tuple of str
-        What was found for each node, set, hole and tong that the scene names.
+        What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
     """
 
     scene: Scene
@@ -255,7 +256,10 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     surfaces, inputs = {one.part.name: one.surface for one in loaded}, read | inputs
     if any(one.part is not part for one, part in zip(loaded, scene.parts)):
         scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
-    scene, placed = place(scene, surfaces, {one.part.name: one.deck for one in loaded})
+    decks = {one.part.name: one.deck for one in loaded}
+    scene, placed = place(scene, surfaces, decks)
+    written = write_modes(scene, surfaces, decks)
+    scene, placed, inputs = written.scene, placed + written.sentences, inputs | written.inputs
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     pads = [pad for pad in scene.fixtures if pad.mesh is None]  # some of which the parts' meshes have placed

@@ -21,6 +21,7 @@ from mic.process.words import opening, sentences
 from mic.report.style import MARK_COLOURS, number
 from mic.report.viewer import as_json, drawable, view
 from mic.scene import Scene
+from mic.scene.schema import ClampDeviation, LocatorDeviation
 from mic.store import write_text
 
 __all__ = ["write_check"]
@@ -189,7 +190,7 @@ def _varied(scene: Scene) -> dict[tuple[str, str], str]:
     return {
         (item.kind, name): f", {item.name}: {item.mean:g} ± {item.sigma:g}"
         for item in scene.deviations
-        if item.kind != "force"
+        if isinstance(item, LocatorDeviation | ClampDeviation)
         for name in ([item.target] if isinstance(item.target, str) else item.target)
     }
 

@@ -18,7 +18,6 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from mic.compliance import provider
 from mic.errors import MicError
 
 __all__ = ["FirstFailed", "LaunchError", "communicator", "leave", "on_first", "others_silent", "wait"]
@@ -69,6 +68,8 @@ def communicator() -> Any:
             f"that mpi4py uses ({library}); use its own mpirun, or start one "
             "process"
         )
+    from mic.compliance import provider  # one process alone, which asks for help perhaps, need not wait for its imports
+
     provider.installed()  # their libraries start up collectively: later, a process alone would wait for ever
     _parting()
     return MPI.COMM_WORLD
