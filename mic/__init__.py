@@ -79,7 +79,7 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     from mic.process.plan import plan_assembly
 
     cache = cache or cache_folder()
-    assembly = assemble(scene, cache)
+    assembly = assemble(scene, cache, check=plan_assembly)
     plan_assembly(assembly)  # a process that cannot be is refused before anything is factorised
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
 

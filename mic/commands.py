@@ -229,7 +229,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         )
     say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
     try:
-        assembly = assemble(asked, cache_folder(), progress=say)
+        assembly = assemble(asked, cache_folder(), progress=say, check=plan_assembly)
         plans = plan_assembly(assembly)
     except SceneError as error:
         parts = readable(asked, cache_folder())
@@ -535,7 +535,7 @@ def _model(console, source):
         return ReducedModel.load(source)
     scene = load_scene(source)
     say = lambda line: console.print(f"{plain(line)} …", highlight=False)
-    assembly = assemble(scene, cache_folder(), progress=say)
+    assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
     plan_assembly(assembly)
     coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
     return ReducedModel.build(assembly, coefficients)

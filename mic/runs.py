@@ -22,6 +22,7 @@ from mic.model.assembly import Assembly, assemble
 from mic.model.overlap import frozen_gaps
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.process.plan import plan_assembly
 from mic.results.accuracy import write_accuracy
 from mic.results.fields import write_fields
 from mic.results.folder import Block, RunFolder, versions
@@ -172,9 +173,10 @@ def sample_into(
 
 
 def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) -> tuple[Assembly, list[str]]:
-    """The scene on its meshes, and what is to be warned of, which is said at once."""
+    """The scene on its meshes, its process seen to be one, and what is to be warned of, which is said at once."""
     try:
-        assembly = assemble(scene, cache, progress=say)
+        assembly = assemble(scene, cache, progress=say, check=plan_assembly)
+        plan_assembly(assembly)
     except SceneError:
         for warned in suspect(scene, readable(scene, cache)):
             listener.say(f"warning: {warned}")

@@ -4,8 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.curved import curved_assembly, curved_scene, held_compliance, mesh_of
+from typer.testing import CliRunner
 
 import mic
+from mic.commands import app
 from mic.compliance import provider
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
@@ -128,6 +130,31 @@ def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
 def test_an_accuracy_out_of_reach_is_refused_before_a_mesh_that_large_is_solved(tmp_path, cache):
     with pytest.raises(SceneError, match="part 'sheet': accuracy: 1e-06 is not reached: .* ask for less"):
         curved_assembly(tmp_path, cache, accuracy=1e-6)
+
+
+FREED = '[[stages]]\nkind = "release"\nkeep = []\n\n[[stages]]\nkind = "measure"'
+
+
+def test_a_process_that_cannot_be_is_told_before_a_part_is_solved_for_its_accuracy(tmp_path, cache, monkeypatch):
+    monkeypatch.setattr("mic.model.meshing.estimate_accuracy", lambda *arguments: pytest.fail("solved"))
+    curved_scene(tmp_path, accuracy=0.01)
+    text = (tmp_path / "scene.toml").read_text()
+    (tmp_path / "scene.toml").write_text(text.replace('[[stages]]\nkind = "measure"', FREED))
+    scene = mic.load_scene(tmp_path)
+    for ask in (lambda: mic.run(scene, tmp_path / "results", cache), lambda: mic.reduce(scene, cache)):
+        with pytest.raises(SceneError, match=r"stages \(release\): 6 rigid-body motions are free"):
+            ask()
+    done = CliRunner().invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")])
+    assert isinstance(done.exception, SceneError) and "rigid-body motions are free" in str(done.exception)
+
+
+def test_what_is_wrong_with_the_other_parts_is_told_with_a_script_that_builds_nothing(tmp_path, cache):
+    text = '[[parts]]\nname = "other"\nmesh = "other.inp"\nthickness = 1\nrests = true\n\n'
+    text += '[[zones]]\nname = "Z"\nparts = ["sheet", "other"]\n'
+    scene = curved_scene(tmp_path, accuracy=0.01, keys=text)
+    (tmp_path / "panel.py").write_text("build = 3\n")
+    with pytest.raises(SceneError, match=r"(?s)part 'sheet': geometry: .*part 'other': mesh: there is no file"):
+        assemble(scene, cache)
 
 
 @pytest.mark.parametrize(

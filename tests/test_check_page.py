@@ -24,10 +24,11 @@ def checked(tmp_path, cache, *edits, page=None):
     for old, new in (('size = "medium"', 'size = "coarse"'), *edits):
         assert old in text
         text = text.replace(old, new)
-    (tmp_path / "scene").mkdir()
-    (tmp_path / "scene" / "scene.toml").write_text(text)
-    (tmp_path / "scene" / "geometry.py").write_text((LAP / "geometry.py").read_text())
-    arguments = ["check", "scene"] + (["--page", str(page)] if page else [])
+    folder = tmp_path / "scene"
+    folder.mkdir(parents=True)
+    (folder / "scene.toml").write_text(text)
+    (folder / "geometry.py").write_text((LAP / "geometry.py").read_text())
+    arguments = ["check", str(folder)] + (["--page", str(page)] if page else [])
     done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
     page = page or tmp_path / "results" / "lap-joint" / "check.html"
     html = page.read_text() if page.is_file() else ""
@@ -84,6 +85,40 @@ def test_a_scene_that_is_not_valid_is_drawn_as_far_as_it_can_be(tmp_path, cache)
     assert "its nearest point is [88, 25, 0]" in html
     assert len(data["parts"]) == 2 and not [group for group in data["points"] if "values" in group]
     assert "page: results/lap-joint/check.html" in output
+
+
+PAD = """
+[[fixtures]]
+name = "pad"
+part = "lower"
+point = [60, 12.5, 0]
+normal = [0, 0, 1]
+radius = 5
+
+[[zones]]
+name = "on-the-pad"
+parts = ["pad", "lower"]
+
+[[fixtures]]
+name = "block"
+mesh = "block.stl"
+
+[[locators]]
+name = "lower-A1"
+"""
+
+
+def test_fixtures_are_drawn_and_those_that_cannot_be_are_left_out(tmp_path, cache):
+    """A block from a file; a pad that is set against a part, and hence only where that is meshed; neither, if not."""
+    edit = ('[[locators]]\nname = "lower-A1"\n', PAD)
+    block = "solid b\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 -5\n   vertex 9 0 -5\n   vertex 0 9 -5\n"
+    (tmp_path / "block.stl").write_text(block + "  endloop\n endfacet\nendsolid b\n")
+    there = ('mesh = "block.stl"', f'mesh = "{tmp_path / "block.stl"}"')
+    _, data, output = checked(tmp_path / "a", cache, edit, there, page=tmp_path / "a.html")
+    assert [part["name"] for part in data["parts"]] == ["lower", "upper", "pad", "block"]
+    assert "touches lower at (60, 12.5, -0.5), looking along (0, 0, 1)" in output
+    html, data, _ = checked(tmp_path / "b", cache, edit, page=tmp_path / "b.html")
+    assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and "there is no file" in html
 
 
 def test_without_any_part_the_page_says_so(tmp_path, cache):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mic.contact import ContactSolver, laws
+from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Followed, Increments
 from mic.contact.problems import compliant
@@ -31,7 +32,9 @@ def watched(problem, law="coulomb", start=None, allowed=None, friction=0.3, **se
     start = np.zeros(M, bool) if start is None else start
     allowed = np.ones(M, bool) if allowed is None else allowed
     mu = Friction.of(friction, M)
-    return WatchedSolver(S, mu, point, np.full(M, 15.0), start, allowed, laws.find(law), tol=1e-10, **settings)
+    return WatchedSolver(
+        Columns.of(S), mu, point, np.full(M, 15.0), start, allowed, laws.find(law), tol=1e-10, **settings
+    )
 
 
 def followed(solver, b, path):
@@ -119,7 +122,7 @@ def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
     given = Friction.of(0.3, 12), point, np.full(12, 0.5), np.zeros(12, bool), np.ones(12, bool)
 
     def end(b):
-        solver = WatchedSolver(S, *given, laws.find("coulomb"), tol=1e-10)
+        solver = WatchedSolver(Columns.of(S), *given, laws.find("coulomb"), tol=1e-10)
         return solver.follow(b, np.zeros((1, 36)), np.zeros((1, 12, 2)), Followed()).force[0, ::3]
 
     plain = end(b)

@@ -102,6 +102,8 @@ DEVIATIONS = {
     "force": {"part": "upper", "point": [110, 10, 1], "direction": [0, 0, 1], "mean": 0.5},
     "locator": {"target": "upper-A1", "mean": 0.2},
     "clamp": {"target": "C1-upper", "mean": 10.0},
+    "shape": {"part": "lower", "points": [[x, y, 0] for x in (20, 60, 95) for y in (3, 12, 22)], "mean": 1.0}
+    | {"values": [0.1, 0.0, -0.1, 0.1, 0.05, 0.0, 0.3, 0.1, -0.1], "loose": True, "noise": 0.02},
 }
 STAGES = [
     {"kind": "locate"},

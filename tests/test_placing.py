@@ -354,3 +354,67 @@ def test_a_deviation_of_a_tong_is_one_of_both_its_jaws(folder):
     assembly = assemble(scene, folder / "cache")
     (source,) = sources(assembly.scene)
     assert source.push(assembly.labels) == {("clamp", 0): 1.0, ("clamp", 1): 1.0}
+
+
+def pad(folder, **keys):
+    """The pad of a scene in which the plate lies on it."""
+    item = {"name": "pad", "part": "plate", "radius": 6} | keys
+    zones = [{"name": "Z", "parts": ["pad", "plate"]}]
+    found = assemble(Scene(**table(fixtures=[item], zones=zones), folder=folder), folder / "cache")
+    assert len(found.contacts) and found.contacts.gap == pytest.approx(0.0, abs=1e-9)  # it touches
+    (one,) = found.scene.fixtures
+    assert found.placed[0].startswith("fixtures[0] (pad)")
+    return one
+
+
+@pytest.mark.slow
+def test_a_pad_is_set_against_the_skin_that_it_looks_at(folder):
+    """The plate's middle lies at z = 0 and its skins at ±0.5; its node 1 + 13 · 4 + 5 stands at (25, 20)."""
+    nodes = read_mesh(folder / "plate.inp")
+    n = nodes[0].normals[0] @ [0, 0, 1]
+    assert abs(n) == 1
+    for direction, sense in (("normal", n), ("-normal", -n), ([0, 0, 1], 1.0), ([0, 0, -1], -1.0)):
+        one = pad(folder, point=[25, 20, 1.5], normal=direction)
+        assert one.point == pytest.approx((25, 20, -0.5 * sense)) and one.normal == pytest.approx((0, 0, sense))
+    assert pad(folder, point=[25, 20, 0]).normal == pytest.approx((0, 0, n))
+    number = nodes[1].nodes[nodes[1].node_points == np.argmin(np.linalg.norm(nodes[0].points - [25, 20, 0], axis=1))]
+    assert pad(folder, node=int(number[0]), normal=[0, 0, 1]).point == pytest.approx((25, 20, -0.5))
+    # What it is once placed is a pad by coordinates, which a second placing leaves as it is.
+    assert one.part is None and one.node is None
+
+
+@pytest.mark.slow
+def test_a_pad_may_lie_over_a_hole_or_a_set_of_nodes(folder):
+    keys = {"part": "ring", "radius": RIM + 5, "normal": [0, 0, -1], "name": "pad"}
+    zones = [{"name": "Z", "parts": ["pad", "ring"]}]
+    for place in ({"hole": [31, 29, 3]}, {"set": "LOC"}):
+        found = assemble(Scene(**table(fixtures=[keys | place], zones=zones), folder=folder), folder / "cache")
+        assert found.scene.fixtures[0].point[2] == pytest.approx(1.5)
+        assert len(found.contacts) and found.contacts.gap == pytest.approx(0.0, abs=1e-9)
+    over = assemble(Scene(**table(fixtures=[keys | {"hole": RING}], zones=zones), folder=folder), folder / "cache")
+    assert over.scene.fixtures[0].point[:2] == pytest.approx(RING[:2])
+    assert np.linalg.norm(over.contacts.point[:, :2] - RING[:2], axis=1).min() > 0.9 * RIM
+
+
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ({"part": None, "node": 3, "normal": [0, 0, 1]}, "node is one of a part's: add part"),
+        ({"part": None, "point": [0, 0, 0], "normal": "normal"}, "'normal' is a part's: add part"),
+        ({"part": None, "point": [0, 0, 0]}, "point, normal and radius of a flat pad"),
+        ({"node": 3, "set": "LOC"}, "node and set each say where the pad lies"),
+        ({}, "where the pad lies on its part"),
+        ({"node": 3, "radius": None}, "a pad needs radius"),
+        ({"node": 3, "normal": "in-plane x"}, "a pad lies flat against its part"),
+        ({"node": 3, "part": "plaet"}, r"fixtures\[0\].part \(pad\): there is no part called 'plaet'; did you mean"),
+        ({"node": 99999}, r"fixtures\[0\] \(pad\).node: part 'plate' has no node 99999 .* nearest number is"),
+        ({"set": "LOCC"}, r"fixtures\[0\] \(pad\).set: part 'plate' has no set"),
+        ({"hole": [1, 2, 0]}, r"fixtures\[0\] \(pad\).hole: part 'plate' has no hole"),
+        ({"point": [30, 30, 9]}, r"\(pad\).point: \(30, 30, 9\) lies 9 mm off part 'plate' .* nearest .*\(30, 30, 0\)"),
+    ],
+)
+def test_a_pad_that_cannot_be_set_is_refused_by_its_name(folder, keys, words):
+    item = {"name": "pad", "part": "plate", "radius": 6} | keys
+    zones = [{"name": "Z", "parts": ["pad", "plate"]}]
+    with pytest.raises(ValueError, match=words):
+        placed(folder, fixtures=[{key: value for key, value in item.items() if value is not None}], zones=zones)

@@ -270,6 +270,41 @@ def test_flexible_sheets_are_laid_on_one_another_and_welded(lap_scene, cache):
     np.testing.assert_array_equal(one.measurements[0], found.measurements[2])
 
 
+def on_pads(**change):
+    """b alone, on three pads; no locator holds anything."""
+    keys = {
+        "parts": [{"name": "b", "mesh": "b.stl", "thickness": 1.0, "rests": True}],
+        "fixtures": [{"name": "P", "point": [0, 0, 0], "normal": [0, 0, 1], "radius": 5}],
+        "clamps": [push(100, (30, 20, 0)), push(12, (30, 20, 0), (1, 0, 0), "D")],
+        "zones": [{"name": "Z", "parts": ["P", "b"], "friction": 0.2, "pairs": 3}],
+        "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(FEET)],
+        "stages": [{"kind": kind} for kind in ("locate", "clamp", "measure")],
+    }
+    return standing([("Z", foot, UP) for foot in FEET], **keys | change)
+
+
+def test_a_scene_needs_no_locator_where_pads_and_friction_hold_its_part():
+    """Only b yields at a foot, by half of `PAIR`; 12 N along x are shared alike below the limit of every foot."""
+    model = on_pads()
+    plans = plan_assembly(model)
+    found = model.evaluate({})
+    carried = np.array([100 - 30 - 100 / 3, 30, 100 / 3])
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0].sum(axis=0), [100, -12, 0], atol=1e-7)
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 1], -4.0, rtol=1e-6)
+    np.testing.assert_allclose(found.measurements[0], -PAIR / 2 * carried, rtol=1e-7)
+    assert sentences(model.scene, plans[0]) == ["b is laid down; contact alone holds b"]
+
+
+def test_without_a_locator_and_without_friction_it_is_said_what_slides():
+    zones = [{"name": "Z", "parts": ["P", "b"], "friction": 0.0, "pairs": 3}]
+    refused(on_pads(zones=zones), r"part 'b' rests by contact alone, and nothing holds it along x, along y, about z")
+    parts = [{"name": "b", "mesh": "b.stl", "thickness": 1.0}]
+    with pytest.raises(ValueError, match=r"parts\[0\] \(b\): its 0 locators .* hold 0 of its 6 .* rests = true"):
+        on_pads(parts=parts)
+
+
 # --------------------------------------------------------------------------------------------------- what is not held
 
 

@@ -12,6 +12,7 @@ from support.random_scenes import random_case
 
 import mic
 from mic.model.assembly import assemble
+from mic.model.modes import MODES
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.sampling.distributions import DISTRIBUTIONS
@@ -387,7 +388,7 @@ def test_the_words_of_the_schema_are_those_of_the_registries():
     """A kind that the schema names and no room implements would fail long after `mic check`."""
     words = lambda table, key: set(get_args(table.model_fields[key].annotation))
     kinds = [words(table, "kind") for table in get_args(get_args(schema.Deviation)[0])]
-    assert set().union(*kinds) == set(SOURCES)
+    assert set().union(*kinds) == {*SOURCES, *MODES}
     assert words(schema.Stage, "kind") == set(SUGAR)
     assert words(schema.ForceDeviation, "distribution") == set(DISTRIBUTIONS)
     settings = {word for option in words(schema.Scene, "setting") for word in get_args(option)}

@@ -98,9 +98,9 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
         if name in full.resolutions:
             mine = reduced.resolutions[name]
             contacts = process.model.contacts
-            b = mine.displacement[sample].ravel() - prepared.response.S @ mine.force[sample].ravel()
+            b = mine.displacement[sample].ravel() - prepared.response.S.under(mine.force[[sample]].reshape(1, -1))[0]
             found[name] = certify(
-                prepared.response.S,
+                prepared.response.S.whole(),
                 b,
                 contacts.friction_in(name),
                 full.resolutions[name].force.ravel(),

@@ -22,7 +22,7 @@ from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
-from mic.model.shape import datum_rows
+from mic.model.shape import controlling_forces, datum_rows, known_shapes
 from mic.model.sources import sources
 from mic.process.drive import drive
 from mic.process.plan import plan_assembly
@@ -131,19 +131,34 @@ class FullModel:
     def unit_shapes(self) -> np.ndarray:
         """(N, p) freedoms of the shape that each unit deviation gives its part (zero for those that give none).
 
-        Every part is held on its datum rows (:mod:`mic.model.shape`) while the source's force acts.
+        Every part is held on its datum rows (:mod:`mic.model.shape`) while the source's force acts, or those that make
+        the shape that is known.
         """
         assembly, mesh = self.assembly, self.nominal
         loads = [source.load(assembly.labels, assembly.rows) for source in sources(assembly.scene)]
+        known = list(known_shapes(assembly))
         shape = np.zeros((mesh.parts.offsets[-1], len(loads)))
-        if all(load is None for load in loads):
+        if all(load is None for load in loads) and not known:
             return shape
         support = block_diag([datum_rows(assembly, p, G) for p, G in enumerate(mesh.rigid.G)], format="csr")
         held = Equilibrium(mesh.parts, (support @ mesh.readings).tocsr(), csr_matrix((0, len(shape))), 1)
+
+        def shaped(load) -> np.ndarray:
+            nodal = (load @ mesh.readings).toarray().ravel()
+            return held.linear(nodal, np.zeros(support.shape[0]), np.zeros((0, 1))).u
+
         for j, load in enumerate(loads):
             if load is not None:
-                nodal = (load @ mesh.readings).toarray().ravel()
-                shape[:, j] = held.linear(nodal, np.zeros(support.shape[0]), np.zeros((0, 1))).u
+                shape[:, j] = shaped(load)
+        G = block_diag(mesh.rigid.G, format="csr")
+        for columns, controls in known:
+            R = controls[0].rows
+            unit = np.column_stack([shaped(row) for row in R])
+            rigid = (R @ G).toarray()
+            own = 6 * int(np.argmax(np.abs(rigid).max(axis=0)) // 6)
+            name = assembly.scene.deviations[columns[0]].name
+            f = controlling_forces((R @ mesh.readings) @ unit, rigid[:, own : own + 6], controls, name)
+            shape[:, columns] = unit @ f
         return shape
 
     def shape_fields(self, deviations) -> dict[str, np.ndarray]:

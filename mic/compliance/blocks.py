@@ -17,6 +17,8 @@ from scipy.sparse import csr_matrix
 
 __all__ = ["Blocks"]
 
+ROWS = 64  # of which H is read at a time where their own entries alone are asked for
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -78,7 +80,9 @@ class Blocks:
         """(r,) each row's own compliance, the diagonal of ``rows H rowsᵀ``."""
         out = np.zeros(rows.shape[0])
         for H, (i, R) in zip(self.H, self._split(rows)):
-            out[i] += np.asarray(R.multiply(R @ H).sum(axis=1)).ravel()
+            for first in range(0, len(i), ROWS):
+                some = R[first : first + ROWS]
+                out[i[first : first + ROWS]] += np.asarray(some.multiply(some @ H).sum(axis=1)).ravel()
         return out
 
     def displace(self, forces: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pandas as pd
 
+from mic.contact.columns import Columns
 from mic.contact.laws import COULOMB, LAWS
 from mic.contact.solver import ContactSolver
 from mic.contact.states import STATES, ContactState, classify
@@ -20,7 +21,7 @@ __all__ = ["compare_laws", "summarise"]
 
 
 def compare_laws(
-    S: np.ndarray,
+    S: np.ndarray | Columns,
     b: np.ndarray,
     mu_values: Iterable,
     tol: float = 1e-10,
@@ -32,7 +33,7 @@ def compare_laws(
     Parameters
     ----------
     S : (3m, 3m) array
-        Compliance [length / force].
+        Compliance [length / force], as the solver takes it.
     b : (3m,) or (n, 3m) array
         Displacements without contact forces [length].
     mu_values : sequence of float or of (m,) arrays

@@ -23,7 +23,7 @@ from mic.contact.increments import Increments
 from mic.contact.states import OPEN, SLIP, STICK, classify
 from mic.product import product
 
-__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace"]
+__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at_once"]
 
 #: Increments of a leg for a sample that the follower gives up.
 RESCUE = 256
@@ -198,7 +198,7 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
     force = np.zeros((n, d * m)) if force is None else force
     anchor = b[:, 0].reshape(n, m, d)[:, :, 1:] if anchor is None else anchor
     if not solver.law.frictional:
-        return _without_memory(solver, b[:, -1], force)
+        return at_once(solver, b[:, -1], force)
     legs = []
     for k in range(loads - 1):
         b0, b1 = b[:, k], b[:, k + 1]
@@ -304,12 +304,19 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
     )
 
 
-def _without_memory(solver, b, guess) -> PathSolution:
-    """Without friction nothing but the load at the end counts."""
+def at_once(solver, b, guess) -> PathSolution:
+    """The law at the end alone, as if nothing had been before: all that counts without friction.
+
+    Parameters
+    ----------
+    solver : mic.contact.ContactSolver
+    b, guess : (n, d m) array
+    """
     solution = solver.solve(b, guess=guess)
     n, m = len(b), solver.contacts
     u = solution.displacement.reshape(n, m, -1)
-    state = classify(solution.force.reshape(n, m, -1), 0.0)
+    force = solution.force.reshape(n, m, -1)
+    state = classify(force, solver.bound(force[:, :, 0]))
     share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
     trace = replace(Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64))
     return PathSolution(

@@ -21,13 +21,13 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
-from mic.contact.path import Increments, Path, PathSolution, Trace
+from mic.contact.path import Increments, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
-from mic.product import product
 
 __all__ = ["PENETRATION", "WatchedSolver"]
 
@@ -41,7 +41,7 @@ class WatchedSolver:
 
     Parameters
     ----------
-    S : (d m, d m) array
+    S : (d m, d m) Columns
         Compliance over all candidates.
     friction : Friction
     point : (m, 3) array
@@ -64,7 +64,7 @@ class WatchedSolver:
 
     def __init__(
         self,
-        S: np.ndarray,
+        S: Columns,
         friction: Friction,
         point: np.ndarray,
         reach: np.ndarray,
@@ -73,7 +73,7 @@ class WatchedSolver:
         law: Law,
         **settings,
     ):
-        self.law, self._S, self._settings = law, np.ascontiguousarray(S), settings
+        self.law, self._S, self._settings = law, S, settings
         self._d = settings.get("dimension", 3)
         self._friction = friction if law.frictional else Friction.of(0.0, len(start))
         self._parameters = law.parameters(self._friction)
@@ -87,10 +87,8 @@ class WatchedSolver:
         return self.law.bound(normal, self._parameters)
 
     def solve(self, b: np.ndarray) -> PathSolution:
-        """As :meth:`mic.contact.ContactSolver.solve`, for a batch (n, d m): one step from where nothing touches."""
-        way = np.stack([np.zeros_like(b), b], axis=1)
-        way[:, 0, :: self._d] = np.maximum(b[:, :: self._d], 0.0)
-        return self.follow(way, np.zeros_like(b), np.zeros((len(b), len(self._start), self._d - 1)), Increments(1))
+        """As :meth:`mic.contact.ContactSolver.solve`, for a batch (n, d m): the law alone, whatever was before."""
+        return self._grown(b[:, None], np.zeros_like(b), np.zeros((len(b), len(self._start), self._d - 1)), None)
 
     def follow(self, b: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> PathSolution:
         """As :meth:`mic.contact.ContactSolver.follow`; a candidate that is not allowed loses its force at the start.
@@ -100,6 +98,10 @@ class WatchedSolver:
         PathSolution
             Over all candidates; what took no part was open all the way.
         """
+        return self._grown(b, force, anchor, path)
+
+    def _grown(self, b, force, anchor, path: Path | None) -> PathSolution:
+        """Paths along loads b (n, k + 1, d m), or solutions of the last load at once, on sets that grow."""
         n, m, d = len(b), len(self._start), self._d
         force = np.where(np.repeat(self._allowed, d), force, 0.0)
         normal = force.reshape(n, m, d)[:, :, 0]
@@ -111,6 +113,8 @@ class WatchedSolver:
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
                 self._put(found, samples, own, solution, b[samples])
                 iterations[samples] += solution.iterations
+                if path is None:  # the next round begins where this one ended
+                    force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
             grows = (unseen > PENETRATION).any(axis=1) & found.converged[todo]
             todo, unseen = todo[grows], unseen[grows]
@@ -132,11 +136,11 @@ class WatchedSolver:
         solver = self._solvers.get(key)
         if solver is None:
             index = np.flatnonzero(rows)
-            solver = ContactSolver(
-                self._S[np.ix_(index, index)], self._friction.take(own), law=self.law, **self._settings
-            )
+            solver = ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
             if (own == self._start).all():  # the one that most samples need, and need again
                 self._solvers[key] = solver
+        if path is None:
+            return at_once(solver, b[:, -1, rows], force[:, rows])
         return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
 
     def _open(self, n: int, m: int) -> PathSolution:
@@ -163,7 +167,7 @@ class WatchedSolver:
         force = np.zeros((len(samples), d * m))
         force[:, rows] = solution.force
         found.force[samples] = force
-        u = product(force, self._S) + b[:, -1]
+        u = self._S.under(force) + b[:, -1]
         found.displacement[samples] = u
         anchor = u.reshape(-1, m, d)[:, :, 1:].copy()
         anchor[:, own] = solution.anchor

@@ -22,9 +22,7 @@ def held_twice(scene) -> Iterator[Seen]:
     """Locators, and clamps that hold a position, of one part, place and direction."""
     rows: list[_Held] = [("locators", item, 0.0) for item in scene.locators]
     rows += [("clamps", item, item.stroke) for item in scene.clamps if item.stroke is not None]
-    moved = {
-        (item.moves, name): item.mean for item in scene.deviations if item.kind != "force" for name in _targets(item)
-    }
+    moved = {(item.moves, name): item.mean for item in scene.deviations if item.moves for name in _targets(item)}
     for (one, a, at), (other, b, to) in itertools.combinations(rows, 2):
         cosine = _cosine(a, b)
         if a.part == b.part and abs(cosine) > PARALLEL and _apart(a, b) < PINNED and _together(scene, a, b):
@@ -93,10 +91,12 @@ def moves_much(scene) -> Iterator[Seen]:
     """Deviations of position that no fixture has, and forces that shape no sheet."""
     strokes = {clamp.name for clamp in scene.clamps if clamp.stroke is not None}
     for item in scene.deviations:
-        position = item.kind == "locator" or (item.kind == "clamp" and strokes & {*_targets(item)})
+        if item.kind == "measured":
+            continue  # what was measured is told with the mesh
+        position = item.kind not in ("force", "clamp") or (item.kind == "clamp" and strokes & {*_targets(item)})
         high, unit = (MOVED, "mm") if position else (SHAPED, "N")
         for key in ("mean", "sigma"):
-            value = getattr(item, key)
+            value = getattr(item, key) * (np.abs(item.known).max() if item.kind == "shape" else 1.0)
             if abs(value) > high:
                 yield of("deviations", item), f"{key} = {value:g} {unit}", getattr(item, "point", None)
 
@@ -132,7 +132,7 @@ def force_on_a_locator(scene) -> Iterator[Seen]:
 def deviates_twice(scene) -> Iterator[Seen]:
     """Two deviations of one target, or two forces in one place."""
     for a, b in itertools.combinations(scene.deviations, 2):
-        if a.kind != b.kind:
+        if a.kind != b.kind or (a.moves is None and a.kind != "force"):
             continue
         if a.kind == "force":
             same = a.part == b.part and _apart(a, b) < PINNED and abs(_cosine(a, b)) > PARALLEL

@@ -18,7 +18,7 @@ from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.deck import UNITS, Deck
-from mic.geometry.load import LoadedPart, load_fixture, load_part
+from mic.geometry.load import LoadedPart, fixture_surface, load_fixture, load_part
 from mic.geometry.pairing import (
     ContactPair,
     Pressed,
@@ -31,6 +31,7 @@ from mic.geometry.pairing import (
 )
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
+from mic.model.modes import write_modes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.rows import AXES, Rows
@@ -178,7 +179,7 @@ class Assembly:
     decks : dict of str to Deck
         What the mesh files of the parts tell beside the mesh.
     placed : tuple of str
-        What was found for each node, set, hole and tong that the scene names.
+        What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
     """
 
     scene: Scene
@@ -203,7 +204,11 @@ class Assembly:
 
 @one_thread
 def assemble(
-    scene: Scene, cache: Path, every_node: bool = False, progress: Callable[[str], None] | None = None
+    scene: Scene,
+    cache: Path,
+    every_node: bool = False,
+    progress: Callable[[str], None] | None = None,
+    check: Callable[[Assembly], object] = lambda assembly: None,
 ) -> Assembly:
     """Mesh the parts, find the contact pairs and set up all rows.
 
@@ -219,6 +224,9 @@ def assemble(
         zones ask for.
     progress : callable, optional
         Called with one line of text before each solve.
+    check : callable, optional
+        Called with the assembly on its first meshes before parts that state an accuracy are solved, so that what it
+        raises comes first; not called where none does.
 
     Raises
     ------
@@ -227,7 +235,7 @@ def assemble(
     MissingProvider
         If an accuracy is asked for and nothing that solves is installed.
     """
-    sizes = chosen_sizes(scene, cache, partial(_assembled, scene, cache, False), progress)
+    sizes = chosen_sizes(scene, cache, partial(_assembled, scene, cache, False), check, progress)
     return _assembled(scene, cache, every_node, sizes)
 
 
@@ -240,17 +248,23 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
             loaded.append(load_part(part, scene.folder, cache, sizes.get(part.name)))
     for fixture in scene.fixtures:
         with problems:
-            fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
-            inputs |= read
+            if fixture.mesh is not None:
+                fixtures[fixture.name], read = load_fixture(fixture, scene.folder)
+                inputs |= read
     problems.tell()
     read = {name: kept for one in loaded for name, kept in one.inputs.items()}
     surfaces, inputs = {one.part.name: one.surface for one in loaded}, read | inputs
     if any(one.part is not part for one, part in zip(loaded, scene.parts)):
         scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
-    scene, placed = place(scene, surfaces, {one.part.name: one.deck for one in loaded})
+    decks = {one.part.name: one.deck for one in loaded}
+    scene, placed = place(scene, surfaces, decks)
+    written = write_modes(scene, surfaces, decks)
+    scene, placed, inputs = written.scene, placed + written.sentences, inputs | written.inputs
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
-    discs = {pad.name: (pad.point, pad.radius) for pad in scene.fixtures if pad.point and pad.radius}
+    pads = [pad for pad in scene.fixtures if pad.mesh is None]  # some of which the parts' meshes have placed
+    fixtures |= {pad.name: fixture_surface(pad, scene.folder) for pad in pads}
+    discs = {pad.name: (pad.point, pad.radius) for pad in pads if pad.point and pad.radius}
     bodies |= {name: Side(surface, disc=discs.get(name)) for name, surface in fixtures.items()}
     rows = Rows(surfaces)
     for i, locator in enumerate(scene.locators):
@@ -394,7 +408,7 @@ def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
 def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[ContactPair]]:
     """The pairs of each zone; none where no stage resolves contact."""
     resolved = any(stage.kind != "locate" for stage in scene.stages)
-    landmarks = np.array([locator.point for locator in scene.locators])
+    landmarks = np.array([locator.point for locator in scene.locators]).reshape(-1, 3)
     found = []
     for i, zone in enumerate(scene.zones if resolved else ()):
         a, b = (bodies[name] for name in zone.parts)
@@ -421,7 +435,7 @@ def _pressed(scene, zone) -> list[Pressed]:
 
 def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     """Rows of the points between the pairs: their normal reading alone."""
-    landmarks = np.array([locator.point for locator in scene.locators])
+    landmarks = np.array([locator.point for locator in scene.locators]).reshape(-1, 3)
     points: list[ContactPair] = []
     zones: list[int] = []
     for i, (zone, own) in enumerate(zip(scene.zones, pairs)):

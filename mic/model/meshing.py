@@ -26,7 +26,7 @@ import numpy as np
 
 from mic.cache import ABSENT, Cache
 from mic.compliance.part import GENERATION
-from mic.errors import SceneError
+from mic.errors import Problems, SceneError
 from mic.geometry.grading import GradedSize
 from mic.geometry.load import coarsest_size, load_part
 from mic.model.accuracy import estimate_accuracy
@@ -51,6 +51,7 @@ def chosen_sizes(
     scene: Scene,
     cache: Path,
     assembled: Callable[[Mapping[str, float]], Assembly],
+    check: Callable[[Assembly], object],
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, GradedSize]:
     """Element size, mm, by name, of every part that states an accuracy.
@@ -62,6 +63,8 @@ def chosen_sizes(
         Folder of meshes, estimates and of choices that were made before.
     assembled : callable
         Puts the scene on meshes of the given sizes.
+    check : callable
+        Called with the assembly on its first meshes, before anything is solved; raises what finer ones do not mend.
     progress : callable, optional
         Called with one line of text before each solve.
 
@@ -76,11 +79,18 @@ def chosen_sizes(
         return {}
     sizes: dict[str, GradedSize] = {}
     inputs: dict[str, str | None] = {}
+    problems = Problems()
     for part in scene.parts:
         if part.name in asked:
-            size = coarsest_size(part, scene.folder) or _extent(scene, part.name) / 20
-            sizes[part.name] = _graded(scene, part.name, size)
-            inputs |= load_part(part, scene.folder, cache, sizes[part.name]).inputs
+            with problems:
+                size = coarsest_size(part, scene.folder) or _extent(scene, part.name) / 20
+                sizes[part.name] = _graded(scene, part.name, size)
+                inputs |= load_part(part, scene.folder, cache, sizes[part.name]).inputs
+    for part in scene.parts if problems else ():  # what is wrong with the others is told with it
+        if part.name not in asked:
+            with problems:
+                load_part(part, scene.folder, cache)
+    problems.tell()
     identity = fingerprint(
         [GENERATION, scene.model_dump_json(exclude={"name", "description", "monte_carlo", "report"}), inputs]
     )
@@ -88,8 +98,10 @@ def chosen_sizes(
     found = kept.find(identity)
     if found is not None:
         return {name: _graded(scene, name, size) for name, size in found[0]["sizes"].items()}
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         assembly = assembled(sizes)
+        if number == 0:
+            check(assembly)
         missed = {}
         for one in estimate_accuracy(assembly, cache, progress, asked):
             if SAFETY * one.worst > asked[one.part]:

@@ -8,6 +8,8 @@ A scene may say where something stands by a node, a set of nodes or a hole, and 
 - ``normal``: n, the sheet's normal there, on the side that its triangles have; of a hole that of its plane.
   ``in-plane x``: ``x − (x · n) n``, made a unit vector. With a minus before it, the other way.
 - a clamp with ``parts`` is a tong: jaws at one point, pushing along n, from its first part to its second, and −n.
+- a pad with ``part`` touches the skin that it looks at: with ν its outward normal, x on the middle of the sheet and s
+  the sign of ν · n, its centre is ``x − s t/2 n``.
 
 Everything after this sees points and directions as vectors, and single clamps.
 """
@@ -56,7 +58,7 @@ def place(
     scene : Scene
         With every point and direction a vector, tongs as two clamps.
     sentences : tuple of str
-        What was found for each node, set, hole and tong.
+        What was found for each node, set, hole, tong and pad.
 
     Raises
     ------
@@ -69,6 +71,7 @@ def place(
         table: [new for i, item in enumerate(getattr(scene, table)) for new in work.item(f"{table}[{i}]", item)]
         for table in ("locators", "clamps", "welds", "deviations", "measurements")
     }
+    changes["fixtures"] = [work.pad(f"fixtures[{i}] ({item.name})", item) for i, item in enumerate(scene.fixtures)]
     if work.problems:
         raise SceneError("\n".join(work.problems))
     changes = {table: items for table, items in changes.items() if items != getattr(scene, table)}
@@ -119,6 +122,30 @@ class _Placing:
             self.problems.append(str(error))
             return [item]
         return [item.model_copy(update=found)]
+
+    def pad(self, key: str, fixture: Any) -> Any:
+        """A pad that is set against a part, by its own centre and normal."""
+        if fixture.part is None:
+            return fixture
+        surface = self.surfaces[fixture.part]
+        try:
+            point, rim = self._point(key, fixture)
+            foot = surface.project(point)
+            if rim is None and foot.distance[0] > REACH:
+                raise _Misplaced(
+                    f"{key}.point: {_words(point)} lies {foot.distance[0]:.3g} mm off part {fixture.part!r} (at most "
+                    f"{REACH:g} mm is allowed); the nearest point on it is {_words(foot.point[0])}"
+                )
+        except _Misplaced as error:
+            self.problems.append(str(error))
+            return fixture
+        x, n = (foot.point[0], _normal(surface, point)) if rim is None else (rim.centre, rim.normal)
+        ν = {"normal": n, "-normal": -n}[fixture.normal] if isinstance(fixture.normal, str) else fixture.normal
+        side = 1.0 if np.dot(ν, n) > 0 else -1.0
+        centre = x - side * self.sides[fixture.part].half_thickness * n
+        self.sentences.append(f"{key}: touches {fixture.part} at {_words(centre)}, looking along {_words(ν)}")
+        found = {"point": _vector(centre), "normal": _vector(ν), "part": None, "node": None, "set": None, "hole": None}
+        return fixture.model_copy(update=found)
 
     def stage(self, stage: Any) -> Any:
         """A stage that names the jaws where it named the tong."""

@@ -115,6 +115,18 @@ class Rows:
                 f"{REACH} mm is allowed), its nearest point is [{nearest}]; correct the coordinates or the part"
             )
 
+    def near(self, key: str, name: str, part: str, points: np.ndarray, foot: np.ndarray) -> None:
+        """Raise :class:`SceneError` for the first of several points (n, 3) that lies off its part, its foot beside."""
+        away = np.linalg.norm(points - foot, axis=1)
+        worst = int(np.argmax(away))
+        if away[worst] > REACH:
+            nearest = ", ".join(f"{x:.6g}" for x in foot[worst])
+            raise SceneError(
+                f"{key}.points[{worst}] ({name}): {points[worst].tolist()} lies {away[worst]:.3g} mm off part "
+                f"{part!r} (at most {REACH} mm is allowed), its nearest point is [{nearest}]; correct the "
+                "coordinates or the part"
+            )
+
     def functionals(self, part: str) -> Functionals:
         """What the rows read of a part."""
         return self._retained[part].freeze()

@@ -4,22 +4,44 @@ The part is held on a statically determinate choice of the locators that it is s
 which it rests, while the source's force f⁰ acts; the deformed shape is then the part's stress-free shape. A deviation
 is measured from there, so it vanishes there:
 
-    y⁰ = H_s f⁰,        with H_s supported on these datum rows.
+    y⁰ = H_s f⁰,        with H_s supported on these datum rows.                                        (1)
+
+Where the shape is known at points, ``v`` mm each, and the force is not, the sheet takes the shape of least bending
+energy through them: with the compliance C = R H_s Rᵀ and the rigid readings G_R = R G of the rows R that read it there,
+
+    f⁰ = Rᵀ f,        (C + λ W) f + G_R q = v,        G_Rᵀ f = 0,                                       (2)
+
+with any position q of the part if it was measured loose, without q and the last line if it was set down. It is a
+smoothing spline of the sheet's own stiffness, so that nothing is carried across a fold that the sheet does not carry.
+λ = 0 passes through the values. Where they are uncertain by σ_i, ``W = diag σ_i²``, what is found is ``A_λ v``, and
+λ is the one of least expected error, by its unbiased estimate ``Σ_i (v − A_λ v)_i²/σ_i² + 2 tr A_λ`` (Craven, Wahba),
+summed over all shapes that share the rows.
+
+References
+----------
+G. Wahba: Spline models for observational data. SIAM (1990): smoothing splines, chapters 1 and 4.
+P. Craven, G. Wahba: Smoothing noisy data with spline functions. *Numer. Math.* 31 (1979), 377–403: section 3.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
+from scipy.linalg import null_space
 from scipy.sparse import csr_matrix, identity, vstack
 
 from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.compliance.support import completing, independent, motion_size, statically_determinate
-from mic.errors import FreeMotion
-from mic.model.sources import sources
+from mic.errors import FreeMotion, SceneError
+from mic.model.sources import Control, sources
 from mic.scene.stages import set_down_in
 
-__all__ = ["datum_rows", "shape_readings"]
+__all__ = ["controlling_forces", "datum_rows", "known_shapes", "shape_readings"]
+
+SOFT, TRIALS = 1e-4, 400  # where λ is looked for, beyond the least and the largest compliance; steps of a few per cent
+UNBENT = 1e-10  # of the largest compliance: a force that bends the part less than that shapes nothing
 
 
 def datum_rows(assembly, p: int, G: np.ndarray) -> csr_matrix:
@@ -52,23 +74,103 @@ def datum_rows(assembly, p: int, G: np.ndarray) -> csr_matrix:
         return vstack([locators, contacts[completing(locators @ G, contacts @ G, size)]], format="csr")
 
 
+def known_shapes(assembly) -> Iterator[tuple[list[int], list[Control]]]:
+    """The deviations whose shape is known at points, those that share their rows together: their numbers, and what is
+    known of each."""
+    shared: dict[tuple, tuple[list[int], list[Control]]] = {}
+    for j, source in enumerate(sources(assembly.scene)):
+        control = source.control(assembly.labels, assembly.rows)
+        if control is not None:
+            columns, controls = shared.setdefault((*control.rows.indices, control.loose), ([], []))
+            columns.append(j)
+            controls.append(control)
+    yield from shared.values()
+
+
+def controlling_forces(C: np.ndarray, G: np.ndarray, controls: Sequence[Control], name: str) -> np.ndarray:
+    """Forces (c, q) on the rows that give a part the q shapes that are known there: f of equation (2).
+
+    Parameters
+    ----------
+    C : (c, c) array
+        Compliance of the rows while the datum rows hold, mm/N.
+    G : (c, 6) array
+        What they read of the part's rigid motions.
+    controls : sequence of Control
+        With the same rows.
+    name : str
+        What they belong to, for messages.
+
+    Raises
+    ------
+    SceneError
+        If two points are one, or a point stands where the part is held.
+    """
+    V = np.array([control.value for control in controls]).T
+    loose = controls[0].loose
+    variance = sum(control.noise**2 for control in controls)
+    noisy = bool(np.any(variance))
+    weight = np.sqrt(variance / np.mean(variance)) if noisy else np.ones(len(C))  # W^½
+    C, G, V = C / np.outer(weight, weight), G / weight[:, None], V / weight[:, None]  # for W^½ f
+    N = null_space(G.T, rcond=1e-9) if loose else np.eye(len(C))
+    stiff, modes = np.linalg.eigh(0.5 * N.T @ (C + C.T) @ N)
+    if stiff[0] <= UNBENT * stiff[-1]:
+        place = int(np.argmax(np.abs(N @ modes[:, 0])))
+        raise SceneError(
+            f"{name}: points[{place}] coincides with another point"
+            + (", or with a locator" * (not loose))
+            + ", where the shape cannot be another; move it, or remove it"
+        )
+    amplitude = modes.T @ N.T @ V
+    λ = 0.0
+    if noisy:
+        σ2 = float(np.mean(variance))
+        trial = np.geomspace(SOFT * stiff[0], stiff[-1] / SOFT, TRIALS)
+        missed = (trial / (stiff[:, None] + trial)) ** 2
+        followed = stiff[:, None] / (stiff[:, None] + trial)
+        risk = (amplitude**2).sum(axis=1) @ missed + 2 * σ2 * followed.sum(axis=0)
+        λ = float(trial[np.argmin(risk)])
+    return N @ modes @ (amplitude / (stiff + λ)[:, None]) / weight[:, None]
+
+
 def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray]:
     """Readings y⁰ (F, p), and the forces f⁰ with their reactions (F, p), of a unit of each of the scene's p deviations.
 
     Columns of sources that give no shape are zero.
+
+    Raises
+    ------
+    SceneError
+        As :func:`controlling_forces`.
     """
     F, made = compliance.size, sources(assembly.scene)
     shape, forces = np.zeros((F, len(made))), np.zeros((F, len(made)))
+
+    def take(load: csr_matrix, p: int):
+        """What part p reads of loads (l, F), held on its datum rows, (F_p, l), and the reactions with them (F_p, l)."""
+        own, part = compliance.functionals[p], compliance.part(p)
+        datum = datum_rows(assembly, p, compliance.G[p])
+        none = csr_matrix((0, part.size))
+        response = eliminate(part, datum, none, load[:, own], identity(part.size, format="csr"))
+        return response.L_out, load[:, own].T.toarray() + datum.T @ response.reaction_L
+
     for j, source in enumerate(made):
         load = source.load(assembly.labels, assembly.rows)
-        if load is None:
-            continue
-        for p in np.unique(np.searchsorted(compliance.offsets, load.indices, side="right") - 1):
-            own, part = compliance.functionals[p], compliance.part(p)
-            datum = datum_rows(assembly, p, compliance.G[p])
-            response = eliminate(
-                part, datum, csr_matrix((0, part.size)), load[:, own], identity(part.size, format="csr")
-            )
-            shape[own, j] = response.L_out[:, 0]
-            forces[own, j] = load[:, own].toarray()[0] + datum.T @ response.reaction_L[:, 0]
+        for p in () if load is None else _parts(load, compliance):
+            own = compliance.functionals[p]
+            reading, force = take(load, p)
+            shape[own, j], forces[own, j] = reading[:, 0], force[:, 0]
+    for columns, controls in known_shapes(assembly):
+        (p,), R = _parts(controls[0].rows, compliance), controls[0].rows
+        own = compliance.functionals[p]
+        reading, force = take(R, p)
+        name = f"deviations[{columns[0]}] ({assembly.scene.deviations[columns[0]].name})"
+        f = controlling_forces(R[:, own] @ reading, R[:, own] @ compliance.G[p], controls, name)
+        shape[np.arange(F)[own, None], columns] = reading @ f
+        forces[np.arange(F)[own, None], columns] = force @ f
     return shape, forces
+
+
+def _parts(load: csr_matrix, compliance: Blocks) -> np.ndarray:
+    """The parts that a load acts on."""
+    return np.unique(np.searchsorted(compliance.offsets, load.indices, side="right") - 1)

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from mic.contact import ContactSolver, laws
+from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
@@ -31,15 +32,19 @@ AHEAD = 8
 APART = 2.0
 
 
-def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, start: np.ndarray, **settings):
+def contact_solver(
+    contacts, S: Columns, own: np.ndarray, friction: Friction, step: Step, start: np.ndarray, **settings
+):
     """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate, or
     takes no part.
 
     Parameters
     ----------
     contacts : mic.model.assembly.Contacts
-    S : (d m + s, d m + s) array
+    S : (d m + s, d m + s) Columns
         Compliance at the contacts and at the step's stops, mm/N.
+    own : (d m + s,) array
+        Its diagonal.
     friction : Friction
         Of the contacts.
     step : Step
@@ -50,10 +55,10 @@ def contact_solver(contacts, S: np.ndarray, friction: Friction, step: Step, star
     """
     settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
     stops = stops_of(contacts, step)
-    S, friction = stops.compliance(S), stops.friction(friction)
+    S, friction = stops.compliance(S, own), stops.friction(friction)
     out = contacts.out(step.nuggets, step.away)
     if not (contacts.watched.any() or out.any()):
-        return ContactSolver(S, friction, **settings)
+        return ContactSolver(S.block(np.arange(len(S))), friction, **settings)
     always = np.ones(stops.count, dtype=bool)
     return WatchedSolver(
         S,
@@ -149,7 +154,7 @@ class Process:
         if key not in self._solvers:
             start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
             self._solvers[key] = contact_solver(
-                contacts, eliminated.compliance, friction, step, start, **self._settings
+                contacts, *eliminated.compliance, friction, step, start, **self._settings
             )
         return self._solvers[key]
 

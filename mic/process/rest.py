@@ -33,10 +33,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from mic.compliance.elimination import Response
+from mic.contact.columns import Columns
 from mic.contact.laws import Law
 from mic.contact.path import Increments, Path, PathSolution
 from mic.contact.solution import Status
@@ -107,12 +109,13 @@ class Rest:
 
     def springs(self, response: Response) -> tuple[float, np.ndarray]:
         """c, mm/N, and G of the soft rows (d m + s, k)."""
-        return SOFT * float(response.S.diagonal().max(initial=0.0)), response.T[:, self.columns(response)]
+        return SOFT * float(response.own.max(initial=0.0)), response.T[:, self.columns(response)]
 
-    def compliance(self, response: Response) -> np.ndarray:
-        """(d m + s, d m + s) ``S + c G Gᵀ``."""
+    def compliance(self, response: Response) -> tuple[Columns, np.ndarray]:
+        """(d m + s, d m + s) ``S + c G Gᵀ``, and its diagonal."""
         c, G = self.springs(response)
-        return response.S + c * (G @ G.T)
+        own = response.own + c * np.einsum("ij,ij->i", G, G)
+        return Columns(partial(_softened, response.S, c, G), response.S.shape), own
 
     def pushed(self, response: Response, v: np.ndarray, p: np.ndarray) -> np.ndarray:
         """(n, k) e of the soft rows: what values (n, b) of bilateral rows, and loads, leave to the rest rows."""
@@ -252,3 +255,8 @@ class Rest:
         along = (share[of_part, None] * self.direction[self.soft][of_part]).sum(axis=0)
         moved = np.linalg.norm(along) > 0.1 * np.abs(share[of_part]).sum()
         return f"not held: part {part} {how} {towards(along) if moved else 'and turns'}"
+
+
+def _softened(S: Columns, c: float, G: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """(k, d m + s) columns of ``S + c G Gᵀ``."""
+    return S.take(numbers) + c * product(G[numbers], G.T)

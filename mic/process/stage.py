@@ -30,6 +30,7 @@ from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.elimination import Response, eliminate
 from mic.contact import ContactSolver
+from mic.contact.columns import Columns
 from mic.contact.path import Followed, Increments, Path, PathSolution
 from mic.contact.states import classify
 from mic.contact.watched import WatchedSolver
@@ -51,7 +52,7 @@ FLOOR = 5e-5  # mm: forty steps that err alike leave the 2 µm that a coordinate
 ROUNDING = 1e-9  # mm: a way left that is none
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
 #: of a response, what values, loads and contact forces are mapped by
-MAPS = ("T", "L", "T_out", "L_out", "S_out", "reaction_T", "reaction_L", "reaction_S")
+MAPS = ("T", "L", "T_out", "L_out", "reaction_T", "reaction_L", "reaction_S")
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,10 @@ class EliminatedStep:
     rest: Rest
 
     @property
-    def compliance(self) -> np.ndarray:
-        """(d m + s, d m + s) of the contacts and stops; resting parts lie on springs."""
-        return self.rest.compliance(self.response) if self.rest.soft.any() else self.response.S
+    def compliance(self) -> tuple[Columns, np.ndarray]:
+        """(d m + s, d m + s) of the contacts and stops, and its diagonal; resting parts lie on springs."""
+        response = self.response
+        return self.rest.compliance(response) if self.rest.soft.any() else (response.S, response.own)
 
 
 def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[EliminatedStep]]:
@@ -127,13 +129,13 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                         chosen = model.rest.completing(bilateral, model.compliance)
                         bilateral = vstack([bilateral, model.rest.rows[chosen]], format="csr")
                         soft = None if soft is None else np.concatenate([soft, np.zeros(len(chosen))])
+                    series = np.concatenate([layer, np.zeros(len(step.stops))])
                     response = eliminate(
-                        model.compliance, bilateral, contact.tocsr(), rows_of(loads[held]), output, soft
+                        model.compliance, bilateral, contact.tocsr(), rows_of(loads[held]), output, soft, series
                     )
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
-                response.S[np.diag_indices(contact_rows)] += layer
                 # Samples are multiplied by their transposes, which so have their rows one after the other.
                 maps: dict[str, Any] = {name: np.asfortranarray(getattr(response, name)) for name in MAPS}
                 response = replace(response, **maps)
@@ -373,7 +375,9 @@ class PreparedStage:
         start, end = unloaded(0.0, place), unloaded(1.0, place)
         lift = np.zeros_like(start)
         if step.settles:
-            apart = start + product(force[:, :contacts], response.S[:contacts])
+            touching = force.copy()
+            touching[:, contacts:] = 0.0
+            apart = start + response.S.under(touching)
             lift[:, normal] = np.maximum(0.0, -apart[:, normal])
         for j, limit in enumerate(step.stops):
             if limit.row not in state.stop:  # from where the part is, should it lie beyond
@@ -464,7 +468,7 @@ class PreparedStage:
     def _outcome(self, response, v, p, force):
         """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows, under the forces
         (n, d m + s) of contacts and stops."""
-        reading = product(v, response.T_out.T) + product(p, response.L_out.T) + product(force, response.S_out.T)
+        reading = product(v, response.T_out.T) + product(p, response.L_out.T) + response.S_out.under(force)
         reaction = product(v, response.reaction_T.T) + product(p, response.reaction_L.T)
         reaction += product(force, response.reaction_S.T)
         return {kind: reading[:, own] for kind, own in self._output.items()}, reaction

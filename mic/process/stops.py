@@ -8,9 +8,11 @@ they stay zero.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import PathSolution, Trace
 
@@ -49,17 +51,23 @@ class Stops:
         stops[:, :, 0] = values[:, self.rows :]
         return np.concatenate([values[:, : self.rows], stops.reshape(len(values), -1)], axis=1)
 
-    def compliance(self, S: np.ndarray) -> np.ndarray:
-        """(d (m + s), d (m + s)) for the solver, from (d m + s, d m + s)."""
+    def compliance(self, S: Columns, own: np.ndarray) -> Columns:
+        """(d (m + s), d (m + s)) for the solver, from (d m + s, d m + s) and its diagonal."""
         if not self.count:
             return S
-        own = self.rows + self.dimension * np.arange(self.count)
-        place = np.concatenate([np.arange(self.rows), own])
-        wide = np.zeros((self.dimension * self.total,) * 2)
-        wide[np.ix_(place, place)] = S
-        for axis in range(1, self.dimension):
-            wide[own + axis, own + axis] = S.diagonal()[self.rows :]
-        return wide
+        wide = self.dimension * self.total
+        return Columns(partial(self._spread, S, own), (wide, wide))
+
+    def _spread(self, S: Columns, own: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """(k, d (m + s)) columns for the solver."""
+        stop = self.rows + self.dimension * np.arange(self.count)
+        place = np.concatenate([np.arange(self.rows), stop])
+        found = np.zeros((len(numbers), self.dimension * self.total))
+        driven = np.isin(numbers, place)
+        found[np.ix_(driven, place)] = S.take(np.searchsorted(place, numbers[driven]))
+        idle = numbers[~driven]
+        found[~driven, idle] = own[self.rows + (idle - self.rows) // self.dimension]
+        return found
 
     def friction(self, friction: Friction) -> Friction:
         """Of the contacts and the stops, from that of the contacts."""

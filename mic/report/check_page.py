@@ -11,6 +11,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from mic.errors import Problems
 from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
 from mic.judgement import Warned, verdict
@@ -20,6 +21,7 @@ from mic.process.words import opening, sentences
 from mic.report.style import MARK_COLOURS, number
 from mic.report.viewer import as_json, drawable, view
 from mic.scene import Scene
+from mic.scene.schema import ClampDeviation, LocatorDeviation
 from mic.store import write_text
 
 __all__ = ["write_check"]
@@ -60,7 +62,10 @@ def write_check(
     Path
     """
     bodies = dict(surfaces)
-    bodies |= {fixture.name: fixture_surface(fixture, scene.folder) for fixture in scene.fixtures if fixture.point}
+    for fixture in scene.fixtures:
+        with Problems():  # one that cannot be read is among the errors already
+            if fixture.part is None:  # else its part's mesh has not placed it
+                bodies[fixture.name] = fixture_surface(fixture, scene.folder)
     environment = Environment(
         loader=PackageLoader("mic.report", ""),
         autoescape=True,
@@ -185,7 +190,7 @@ def _varied(scene: Scene) -> dict[tuple[str, str], str]:
     return {
         (item.kind, name): f", {item.name}: {item.mean:g} ± {item.sigma:g}"
         for item in scene.deviations
-        if item.kind != "force"
+        if isinstance(item, LocatorDeviation | ClampDeviation)
         for name in ([item.target] if isinstance(item.target, str) else item.target)
     }
 

@@ -48,18 +48,20 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     coefficient = contacts.friction_in(stage).coefficient
     prepared = next(one for one in outcome.model.process("coulomb").stages if one.plan.name == stage)
     rows = contacts.dimension * len(contacts)
-    S, step = prepared.response.S[:rows, :rows], replace(prepared.plan.steps[-1], limits=())  # stops push as they did
+    response, step = prepared.response, replace(prepared.plan.steps[-1], limits=())  # stops push as they did
+    S = response.S.first(rows)
     force, displacement = (
         np.stack(
             [outcome.contact("coulomb", stage, f"{quantity}_{axis}", chosen) for axis in ("n", "t1", "t2")], axis=2
         ).reshape(len(chosen), -1)
         for quantity in ("f", "u")
     )
-    b = displacement - force @ S  # u = S f + b
+    b = displacement - S.under(force)  # u = S f + b
     carries = (force[:, ::3] > 0).any(axis=0)
 
     def solver(S, coefficient, **settings):
-        return contact_solver(contacts, S, Friction.of(coefficient, len(contacts)), step, carries, **settings)
+        friction = Friction.of(coefficient, len(contacts))
+        return contact_solver(contacts, S, response.own[:rows], friction, step, carries, **settings)
 
     return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS, solver=solver)
 

@@ -64,7 +64,7 @@ def check_references(scene) -> None:
     bodies = {part.name for part in scene.parts}
     every = bodies | {fixture.name for fixture in scene.fixtures}
     found = []
-    for key in ("locators", "clamps", "measurements", "deviations"):
+    for key in ("fixtures", "locators", "clamps", "measurements", "deviations"):
         for i, item in enumerate(getattr(scene, key)):
             if getattr(item, "part", None) is not None:
                 found += told(known, entry(key, i, item, "part"), item.part, bodies, "part")

@@ -34,14 +34,17 @@ __all__ = [
     "Deviation",
     "Fixture",
     "FollowedPath",
+    "FieldDeviation",
     "ForceDeviation",
     "Locator",
     "LocatorDeviation",
+    "MeasuredDeviation",
     "Measurement",
     "MonteCarlo",
     "Part",
     "Report",
     "Scene",
+    "ShapeDeviation",
     "Stage",
     "Weld",
     "Zone",
@@ -245,22 +248,59 @@ class Part(_Table):
 
 
 class Fixture(_Table):
-    """A rigid surface that parts may touch: a mesh, or a flat round pad."""
+    """A rigid surface that parts may touch: a mesh, or a flat round pad.
+
+    A pad with `part` is set against that part as it is drawn: its face touches the skin, at a place told as elsewhere.
+    """
 
     name: Name = Field(description="names the fixture in `[[zones]]`")
     mesh: str | None = Field(None, description="mesh file, relative to the scene file")
-    point: Vector | None = Field(None, description="or the centre of a flat round pad, mm")
-    normal: Vector | None = Field(None, description="the pad's outward normal")
+    point: Vector | None = Field(
+        None, description="or the centre of a flat round pad, mm; with `part` a place at most 5 mm off the part"
+    )
+    part: Name | None = Field(None, description="the part that the pad is set against, touching its skin")
+    node: Count | None = Field(None, description="with `part`, in place of `point`: a node by its number")
+    set: Annotated[str, Field(min_length=1)] | None = Field(
+        None, description="or a set of nodes by its name in the part's mesh file: their middle"
+    )
+    hole: Vector | None = Field(None, description="or a point near the centre of a hole, over which the pad then lies")
+    normal: Direction | None = Field(
+        None,
+        description="the pad's outward normal; with `part` also `normal`, the default, which is that of the sheet, or "
+        "`-normal`: the pad lies on the side that it comes from",
+    )
     radius: Positive | None = Field(None, description="the pad's radius, mm")
     stage: Name | None = Field(None, description="the locate stage in whose station it stands; if left out, the first")
 
-    _normal = field_validator("normal")(_unit)
-
     @model_validator(mode="after")
     def _one_shape(self):
-        pad = [self.point, self.normal, self.radius]
-        if (self.mesh is None) == all(value is None for value in pad) or (self.mesh is None and None in pad):
+        places = [key for key in ("point", "node", "set", "hole") if getattr(self, key) is not None]
+        given = places + [key for key in ("part", "normal", "radius") if getattr(self, key) is not None]
+        if (self.mesh is None) == (not given):
             raise ValueError('give either mesh = "file", or point, normal and radius of a flat pad')
+        if self.mesh is not None:
+            return self
+        if self.part is None:
+            alone = [key for key in places if key != "point"]
+            if alone:
+                raise ValueError(f"{alone[0]} is one of a part's: add part, which the pad is set against")
+            if not {"point", "normal", "radius"} <= set(given):
+                raise ValueError('give either mesh = "file", or point, normal and radius of a flat pad')
+            if isinstance(self.normal, str):
+                raise ValueError(f"normal = {self.normal!r} is a part's: add part, or give normal = [x, y, z]")
+            return self
+        if len(places) != 1:
+            raise ValueError(
+                f"{' and '.join(places)} each say where the pad lies: give one of them"
+                if places
+                else "give point = [x, y, z], or node or set or hole, where the pad lies on its part"
+            )
+        if self.radius is None:
+            raise ValueError("a pad needs radius, mm: add it")
+        if self.normal is None:
+            object.__setattr__(self, "normal", NORMAL)
+        if isinstance(self.normal, str) and "in-plane" in self.normal:
+            raise ValueError('a pad lies flat against its part: normal is "normal", "-normal" or [x, y, z]')
         return self
 
 
@@ -612,7 +652,116 @@ class ClampDeviation(_Deviation):
     moves: ClassVar[str | None] = "clamps"
 
 
-Deviation = Annotated[ForceDeviation | LocatorDeviation | ClampDeviation, Field(discriminator="kind")]
+class ShapeDeviation(_Deviation):
+    """``kind = "shape"``: how far a part is out of shape at points of it, mm along the normals of its mesh.
+
+    The deviation's value multiplies `values`. Between the points the sheet takes the shape of least bending energy.
+    """
+
+    kind: Literal["shape"] = Field(description='`"shape"`')
+    part: Name = Field(description="the part whose shape it is")
+    points: Annotated[list[Vector], Field(min_length=1)] = Field(description="where, mm, at most 5 mm off the part")
+    values: Annotated[list[FiniteFloat], Field(min_length=1)] | None = Field(
+        None, description="how far the part is off at each of them, mm; left out, 1 everywhere"
+    )
+    radius: NonNegative = Field(0.0, description="of the discs over which these are means, mm; 0 is nodal")
+    loose: Flag = Field(
+        False,
+        description="whether the values hold of the part in any position, as measured shapes do, and not of the part "
+        "set down on its locators; takes more than six points",
+    )
+    noise: NonNegative | Annotated[list[Positive], Field(min_length=1)] = Field(
+        0.0,
+        description="standard uncertainty of the values, or of each of them, mm: the shape passes them by as much, and "
+        "is smoother",
+    )
+    batch: Name | None = Field(
+        None, description="deviations of one batch have the same part and points, and `scores` of the same pieces"
+    )
+    scores: Annotated[list[FiniteFloat], Field(min_length=2)] | None = Field(
+        None,
+        description="of each measured piece of the batch, in standard deviations: a sample is one of the pieces, "
+        "drawn at random, in place of the distribution",
+    )
+
+    @model_validator(mode="after")
+    def _one_value_each(self):
+        if self.values is not None and len(self.values) != len(self.points):
+            raise ValueError(f"there are {len(self.points)} points and {len(self.values)} values: give one for each")
+        if isinstance(self.noise, list) and len(self.noise) != len(self.points):
+            raise ValueError(f"there are {len(self.points)} points and noise of {len(self.noise)}: give it for each")
+        if self.loose and len(self.points) <= 6:
+            raise ValueError("loose takes more than six points: fewer are met by moving the part as it is; add some")
+        return self
+
+    @property
+    def known(self) -> np.ndarray:
+        """(c,) its values, mm."""
+        return np.ones(len(self.points)) if self.values is None else np.array(self.values)
+
+
+class MeasuredDeviation(_Deviation):
+    """``kind = "measured"``: shapes that were measured, of one piece or of several.
+
+    Of several pieces the mean shape and the principal modes about it become deviations of kind `shape`, called
+    ``NAME.mean``, ``NAME.1``, ``NAME.2`` …, each of standard deviation 1.
+    """
+
+    kind: Literal["measured"] = Field(description='`"measured"`')
+    part: Name = Field(description="the part that was measured")
+    files: str = Field(
+        description="a file for each piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with a header "
+        "x, y, z (points, mm), or x, y, z, deviation (nominal points, mm along the normals), or node, deviation; or a "
+        "cloud of points as PLY, STL, VTK, …"
+    )
+    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = Field("mm", description="of length in the files")
+    mean: FiniteFloat = Field(1.0, description="how many times the mean shape is taken")
+    sigma: NonNegative = Field(1.0, description="how many times the modes are: 1 is the spread that was measured")
+    pieces: Flag = Field(
+        False, description="whether a sample is one of the pieces as it was measured, drawn at random, not modes"
+    )
+    skin: Literal[-1, 0, 1] = Field(
+        0,
+        description="where the points lie: 1 on the skin on the side of the mesh's normals, -1 on the other, 0 in "
+        "the middle of the sheet; of points with a deviation it does not matter",
+    )
+    align: Flag = Field(
+        True, description="whether points are first moved, as a rigid body, to where they fit the nominal part best"
+    )
+    within: Positive = Field(5.0, description="points farther off the part than this, mm, are left out, and counted")
+    spacing: Positive | None = Field(
+        None,
+        description="distance of the points at which the shape is taken, each from the measured points about it, mm; "
+        "left out, the measured points themselves where all pieces have the same few, else one such that there are "
+        "about 200",
+    )
+    noise: NonNegative = Field(0.0, description="standard uncertainty of a measured point, mm")
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(
+        0.99, description="of the variance over the pieces that the modes keep; all of it with `pieces`"
+    )
+
+
+class FieldDeviation(_Deviation):
+    """``kind = "field"``: a random field of deviations along the normals all over a part, stationary along the sheet.
+
+    Its correlation is of Matérn's family with ν = 1, by the sheet's own Laplacian. Its principal modes become
+    deviations of kind `shape`, called ``NAME.1``, ``NAME.2`` ….
+    """
+
+    kind: Literal["field"] = Field(description='`"field"`')
+    part: Name = Field(description="the part whose shape varies")
+    mean: Annotated[FiniteFloat, Field(ge=0, le=0)] = Field(0.0, description="0: give a mean shape as `shape`")
+    sigma: Positive = Field(description="standard deviation at every point, mm, before the part is set down")
+    length: Positive = Field(description="correlation length, mm: where the correlation has fallen to 0.14")
+    share: Annotated[FiniteFloat, Field(gt=0, lt=1)] = Field(
+        0.95, description="of the variance that the modes keep at every point; the rest is shared out among them"
+    )
+
+
+Deviation = Annotated[
+    ForceDeviation | LocatorDeviation | ClampDeviation | ShapeDeviation | MeasuredDeviation | FieldDeviation,
+    Field(discriminator="kind"),
+]
 
 
 class Measurement(_OnPart):
@@ -697,7 +846,7 @@ class Scene(_Table):
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
-    locators: Annotated[list[Locator], Field(min_length=1)]
+    locators: list[Locator] = []
     clamps: list[Clamp] = []
     welds: list[Weld] = []
     zones: list[Zone] = []

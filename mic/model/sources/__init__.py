@@ -2,7 +2,8 @@
 
 A deviation of shape is not a force. Per unit amplitude a source gives its part readings y⁰ of the retained
 functionals in the stress-free shape, so that with forces f and rigid motions q the functionals read ``y = H f + G q +
-Σ a y⁰`` (:mod:`mic.model.shape` finds y⁰ from the force that makes the shape), or it moves the fixture.
+Σ a y⁰``, or it moves the fixture. :mod:`mic.model.shape` finds y⁰ from the force that makes the shape, or from what is
+known of it.
 """
 
 from __future__ import annotations
@@ -10,12 +11,19 @@ from __future__ import annotations
 from mic.model.sources.clamp import ClampSetting
 from mic.model.sources.force import CorrectiveForce
 from mic.model.sources.locator import LocatorPosition
-from mic.model.sources.source import Source
+from mic.model.sources.shape import ShapeAtPoints
+from mic.model.sources.source import Control, Source
 
-__all__ = ["SOURCES", "Source", "sources"]
+__all__ = ["SOURCES", "Control", "Source", "sources"]
 
-#: Kind in the scene's ``[[deviations]]`` → class.
-SOURCES: dict[str, type[Source]] = {"force": CorrectiveForce, "locator": LocatorPosition, "clamp": ClampSetting}
+#: Kind in the scene's ``[[deviations]]`` → class; measured shapes and random fields have become shapes before
+#: (:mod:`mic.model.modes`).
+SOURCES: dict[str, type[Source]] = {
+    "force": CorrectiveForce,
+    "locator": LocatorPosition,
+    "clamp": ClampSetting,
+    "shape": ShapeAtPoints,
+}
 
 
 def sources(scene) -> list[Source]:

@@ -3,13 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from scipy.sparse import csr_matrix
 
-__all__ = ["Row", "Source"]
+__all__ = ["Control", "Row", "Source"]
 
 Row = tuple[str, int]  #: a row by its kind and its number
+
+
+@dataclass(frozen=True)
+class Control:
+    """A shape that is known where rows of one part read it.
+
+    Attributes
+    ----------
+    rows : (c, F) csr_matrix
+    value : (c,) array
+        What they read of the shape per unit amplitude, mm.
+    noise : (c,) array
+        Standard uncertainty of the values, mm; all zero, or none.
+    loose : bool
+        Whether they hold of the part in any position, or of the part set down on its datum locators.
+    """
+
+    rows: csr_matrix
+    value: np.ndarray
+    noise: np.ndarray
+    loose: bool
 
 
 class Source:
@@ -38,6 +61,10 @@ class Source:
 
         Each part is held on its datum locators while the force acts; the deformed shape is then its stress-free shape.
         """
+        return None
+
+    def control(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> Control | None:
+        """The shape of a part where it is known, per unit amplitude, in place of a force that makes it, or None."""
         return None
 
     def target(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:

@@ -1,0 +1,280 @@
+"""Measured points of a part: read from files, fitted to the nominal surface, told as deviations along its normals.
+
+A *deviation* of a sheet at a point x of its nominal surface is how far the measured sheet lies off x along the normal
+n of the mesh there. Of a cloud of points p it is ``(p − x)·n``, x the point of the surface nearest to p.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mic.errors import FormatError
+from mic.geometry.deck import UNITS, Deck
+from mic.geometry.readers import READERS, read_raw
+from mic.geometry.surface import Surface
+
+__all__ = ["Cloud", "Deviations", "Fit", "deviations", "read_cloud", "sheet_normals", "spread"]
+
+TEXT = (".csv", ".txt", ".xyz", ".asc")
+AXES = ("x", "y", "z")
+SEPARATORS = (";", "\t", ",")  # of cells; else blanks
+FITS = 50  # repetitions of the best fit: each finds the nearest points anew
+STILL = 1e-9  # of the part's size: a fit that moves by less is found
+OFF = 0.05  # share of the points that may be left out
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points of one measured piece.
+
+    Attributes
+    ----------
+    points : (n, 3) array
+        Where they were measured, mm; or where on the nominal part, if `deviation` is given.
+    deviation : (n,) array or None
+        Along the normals, mm.
+    """
+
+    points: np.ndarray
+    deviation: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The rigid motion by which a cloud was moved to where it fits the nominal part best.
+
+    Attributes
+    ----------
+    shift : float
+        How far the middle of the cloud was moved, mm.
+    turn : float
+        By how much the cloud was turned, degrees.
+    left_out : int
+        Points that lie too far off the part.
+    """
+
+    shift: float
+    turn: float
+    left_out: int
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """How far a piece is off its nominal surface.
+
+    Attributes
+    ----------
+    points, normal : (n, 3) array
+        On the surface, mm, and its unit normals there.
+    value : (n,) array
+        Along the normals of the mesh, mm.
+    fit : Fit
+    """
+
+    points: np.ndarray
+    normal: np.ndarray
+    value: np.ndarray
+    fit: Fit
+
+
+def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cloud:
+    """Read the points of one measured piece.
+
+    Parameters
+    ----------
+    path : Path
+        Text with a header of columns, or a mesh file, whose points are taken.
+    unit : str
+        Of length in the file, one of `UNITS`.
+    surface : Surface
+        Nominal, for nodes.
+    deck : Deck or None
+        The numbers of its nodes.
+
+    Raises
+    ------
+    FormatError
+        Naming the file, and the line where one is wrong.
+    """
+    scale = UNITS[unit][0]
+    if path.suffix.lower() not in TEXT:
+        if path.suffix.lower() not in READERS:
+            raise FormatError(
+                f"{path}: there is no reader of {path.suffix or 'files without a suffix'} for measured points; save "
+                f"them as {', '.join(TEXT)} with a header x, y, z, or as one of {', '.join(READERS)}"
+            )
+        points = scale * read_raw(path).points
+        if not len(points):
+            raise FormatError(f"{path}: there are no points in it; export the measured points")
+        return Cloud(_finite(path, points, AXES), None)
+    frame = _table(path)
+    columns = set(frame.columns)
+    if {"node", "deviation"} <= columns and not columns & {*AXES}:
+        return _of_nodes(path, frame, scale, surface, deck)
+    missing = [axis for axis in AXES if axis not in columns]
+    if missing:
+        raise FormatError(
+            f"{path}: row 1: there is no column {', '.join(missing)}; give x, y, z, or x, y, z, deviation, or node, "
+            "deviation"
+        )
+    points = _finite(path, scale * frame[list(AXES)].to_numpy(), AXES)
+    if "deviation" not in columns:
+        return Cloud(points, None)
+    return Cloud(points, _finite(path, scale * frame[["deviation"]].to_numpy(), ("deviation",))[:, 0])
+
+
+def _table(path: Path) -> pd.DataFrame:
+    """A text file as numbers by column; numbered by the rows of the file."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise FormatError(f"{path}: there is no such file of measured points; correct the name") from None
+    except (OSError, UnicodeDecodeError) as problem:
+        raise FormatError(f"{path}: this is no text of measured points ({problem}); export it as CSV") from None
+    lines = text.splitlines()
+    if not lines or not lines[0].strip():
+        raise FormatError(f"{path}: row 1: there is no header of columns; give x, y, z")
+    separator = max(SEPARATORS, key=lines[0].count)
+    split = lambda line: [cell.strip() for cell in (line.split(separator) if separator in lines[0] else line.split())]
+    columns = [column.lower().strip('"') for column in split(lines[0])]
+    twice = sorted({column for column in columns if columns.count(column) > 1})
+    if twice:
+        raise FormatError(f"{path}: row 1: the column {twice[0]!r} stands twice; give it once")
+    rows = {number: split(line) for number, line in enumerate(lines[1:], 2) if line.strip()}
+    if not rows:
+        raise FormatError(f"{path}: there is no row below the header; export the measured points")
+    for number, cells in rows.items():
+        if len(cells) != len(columns):
+            raise FormatError(
+                f"{path}: row {number}: there are {len(cells)} cells and {len(columns)} columns; give one cell for each"
+            )
+    found = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    found = found[[column for column in columns if column in (*AXES, "deviation", "node")]]
+    if separator == ";":  # where a comma may be that of decimals
+        found = found.apply(lambda column: column.str.replace(",", "."))
+    numbers = found.apply(pd.to_numeric, errors="coerce")
+    wrong = np.argwhere(numbers.isna().to_numpy())
+    if len(wrong):
+        row, column = wrong[0]
+        raise FormatError(
+            f"{path}: row {found.index[row]}: {found.columns[column]} is {found.iloc[row, column]!r}; give a number in "
+            "every row"
+        )
+    return numbers
+
+
+def _finite(path: Path, values: np.ndarray, names) -> np.ndarray:
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        row, column = bad[0]
+        raise FormatError(f"{path}: point {row + 1}: {names[column]} is {values[row, column]}; give finite numbers")
+    return np.asarray(values, dtype=float)
+
+
+def _of_nodes(path: Path, frame: pd.DataFrame, scale: float, surface: Surface, deck: Deck | None) -> Cloud:
+    """Deviations at numbered nodes of the part's own mesh."""
+    if deck is None or not len(deck.nodes):
+        raise FormatError(f"{path}: the mesh of the part has no node numbers; give x, y, z, deviation")
+    place = dict(zip(deck.nodes.tolist(), deck.node_points.tolist()))
+    found = []
+    for row, node in zip(frame.index, frame["node"]):
+        point = place.get(int(node), -1)
+        if point < 0 or node != int(node):
+            raise FormatError(f"{path}: row {row}: the part has no node {node:g} on its surface; remove the row")
+        found.append(point)
+    value = _finite(path, scale * frame[["deviation"]].to_numpy(), ("deviation",))[:, 0]
+    return Cloud(surface.points[np.array(found)], value)
+
+
+def sheet_normals(surface: Surface, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest points on a surface (n, 3), and the unit normals of the curved sheet there (n, 3)."""
+    foot = surface.project(points)
+    normal = np.einsum("qi,qij->qj", foot.barycentric, surface.corner_normals[foot.triangle])
+    return foot.point, normal / np.linalg.norm(normal, axis=1)[:, None]
+
+
+def deviations(path: Path, cloud: Cloud, surface: Surface, skin: float, align: bool, within: float) -> Deviations:
+    """How far a measured piece is off its nominal surface.
+
+    Parameters
+    ----------
+    path : Path
+        Whose points they are, for messages.
+    cloud : Cloud
+    surface : Surface
+        Nominal.
+    skin : float
+        How far off the surface the points lie nominally, along its normals, mm.
+    align : bool
+        Whether the points are first moved as a rigid body: least squares of ``(p − x)·n − skin``.
+    within : float
+        Points farther off than this, mm, are left out.
+
+    Raises
+    ------
+    FormatError
+        If more than one point in twenty is left out: another part, or another unit.
+    """
+    if cloud.deviation is not None:
+        foot, n = sheet_normals(surface, cloud.points)
+        near = np.linalg.norm(foot - cloud.points, axis=1) <= within
+        _refuse(path, near, cloud.points, foot, within)
+        return Deviations(foot[near], n[near], cloud.deviation[near], Fit(0.0, 0.0, int((~near).sum())))
+    points, turn = cloud.points, np.eye(3)
+    for _ in range(FITS if align else 0):
+        foot, n = sheet_normals(surface, points)
+        off = ((points - foot) * n).sum(axis=1) - skin
+        middle = points.mean(axis=0)
+        near = np.abs(off) <= max(within, 3 * np.median(np.abs(off)))
+        rows = np.hstack([n, np.cross(points - middle, n) / surface.diameter])[near]
+        motion = -np.linalg.lstsq(rows, off[near], rcond=1e-6)[0]
+        step = _turned(motion[3:] / surface.diameter)
+        points, turn = middle + motion[:3] + (points - middle) @ step.T, step @ turn
+        if np.abs(motion).max() < STILL * surface.diameter:
+            break
+    foot, n = sheet_normals(surface, points)
+    off = ((points - foot) * n).sum(axis=1) - skin
+    beside = np.linalg.norm(points - foot - ((points - foot) * n).sum(axis=1)[:, None] * n, axis=1)
+    near = (np.abs(off) <= within) & (beside <= within)
+    _refuse(path, near, points, foot, within)
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
+    moved = float(np.linalg.norm(points.mean(axis=0) - cloud.points.mean(axis=0)))
+    return Deviations(foot[near], n[near], off[near], Fit(moved, float(angle), int((~near).sum())))
+
+
+def _refuse(path: Path, near: np.ndarray, points: np.ndarray, foot: np.ndarray, within: float) -> None:
+    if (~near).mean() > OFF:
+        typical = float(np.median(np.linalg.norm(points - foot, axis=1)))
+        raise FormatError(
+            f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm off the part (the median "
+            f"is {typical:.3g} mm): correct the part, the unit, or where the points were measured from; or raise within"
+        )
+
+
+def _turned(turn: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation by a vector (Rodrigues)."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = turn / angle
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+def spread(surface: Surface, spacing: float) -> np.ndarray:
+    """(c,) vertices of a surface spread over it evenly: none is farther than `spacing` from one that is chosen.
+
+    Each is the one farthest from those chosen before; the first the one farthest from the middle.
+    """
+    used = np.unique(surface.triangles)
+    x = surface.points[used]
+    chosen = [int(np.argmax(np.linalg.norm(x - surface.centroid, axis=1)))]
+    away = np.linalg.norm(x - x[chosen[0]], axis=1)
+    while away.max() > spacing:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(x - x[chosen[-1]], axis=1))
+    return used[chosen]

@@ -1,0 +1,88 @@
+r"""Random fields on a sheet: Matérn's correlation by the sheet's own Laplacian.
+
+A field x on the surface with
+
+.. math::  (κ² - Δ)\, x = \mathcal W,        \qquad ∂x/∂n = 0 \text{ at the border},
+
+𝒲 white noise, is Gaussian; on a plane its correlation over a distance r is Matérn's with ν = 1,
+
+.. math::  ρ(r) = κ r\, K_1(κ r),            \qquad κ = \sqrt 8 / L,                                   (1)
+
+which has fallen to 0.14 at the correlation length L. On the triangles of the mesh, with the mass M and the stiffness K
+of linear elements, ``A = κ² M + K`` and the covariance of the vertices is ``A⁻¹ M A⁻¹`` but for a factor. It follows
+the sheet round its bends and stops at its holes, and only the columns that are wanted are computed. At the border the
+variance would be double: every point is scaled to have the same.
+
+References
+----------
+F. Lindgren, H. Rue, J. Lindström: An explicit link between Gaussian fields and Gaussian Markov random fields: the
+stochastic partial differential equation approach. *J. R. Stat. Soc. B* 73 (2011).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.linalg import splu
+
+from mic.geometry.surface import Surface
+
+__all__ = ["correlation", "modes_of"]
+
+AT_ONCE = 64  # columns that are solved for together
+
+
+def correlation(surface: Surface, vertices: np.ndarray, length: float) -> np.ndarray:
+    """(c, c) correlation of the field at vertices of a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+    vertices : (c,) int array
+    length : float
+        Correlation length L, mm.
+    """
+    κ = np.sqrt(8.0) / length
+    K, M = _laplacian(surface)
+    used = M.diagonal() > 0.0  # vertices of no triangle take no part
+    number = np.cumsum(used) - 1
+    K, M = K[used][:, used], M[used][:, used]
+    solver = splu(csc_matrix(κ**2 * M + K))
+    columns = np.zeros((M.shape[0], len(vertices)))
+    for first in range(0, len(vertices), AT_ONCE):
+        some = number[vertices[first : first + AT_ONCE]]
+        unit = np.zeros((M.shape[0], len(some)))
+        unit[some, np.arange(len(some))] = 1.0
+        columns[:, first : first + AT_ONCE] = solver.solve(unit)
+    covariance = columns.T @ (M @ columns)
+    scale = 1.0 / np.sqrt(np.diag(covariance))
+    return scale[:, None] * covariance * scale
+
+
+def _laplacian(surface: Surface):
+    """Stiffness and mass (n, n) of the surface's linear triangles, for ``∫∇x·∇y`` and ``∫x y``.
+
+    Of the edges e_i opposite to its corners, a triangle of area A has the stiffness ``e_i·e_j / 4A``, and the mass
+    ``(1 + δ_ij) A/12``. Lumped, the mass would leave three times the error in the correlation.
+    """
+    corners, triangles, n = surface.corners, surface.triangles, len(surface.points)
+    edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+    values = np.einsum("tic,tjc->tij", edges, edges) / (4.0 * surface.areas)[:, None, None]
+    rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
+    mass = surface.areas[:, None, None] / 12.0 * (1.0 + np.eye(3))
+    return tuple(coo_matrix((each.ravel(), (rows, columns)), shape=(n, n)).tocsr() for each in (values, mass))
+
+
+def modes_of(correlation: np.ndarray, share: float) -> np.ndarray:
+    """(c, k) principal modes of a correlation matrix, as few as keep a share of the variance of every point.
+
+    Every point is scaled so that its variance stays 1; ``Φ Φᵀ`` is then the correlation to ``2 (1 − share)``.
+    """
+    value, vector = np.linalg.eigh(correlation)
+    value, vector = value[::-1].clip(0.0), vector[:, ::-1]
+    found = vector * np.sqrt(value)
+    least = np.cumsum(found**2, axis=1).min(axis=0)
+    kept = min(int(np.searchsorted(least, share)) + 1, len(value))
+    found = found[:, :kept]
+    sign = np.where(found[np.argmax(np.abs(found), axis=0), np.arange(kept)] < 0, -1.0, 1.0)
+    return sign * found / np.linalg.norm(found, axis=1)[:, None]

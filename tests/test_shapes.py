@@ -1,0 +1,388 @@
+"""Shapes that are known at points: through the values or past them, clouds fitted to a part, modes, random fields."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline, make_smoothing_spline
+from scipy.special import k1
+
+import mic
+from mic.errors import FormatError, SceneError
+from mic.geometry.cloud import Cloud, deviations, read_cloud, spread
+from mic.geometry.structured import extrude
+from mic.geometry.surface import Surface
+from mic.model.modes import write_modes
+from mic.model.random_field import correlation, modes_of
+from mic.model.shape import controlling_forces
+from mic.model.sources import Control
+from mic.sampling.draw import draw
+
+X = np.array([0.0, 7.0, 11.0, 30.0, 42.0, 55.0, 71.0, 80.0, 100.0])  # mm along a beam
+RIGIDITY = 3.0e4  # N mm²
+
+
+def beam(x, y):
+    """Compliance of a free beam between points, but for rigid motions: |x − y|³/12EI, the kernel of cubic splines."""
+    return np.abs(x[:, None] - y[None]) ** 3 / (12 * RIGIDITY)
+
+
+def held(x):
+    """The same, held at both ends of X, which is where the last two points are; and what points read of motions."""
+    rigid = np.column_stack([np.ones(len(x)), x])
+    ends = np.array([X[0] - 5, X[-1] + 5])
+    Q = rigid @ np.linalg.inv(np.column_stack([np.ones(2), ends]))
+    kernel = beam(x, x) - Q @ beam(ends, x) - beam(x, ends) @ Q.T + Q @ beam(ends, ends) @ Q.T
+    G = np.zeros((len(x), 6))
+    G[:, 2], G[:, 4] = rigid[:, 0], -rigid[:, 1]
+    return kernel, G
+
+
+def known(values, noise=0.0, loose=True):
+    values = np.asarray(values, dtype=float)
+    return Control(None, values, np.full(len(values), noise), loose)
+
+
+def curve(f, at):
+    """Deflection of the beam at other points under forces f at X, but for a rigid motion."""
+    return beam(at, X) @ f
+
+
+def but_rigid(at, y):
+    return y - np.polyval(np.polyfit(at, y, 1), at)
+
+
+def test_a_loose_beam_through_points_is_the_natural_cubic_spline():
+    values = np.array([0.1, 0.3, -0.2, 0.5, 0.4, 0.0, -0.6, 0.2, 0.9])
+    C, G = held(X)
+    f = controlling_forces(C, G, [known(values)], "S")[:, 0]
+    at = np.linspace(0, 100, 41)
+    spline = CubicSpline(X, values, bc_type="natural")(at)
+    np.testing.assert_allclose(but_rigid(at, curve(f, at)), but_rigid(at, spline), atol=1e-10)
+    assert np.abs(G.T @ f).max() < 1e-9 * np.abs(f).max() * 100
+
+
+def smoothed(values, λ):
+    return make_smoothing_spline(X, values, lam=λ * RIGIDITY)
+
+
+def test_with_noise_it_is_the_smoothing_spline_of_least_expected_error():
+    rng = np.random.default_rng(3)
+    σ = 0.02
+    values = 0.3 * np.sin(X / 15) + σ * rng.standard_normal(len(X))
+    C, G = held(X)
+    f = controlling_forces(C, G, [known(values, noise=σ)], "S")[:, 0]
+    motion = np.column_stack([np.ones(len(X)), X])
+    miss = values - curve(f, X)
+    miss = miss - motion @ np.linalg.lstsq(motion, miss, rcond=None)[0]  # any position of the beam
+    λ = float(miss @ f / (f @ f))
+    np.testing.assert_allclose(miss, λ * f, atol=1e-10)
+    at = np.linspace(0, 100, 41)
+    np.testing.assert_allclose(but_rigid(at, curve(f, at)), but_rigid(at, smoothed(values, λ)(at)), atol=1e-8)
+
+    def risk(λ):
+        A = np.column_stack([smoothed(unit, λ)(X) for unit in np.eye(len(X))])
+        return ((values - A @ values) ** 2).sum() + 2 * σ**2 * np.trace(A)
+
+    assert risk(λ) <= min(risk(1.2 * λ), risk(λ / 1.2), risk(10 * λ), risk(λ / 10))
+
+
+def test_noise_of_each_point_weighs_it():
+    C, G = held(X)
+    values = 0.3 * np.sin(X / 15)
+    values[4] += 0.5
+    doubted = np.where(np.arange(len(X)) == 4, 0.5, 0.005)
+    one = Control(None, values, doubted, True)
+    f = controlling_forces(C, G, [one], "S")[:, 0]
+    at = np.delete(X, 4)
+    found, true = curve(f, X), 0.3 * np.sin(X / 15)
+    shift = np.polyfit(at, np.delete(true - found, 4), 1)
+    assert np.abs(found + np.polyval(shift, X) - true).max() < 0.1
+
+
+def test_a_part_that_is_set_down_has_the_values_themselves():
+    C, G = held(X)
+    f = controlling_forces(C, G, [known(0.2 * np.ones(len(X)), loose=False)], "S")[:, 0]
+    np.testing.assert_allclose(C @ f, 0.2, rtol=1e-9)
+    assert np.abs(controlling_forces(C, G, [known(0.2 * np.ones(len(X)))], "S")).max() < 1e-9 * np.abs(f).max()
+
+
+def test_points_that_coincide_are_refused_by_number():
+    x = np.append(X, X[3])
+    C, G = held(x)
+    with pytest.raises(SceneError, match=r"S: points\[(3|9)\] coincides with another point, where"):
+        controlling_forces(C, G, [known(np.zeros(len(x)))], "S")
+
+
+# ---- clouds
+
+
+@pytest.fixture(scope="module")
+def angle():
+    """A sheet bent along a line, 120 mm long."""
+    return Surface(*extrude([(0, 0), (60, 0), (85, 40)], 0.0, 120.0, 6.0)[:2])
+
+
+def bumps(points):
+    """A deviation along the normals, mm."""
+    return 0.4 * np.sin(points[:, 1] / 20) * np.cos(points[:, 0] / 30) + 0.1
+
+
+def scanned(surface, rng, count=4000, noise=0.0, skin=0.0):
+    """Points of a sheet that is off by `bumps`, where, and the deviations."""
+    triangle = rng.choice(len(surface.triangles), count, p=surface.areas / surface.areas.sum())
+    weight = rng.dirichlet(np.ones(3), count)
+    at, n = surface.at(triangle, weight), surface.normals[triangle]
+    off = bumps(at)
+    return at + (off + skin + noise * rng.standard_normal(count))[:, None] * n, at, off
+
+
+def test_a_cloud_that_lies_where_it_was_made_tells_the_deviations(angle):
+    cloud, at, off = scanned(angle, np.random.default_rng(0))
+    found = deviations("a.csv", Cloud(cloud, None), angle, 0.0, False, 5.0)
+    inside = np.abs(at[:, 1] - 60) > 3  # a foot near the bend may lie on the other side of it
+    inside &= np.linalg.norm(found.points - at, axis=1) < 1e-6
+    assert inside.mean() > 0.8
+    np.testing.assert_allclose(found.value[inside], off[inside], atol=1e-9)
+    assert found.fit.shift == found.fit.turn == 0.0
+
+
+def test_a_cloud_in_another_position_is_brought_back_but_for_what_fits_better(angle):
+    rng = np.random.default_rng(1)
+    cloud, at, _ = scanned(angle, rng)
+    turn = np.deg2rad(1.5)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    there = deviations("a.csv", Cloud(cloud, None), angle, 0.0, True, 5.0)
+    moved = deviations("a.csv", Cloud(cloud @ rotation.T + [0.8, -0.5, 1.1], None), angle, 0.0, True, 5.0)
+    np.testing.assert_allclose(moved.value, there.value, atol=1e-6)
+    assert moved.fit.turn > 0.5 and moved.fit.shift > 0.5
+
+
+def test_points_on_a_skin_are_off_by_half_the_thickness_less(angle):
+    cloud, at, off = scanned(angle, np.random.default_rng(2), skin=0.75)
+    found = deviations("a.csv", Cloud(cloud, None), angle, 0.75, False, 5.0)
+    assert np.median(np.abs(found.value - off)) < 1e-9
+
+
+def test_a_cloud_of_another_part_is_refused(angle):
+    far = np.random.default_rng(0).uniform(200, 300, (500, 3))
+    with pytest.raises(FormatError, match=r"door.csv: 500 of 500 points lie more than 5 mm off the part.*correct the"):
+        deviations("door.csv", Cloud(far, None), angle, 0.0, False, 5.0)
+
+
+def test_points_are_spread_so_that_none_is_far_from_one(angle):
+    chosen = angle.points[spread(angle, 20.0)]
+    apart = np.linalg.norm(angle.points[:, None] - chosen[None], axis=2)
+    assert apart.min(axis=1).max() <= 20.0
+    between = np.linalg.norm(chosen[:, None] - chosen[None], axis=2) + 1e9 * np.eye(len(chosen))
+    assert between.min() > 10.0
+
+
+# ---- random fields
+
+
+def test_the_correlation_is_materns():
+    side, L = 400.0, 60.0
+    plate = Surface(*extrude([(0, 0), (side, 0)], 0.0, side, 6.0)[:2])
+    middle = np.array([side / 2, side / 2, 0])
+    centre = int(np.argmin(np.linalg.norm(plate.points - middle, axis=1)))
+    away = np.linalg.norm(plate.points - plate.points[centre], axis=1)
+    some = np.array([int(np.argmin(np.abs(away - r))) for r in (6, 15, 30, 45, 60, 90)])
+    ρ = correlation(plate, np.append(centre, some), L)[0]
+    r = np.sqrt(8) / L * away[some]
+    np.testing.assert_allclose(ρ[1:], r * k1(r), atol=0.01)
+    assert ρ[0] == 1.0 and (np.sqrt(8) * k1(np.sqrt(8))) == pytest.approx(0.14, abs=0.005)
+
+
+def test_the_modes_keep_the_variance_everywhere_and_the_correlation(angle):
+    R = correlation(angle, spread(angle, 15.0), 120.0)
+    Φ = modes_of(R, 0.95)
+    np.testing.assert_allclose((Φ**2).sum(axis=1), 1.0)
+    assert Φ.shape[1] < len(R) and np.abs(Φ @ Φ.T - R).max() < 2 * 0.05
+    np.testing.assert_allclose(modes_of(R, 1 - 1e-14) @ modes_of(R, 1 - 1e-14).T, R, atol=1e-9)
+
+
+# ---- written out
+
+
+def write(folder, points, values=None, name="piece.csv", header=None):
+    table = points if values is None else np.column_stack([points, values])
+    header = header or ("x,y,z" if values is None else "x,y,z,deviation")
+    np.savetxt(folder / name, table, delimiter=",", header=header, comments="")
+
+
+def scene_of(folder, **keys):
+    """A scene of one part, with one deviation; enough for its shapes to be written out."""
+    base = {"name": "S", "part": "a"}
+    kind = {"measured": mic.scene.schema.MeasuredDeviation, "field": mic.scene.schema.FieldDeviation}[keys["kind"]]
+    items = [kind(**base | keys)]
+    part = SimpleNamespace(name="a", thickness=1.5)
+    scene = SimpleNamespace(folder=folder, deviations=items, parts=[part])
+    scene.model_copy = lambda update: SimpleNamespace(**{**scene.__dict__, **update})
+    return scene
+
+
+@pytest.fixture
+def pieces(angle, tmp_path):
+    """Twelve pieces with two modes, measured at the same thirty points; where, and the values."""
+    rng = np.random.default_rng(5)
+    at = angle.points[spread(angle, 20.0)]
+    modes = np.column_stack([np.sin(at[:, 1] / 25), np.cos(at[:, 0] / 20)])
+    values = 0.3 + modes @ (np.array([[0.4], [0.1]]) * rng.standard_normal((2, 12)))
+    for i in range(12):
+        write(tmp_path, at, values[:, i], f"p{i:02}.csv")
+    return tmp_path, at, values
+
+
+def test_pieces_become_their_mean_and_modes_that_span_them(angle, pieces):
+    folder, at, values = pieces
+    written = write_modes(scene_of(folder, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
+    mean, *modes = written.scene.deviations
+    assert [mean.name, *(item.name for item in modes)] == ["S.mean", "S.1", "S.2"]
+    np.testing.assert_allclose(mean.known, values.mean(axis=1), atol=1e-10)
+    Φ = np.array([item.known for item in modes]).T
+    np.testing.assert_allclose(Φ @ Φ.T, np.cov(values), atol=1e-9)
+    assert "12 pieces at" in written.sentences[0] and len(written.inputs) == 12
+
+
+def test_samples_are_the_pieces_where_that_is_asked(angle, pieces):
+    folder, _, values = pieces
+    asked = scene_of(folder, kind="measured", files="p*.csv", pieces=True)
+    scene = write_modes(asked, {"a": angle}, {"a": None}).scene
+    samples = draw(scene, 7, 0, 60)
+    shapes = samples @ np.array([item.known for item in scene.deviations])
+    nearest = np.abs(shapes[:, None] - values.T[None]).max(axis=2)
+    assert nearest.min(axis=1).max() < 1e-9
+    assert len(np.unique(nearest.argmin(axis=1))) == 12
+    np.testing.assert_array_equal(draw(scene, 7, 40, 20), samples[40:])
+
+
+def test_few_points_of_one_piece_are_taken_as_they_are(angle, pieces):
+    folder, at, values = pieces
+    written = write_modes(scene_of(folder, kind="measured", files="p03.csv", mean=2.0), {"a": angle}, {"a": None})
+    (only,) = written.scene.deviations
+    assert (only.name, only.mean, only.sigma) == ("S", 2.0, 0.0)
+    np.testing.assert_allclose(only.known, values[:, 3], atol=1e-10)
+
+
+def test_a_scan_is_taken_at_points_spread_over_the_part_each_side_of_a_bend_for_itself(angle, tmp_path):
+    rng = np.random.default_rng(4)
+    cloud, _, _ = scanned(angle, rng, 20000, noise=0.05)
+    write(tmp_path, cloud)
+    item = {"kind": "measured", "files": "piece.csv", "spacing": 12.0, "noise": 0.05, "align": False}
+    (only,) = write_modes(scene_of(tmp_path, **item), {"a": angle}, {"a": None}).scene.deviations
+    at, noise = np.array(only.points), np.array(only.noise)
+    assert only.radius == 0.0 and 0.05 / 20 < np.median(noise) < 0.05 / 4
+    border = angle.border_vertices[np.argmin(np.linalg.norm(at[:, None] - angle.points, axis=2), axis=1)]
+    assert np.median(noise[border]) > 1.5 * np.median(noise[~border])  # where points lie on one side alone
+    assert (np.abs(at[:, 1] - 60) < 1e-6).any()
+    assert np.sqrt(np.mean((only.known - bumps(at)) ** 2)) < 0.05 * 0.4  # a twentieth of the bumps
+
+
+def test_a_field_has_its_variance_and_correlation_in_its_samples(angle):
+    scene = write_modes(scene_of(None, kind="field", sigma=0.2, length=45.0), {"a": angle}, {"a": None}).scene
+    shapes = draw(scene, 1, 0, 4000) @ np.array([item.known for item in scene.deviations])
+    np.testing.assert_allclose(shapes.std(axis=0), 0.2, rtol=0.06)
+    R = correlation(angle, spread(angle, 15.0), 45.0)
+    assert np.abs(np.corrcoef(shapes.T) - R).max() < 2 * 0.05 + 4 / np.sqrt(4000)  # modes left out, and sampling
+
+
+BAD_FILES = {
+    "no column": ("x,y,deviation\n1,2,3\n", r"row 1: there is no column z; give x, y, z"),
+    "text": ("x,y,z\n1,2,three\n", r"row 2: z is 'three'; give a number"),
+    "a hole": ("x,y,z\n1,2,3\n1,,3\n", r"row 3: y is ''; give a number"),
+    "empty": ("", r"row 1: there is no header"),
+    "header only": ("x,y,z\n", r"no row below the header"),
+    "infinite": ("x,y,z\n1,2,inf\n", r"point 1: z is inf; give finite"),
+    "nan": ("x,y,z,deviation\n1,2,3,nan\n", r"row 2: deviation is 'nan'"),
+    "twice": ("x,y,z,z\n1,2,3,4\n", r"row 1: the column 'z' stands twice"),
+    "ragged": ("x,y,z\n1,2,3\n1,2\n", r"row 3: there are 2 cells and 3 columns"),
+    "nodes of none": ("node,deviation\n7,0.1\n", r"the mesh of the part has no node numbers; give x, y, z"),
+    "another unit": (
+        "x,y,z\n" + "\n".join(f"{x / 25.4},{x / 50},0" for x in range(900, 4000, 10)),
+        r"points lie more",
+    ),
+    "few points": ("x,y,z,deviation\n0,0,0,0\n10,0,0,0\n", r"2 measured points do not tell a shape"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_malformed_file_of_points_is_refused_with_the_remedy(case, angle, tmp_path):
+    text, said = BAD_FILES[case]
+    (tmp_path / "piece.csv").write_text(text)
+    scene = scene_of(tmp_path, kind="measured", files="piece.csv", align=False)
+    with pytest.raises(SceneError, match=said) as refused:
+        write_modes(scene, {"a": angle}, {"a": None})
+    assert str(refused.value).startswith("deviations[0] (S)") and "\n" not in str(refused.value)
+
+
+def test_nodes_are_found_by_their_numbers(angle, tmp_path):
+    deck = SimpleNamespace(nodes=np.array([7, 9, 30]), node_points=np.array([0, 4, -1]))
+    (tmp_path / "n.csv").write_text("node;deviation\n9;0.25\n7;-0.5\n")
+    cloud = read_cloud(tmp_path / "n.csv", "mm", angle, deck)
+    np.testing.assert_array_equal(cloud.points, angle.points[[4, 0]])
+    np.testing.assert_array_equal(cloud.deviation, [0.25, -0.5])
+    (tmp_path / "n.csv").write_text("node,deviation\n30,0.25\n")
+    with pytest.raises(FormatError, match=r"row 2: the part has no node 30 on its surface; remove"):
+        read_cloud(tmp_path / "n.csv", "mm", angle, deck)
+
+
+BAD_ITEMS = {
+    "nothing there": ({"kind": "measured", "files": "none-*.csv"}, r"files: there is no file 'none-\*.csv'"),
+    "no reader": ({"kind": "measured", "files": "p00.pdf"}, r"no reader of .pdf for measured points"),
+    "too fine": (
+        {"kind": "measured", "files": "p00.csv", "spacing": 1.0},
+        r"spacing: 1 mm takes more than 400",
+    ),
+    "few about each": (
+        {"kind": "measured", "files": "p00.csv", "spacing": 15.0},
+        r"only \d+ % of part 'a' has 6 measured",
+    ),
+    "twice": ({"kind": "measured", "files": "q*.csv"}, r"q1.csv holds what q0.csv holds; remove one"),
+    "a short field": ({"kind": "field", "sigma": 1.0, "length": 10.0}, r"length: 10 mm is less than 4 elements"),
+    "a long name": (
+        {"kind": "field", "sigma": 1.0, "length": 90.0, "name": "n" * 55},
+        r"name: it is too long to number",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ITEMS)
+def test_what_cannot_be_written_out_is_refused_with_the_remedy(case, angle, pieces):
+    keys, said = BAD_ITEMS[case]
+    folder, at, values = pieces
+    (folder / "p00.pdf").write_text("x")
+    for name in ("q0.csv", "q1.csv"):
+        write(folder, at, values[:, 0], name)
+    with pytest.raises(SceneError, match=said):
+        write_modes(scene_of(folder, **keys), {"a": angle}, {"a": None})
+
+
+BAD_KEYS = [
+    ({"kind": "shape", "points": [], "sigma": 1}, "points"),
+    ({"kind": "shape", "points": [[0, 0]], "sigma": 1}, "points"),
+    ({"kind": "shape", "points": [[0, 0, 0]], "values": [1, 2], "sigma": 1}, "there are 1 points and 2 values"),
+    ({"kind": "shape", "points": [[0, 0, 0]], "loose": True, "sigma": 1}, "loose takes more than six points"),
+    ({"kind": "shape", "points": [[0, 0, 0]], "noise": -1, "sigma": 1}, "noise"),
+    ({"kind": "shape", "points": [[0, 0, 0]]}, "sigma"),
+    ({"kind": "measured", "files": "a.csv", "share": 0}, "share"),
+    ({"kind": "measured", "files": "a.csv", "skin": 2}, "skin"),
+    ({"kind": "measured", "files": "a.csv", "unit": "miles"}, "unit"),
+    ({"kind": "measured", "files": "a.csv", "within": 0}, "within"),
+    ({"kind": "measured", "files": "a.csv", "distribution": "gamma"}, "distribution"),
+    ({"kind": "measured"}, "files"),
+    ({"kind": "field", "sigma": 0, "length": 9}, "sigma"),
+    ({"kind": "field", "sigma": 1}, "length"),
+    ({"kind": "field", "sigma": 1, "length": 9, "mean": 1}, "mean"),
+    ({"kind": "field", "sigma": 1, "length": 9, "share": 1}, "share"),
+]
+
+
+@pytest.mark.parametrize("item, said", BAD_KEYS)
+def test_wrong_keys_are_refused_by_name(item, said):
+    table = mic.load_scene("meshes/lap_joint").model_dump()
+    table["deviations"] = [{"name": "S", "part": "upper"} | item]
+    with pytest.raises(ValueError, match=said):
+        mic.Scene(**table)
