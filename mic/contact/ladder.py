@@ -169,9 +169,9 @@ PATIENT = (
         "proximal points",
         "Each step is a problem with a regular W + α I near the last answer, solved or rejected: slow and steady.",
         _every,
-        # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits; after
-        # a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after sweeps
-        # where the law has them, and is solved to this tolerance or rejected.
+        # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits;
+        # after a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after
+        # sweeps where the law has them, and is solved to this tolerance or rejected.
         {
             "steps": 2000,
             "start": 1e-3,
