@@ -6,13 +6,9 @@ who asks for them certifies each and stops at the first that is good enough.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
-
 import numpy as np
 
 from mic.contact.ladder import INTERIOR_POINT
-from mic.contact.native import kernels
 from mic.contact.native.batch import relaxation
 from mic.contact.native.interior_point import interior_point
 from mic.contact.native.polish import polished
@@ -32,13 +28,10 @@ class Search:
         The force that the cheap rungs left behind.
     interior : (d m,) array
         The last answer of the interior point; ``best`` before there is one.
-    sweeping : iterator
-        The patient sweeps, which a later rung continues.
     """
 
     def __init__(self, problem: ScaledProblem, q: np.ndarray, best: np.ndarray):
         self.problem, self.q, self.best, self.interior = problem, q, best, best
-        self.sweeping: Iterator = iter(())
         self.renew(best)
 
     def renew(self, y: np.ndarray) -> None:
@@ -79,17 +72,6 @@ def interior(search, rung):
     yield from _interior_polished(search, search.problem.law.shift)
 
 
-def patient_sweeps(search, rung):
-    """Gauss-Seidel in longer and longer runs, polished after each; the first forces of them."""
-    search.sweeping = _sweeping(search, rung)
-    yield from islice(search.sweeping, rung["forces"])
-
-
-def last_sweeps(search, rung):
-    """The other forces of the patient sweeps."""
-    yield from search.sweeping
-
-
 def fixed_point(search, rung):
     """De Saxcé's fixed point: the convex problem with the shift ``s μ‖w_t‖`` held is solved, then the shift renewed."""
     q, held = search.q, np.zeros(len(search.problem.parameters))
@@ -101,32 +83,20 @@ def fixed_point(search, rung):
 
 
 def proximal_points(search, rung):
-    """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, move there, and lower ``α`` while that succeeds."""
-    q = search.q
-    starts = (search.best, search.interior) if search.problem.law.frictional else (search.best,)
-    for y in starts:
-        alpha = rung["start"]
-        for _ in range(rung["steps"]):
-            z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 1e-13, q - alpha * y, y)
-            # A step from a problem that is itself unsolved leads astray, unless it is long against its error.
-            step = np.linalg.norm(z - y)
-            solved = error <= max(1e-13, 1e-2 * step / max(np.linalg.norm(z), np.finfo(float).tiny))
-            y = z
-            yield y, *counts
-            alpha = (
-                max(rung["gain"] * alpha, rung["smallest"]) if solved else min(rung["loss"] * alpha, rung["largest"])
-            )
+    """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, and move there.
 
-
-def interior_proximal_points(search, rung):
-    """Proximal-point steps of constant ``α``, each by the interior point."""
-    q, law = search.q, search.problem.law
-    for alpha in rung["alphas"]:
-        problem, y = search.problem.proximal(alpha), np.zeros_like(q)
-        for _ in range(rung["steps"]):
-            z, steps = interior_point(problem.W, q - alpha * y, problem.friction, law.shift, **INTERIOR_POINT.settings)
-            y, more = next(polished(problem, q - alpha * y, z))
-            yield y, 0, steps + more
+    ``α`` falls while the problems are solved. One that is not is rejected: ``y`` stays and ``α`` grows, and waits there
+    for some solved ones. Steps to half-solved problems stall.
+    """
+    q, y, alpha, wait = search.q, search.interior, rung["start"], 0
+    for _ in range(rung["steps"]):
+        z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 0.1 * rung["tol"], q - alpha * y, y)
+        if error <= rung["tol"]:
+            y, wait = z, wait - 1
+            alpha = alpha if wait > 0 else max(rung["gain"] * alpha, rung["smallest"])
+        else:
+            alpha, wait = min(rung["loss"] * alpha, rung["largest"]), rung["wait"]
+        yield y, *counts
 
 
 def _interior_polished(search, shift, held=None):
@@ -145,29 +115,11 @@ def _relaxed(problem, rung, tol, q, y):
     return Y[0], errors[0], passes - steps, steps
 
 
-def _sweeping(search, rung):
-    q, y, slip = search.q, search.best.copy(), np.zeros(len(search.problem.parameters))
-    w = search.problem.W @ y + q
-    for run in range(rung["runs"]):
-        search.renew(y)
-        problem = search.problem
-        sweeps, _ = kernels.gauss_seidel(
-            problem.W, problem.factors, problem.parameters, y, w, slip, rung["sweeps"] * 2**run, 1e-15
-        )
-        w = problem.W @ y + q
-        for z, more in polished(problem, q, y):
-            yield z, sweeps, more
-            sweeps = 0
-
-
 #: The method of every rung of :data:`mic.contact.ladder.PATIENT`, by its name.
 METHODS = {
     "newton": newton,
     "renewed friction": renewed_friction,
     "interior point": interior,
-    "patient sweeps": patient_sweeps,
     "fixed point": fixed_point,
-    "last sweeps": last_sweeps,
     "proximal points": proximal_points,
-    "interior proximal points": interior_proximal_points,
 }

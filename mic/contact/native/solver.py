@@ -99,7 +99,7 @@ class NativeSolver:
                 candidate = np.zeros_like(b)
                 candidate[:: self._stride] = y * self.scaling
                 yield candidate, sweeps + factorisations, factorisations, rung.name
-                budget -= factorisations + ladder.SWEEP_COST / len(search.q) * sweeps
+                budget -= sweeps + factorisations
                 if budget < 0.0:
                     return
 
