@@ -107,12 +107,14 @@ class WatchedSolver:
         normal = force.reshape(n, m, d)[:, :, 0]
         working = self._start | self._allowed & _loaded(normal)
         found = self._open(n, m)
-        todo, iterations = np.arange(n), np.zeros(n, dtype=np.int64)
+        todo = np.arange(n)
+        iterations, factorisations = np.zeros((2, n), dtype=np.int64)
         for _ in range(ROUNDS):
             for samples, own in _alike(working, todo):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
                 self._put(found, samples, own, solution, b[samples])
                 iterations[samples] += solution.iterations
+                factorisations[samples] += solution.trace.factorisations
                 if path is None:  # the next round begins where this one ended
                     force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
@@ -125,7 +127,7 @@ class WatchedSolver:
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
-        return replace(found, iterations=iterations)
+        return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
 
     def _solved(self, own, b, force, anchor, path) -> PathSolution:
         """Paths of samples that share a working set (m,)."""
