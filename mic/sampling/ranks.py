@@ -169,10 +169,11 @@ def shared(world: Any, make: Callable[[], T]) -> T:
     leaders = world.Split(min(node.rank, 1), key=world.rank)
     window = MPI.Win.Allocate_shared(int(starts[-1]) if node.rank == 0 else 0, 1, comm=node)  # for good
     memory, _ = window.Shared_query(0)
-    own = [memory[int(a) : int(a) + size] for a, size in zip(starts, sizes)]
+    whole = np.asarray(memory, np.uint8)
+    own = [whole[int(a) : int(a) + size] for a, size in zip(starts, sizes)]
     for i in range(len(own)):
         if world.rank == 0:
-            own[i][:] = found[i].raw()
+            own[i][:] = np.frombuffer(found[i].raw(), np.uint8)
         if node.rank == 0:
             for first in range(0, sizes[i], PIECE):
                 leaders.Bcast(own[i][first : first + PIECE])
