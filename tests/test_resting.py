@@ -80,6 +80,15 @@ def test_pins_hold_the_part_in_plane_and_contact_along_its_normal_under_every_la
     np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], [100 - 30 - 100 / 3, 30, 100 / 3], rtol=1e-8)
 
 
+def test_a_resting_part_goes_along_a_step_by_as_many_increments_as_are_asked_for():
+    """Settling and closing are a step each; one increment and three of each."""
+    counts = []
+    for increments in (1, 3):
+        stages = [{"kind": "locate"}, {"kind": "clamp", "increments": increments}, {"kind": "measure"}]
+        counts.append(table([push(100, (30, 20, 0))], stages=stages).evaluate({}).resolutions["clamp"].trace.steps[0])
+    assert counts == [2, 6]
+
+
 def sideways(model, force):
     return model.evaluate(np.array([[force]]))
 
