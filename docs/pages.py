@@ -66,7 +66,7 @@ def command_line() -> dict[str, str]:
         "`mic` simulates, `python -m verification` judges. Exit codes: 0, or 2 with one line",
     ]
     lines += ["that says what is wrong and what to do; a verification that misses its numbers ends with 1.", ""]
-    for module, program in (("mic.commands", "mic"), ("verification.__main__", "python -m verification")):
+    for module, program in (("mic.options", "mic"), ("verification.__main__", "python -m verification")):
         if find_spec("dolfinx") is None and module.startswith("verification"):
             continue
         app = importlib.import_module(module).app

@@ -1,4 +1,4 @@
-"""Entry point of ``mic``: how a command ends. What the commands are, :mod:`mic.commands` says.
+"""Entry point of ``mic``: how a command ends. What the commands are, :mod:`mic.options` says.
 
 Nothing slow is imported here before the signals have their answer: whoever stops the program while it starts up is told
 so in one line too.
@@ -23,7 +23,8 @@ AGAIN = 0.01  # s after which a stop that was lost is raised again
 def main() -> NoReturn:
     """One clear line for what a user can mend, a traceback for what only we can."""
     _on_signals(_leave_at_once)
-    from mic import commands  # slow to import, and stopped as any other moment is
+    from mic import options  # slow to import, and stopped as any other moment is
+    from mic.console import sentence
     from mic.sampling.ranks import communicator, leave, others_silent
 
     logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
@@ -32,18 +33,18 @@ def main() -> NoReturn:
         _on_signals(_stop)
         world = communicator()
         with others_silent(world):
-            commands.app()
+            options.app()
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except MicError as error:
-        status, words = 2, commands.sentence(error)
+        status, words = 2, sentence(error)
     except Stopped as stop:
-        status, words = stop.status, commands.sentence("interrupted, and nothing was lost; call again")
+        status, words = stop.status, sentence("interrupted, and nothing was lost; call again")
     except OSError as problem:
         reason = (problem.strerror or str(problem)).lower()
         remedy = "make room or give permission (HOME must name a folder that can be written), and call again"
         status = 2
-        words = commands.sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays: {remedy}")
+        words = sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays: {remedy}")
     except Exception:
         status, words = 1, traceback.format_exc()
     _on_signals(signal.SIG_DFL)  # nothing is left to be kept or said: whoever waits for the others just ends

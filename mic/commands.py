@@ -1,28 +1,25 @@
-"""The commands: ``mic run``, ``mic check``, ``mic order``, ``mic report``, ``mic init``."""
+"""What the commands of ``mic`` do; :mod:`mic.options` declares them."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import shlex
 import sys
 from contextlib import contextmanager
-from enum import Enum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, get_args
 
 import numpy as np
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from mic import cache_folder, density, examples
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
+from mic.console import plain
 from mic.contact.laws import LAWS
 from mic.errors import RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
@@ -42,53 +39,12 @@ from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
-from mic.scene.schema import MonteCarlo
 from mic.store import replacing
 
-__all__ = ["app", "plain", "sentence"]
+__all__ = ["check", "init", "order", "report", "run"]
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
-
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
-    help="""
-Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
-
-A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
-measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
-report.
-
-Start with:  mic init --example lap_joint  and then  mic check lap_joint  and  mic run lap_joint --samples 50
-""",
-)
-
-
-#: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
-Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
-Backend = Enum(  # type: ignore[misc]
-    "Backend", {name: name for name in get_args(MonteCarlo.model_fields["backend"].annotation)}, type=str
-)
-
-SceneArgument = Annotated[
-    Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
-]
-LawOption = Annotated[
-    list[Law] | None,
-    typer.Option(
-        "--law",
-        help="Contact law; repeat for several. "
-        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
-        + " Default: the scene's.",
-        show_default=False,
-    ),
-]
-
-
-StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
 
 
 def _on_first(command):
@@ -116,44 +72,8 @@ def _requested(scene, laws, samples=None, seed=None, backend=None):
     return scene.model_copy(update=changes)
 
 
-@app.command()
-def run(
-    scene: SceneArgument,
-    samples: Annotated[
-        int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
-    ] = None,
-    law: LawOption = None,
-    backend: Annotated[
-        Backend | None,
-        typer.Option(
-            help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
-            "hundred times slower. Default: the scene's.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
-    ] = None,
-    replace: Annotated[
-        bool,
-        typer.Option(
-            "--replace",
-            help="Remove the results of another run from the folder, the files that a run writes and no others. "
-            "Without it, such a folder is refused.",
-        ),
-    ] = False,
-    strict: StrictOption = False,
-):
-    """Run the Monte Carlo of a scene and write tables, fields and a report.
-
-    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished samples
-    are kept: call again to complete an interrupted run, or with more samples to extend one. Under `mpirun -n N` the
-    samples are shared out over N processes.
-    """
+def run(scene, samples, seed, law, backend, out, replace, strict):
+    """``mic run``, with the values of its options (:mod:`mic.options`)."""
     world = communicator()
     console = Console(quiet=world is not None and world.rank > 0)
     asked = on_first(world, lambda: _requested(load_scene(scene), law, samples, seed, backend and backend.value))
@@ -176,14 +96,9 @@ def run(
         raise typer.Exit(_status(stop)) from None
 
 
-@app.command()
 @_on_first
-def report(
-    folder: Annotated[
-        Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
-    ],
-):
-    """Write the statistics, fields and report of a results folder again."""
+def report(folder):
+    """``mic report``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     try:
         _report(console, conclude(folder, listener=_Listener(console)))
@@ -301,59 +216,9 @@ def _hanging(law):
     return f"; {repeated} samples on a tighter path change key characteristics by at most: {', '.join(told)}"
 
 
-@app.command()
 @_on_first
-def check(
-    scene: SceneArgument,
-    law: LawOption = None,
-    accuracy: Annotated[
-        bool,
-        typer.Option(
-            "--accuracy",
-            help="Estimate the error that each part's mesh leaves: its influence coefficients are computed on it, and "
-            "at half its size.",
-        ),
-    ] = False,
-    converge: Annotated[
-        bool,
-        typer.Option(
-            "--converge",
-            help=f"Repeat the nominal assembly and {density.SAMPLES} samples with pairs at {density.DENSER} of their "
-            "distance, and tell how the key characteristics move.",
-        ),
-    ] = False,
-    normals: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw into this file, NAME.png, where the parts' normals come from: geometry, deck or estimate.",
-            show_default=False,
-        ),
-    ] = None,
-    overlap: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw into this file, NAME.png, where the surfaces of the contact zones are drawn into each other.",
-            show_default=False,
-        ),
-    ] = None,
-    strict: StrictOption = False,
-    page: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw the assembly and what is placed on it into this file. Default: "
-            "results/NAME-OF-SCENE/check.html, where a run writes its report.",
-            show_default=False,
-        ),
-    ] = None,
-):
-    """Validate a scene and print what will be modelled, the process step by step, and at what cost.
-
-    Errors stop. Warnings name what no workshop would build: the item, the number, what is usual, and the remedy.
-
-    Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
-    coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
-    on how the parts are set down.
-    """
+def check(scene, law, accuracy, converge, normals, overlap, strict, page):
+    """``mic check``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     asked = _requested(load_scene(scene), law)
     for script in dict.fromkeys(part.geometry for part in asked.parts if part.geometry is not None):
@@ -633,51 +498,16 @@ def _print_convergence(console, assembly, found):
     )
 
 
-@app.command()
 @_on_first
-def order(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCENE|MODEL",
-            help="Scene file, or a folder that holds scene.toml; or a saved model, such as model.npz of a results "
-            "folder, which takes no finite elements.",
-            show_default=False,
-        ),
-    ],
-    samples: Annotated[int, typer.Option(min=3, help="Number of samples, the same for every order.")] = 20,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
-    ] = None,
-    law: Annotated[
-        Law | None,
-        typer.Option(help="Contact law. Default: the scene's first with friction.", show_default=False),
-    ] = None,
-    permutations: Annotated[int, typer.Option(min=0, help="Random orders beside those that have a name.")] = (
-        PERMUTATIONS
-    ),
-    variants: Annotated[
-        Path | None,
-        typer.Option(
-            help="TOML file of `[[orders]]` to compare instead, each with a `name` and, in `stages`, the keys that "
-            "change by stage: `stages.clamp.order = [[…], […]]`.",
-            show_default=False,
-        ),
-    ] = None,
-    table: Annotated[Path | None, typer.Option(help="Write all numbers to this CSV file.", show_default=False)] = None,
-):
-    """Say how much hangs on the order in which locators, clamps and welds close and open.
-
-    The key characteristics of the same samples under other orders: in reverse, locators first, clamps first, all
-    together, parts that overlap settled before or while the first thing closes, and a few at random.
-    """
+def order(source, samples, seed, law, permutations, variants, table):
+    """``mic order``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     model = _model(console, source)
     scene = model.scene
     frictional = [name for name in scene.report.laws if LAWS[name].frictional]
     asked = law.value if law else (frictional or scene.report.laws)[0]
-    others = read_variants(scene, variants) if variants else orders(scene, permutations)
+    random = PERMUTATIONS if permutations is None else permutations
+    others = read_variants(scene, variants) if variants else orders(scene, random)
     if len(others) == 1:
         console.print("The process has one order only: nothing to compare.")
         return
@@ -747,46 +577,9 @@ def _print_orders(console, others, found):
             console.print(f"{other.name}: {plain('; '.join(groups))}", highlight=False, soft_wrap=True)
 
 
-@app.command()
 @_on_first
-def init(
-    meshes: Annotated[
-        list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)
-    ] = None,
-    example: Annotated[
-        str | None,
-        typer.Option(help=f"Copy an example instead: one of {', '.join(examples.names())}.", show_default=False),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="The new folder. Default: one called after the meshes.", show_default=False)
-    ] = None,
-    thickness: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="mm, of the parts whose mesh file tells none; or PART=mm, of one. May be repeated.", show_default=False
-        ),
-    ] = None,
-    welds: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV file of the spot welds, columns x, y, z and perhaps name, parts. Default: welds are proposed.",
-            show_default=False,
-        ),
-    ] = None,
-    points: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV file of the points to measure, columns x, y, z and perhaps name, part, direction, lower, upper.",
-            show_default=False,
-        ),
-    ] = None,
-):
-    """Write a first scene for meshes of your own, or copy an example, to start from.
-
-    From the meshes alone come parts, a 3-2-1 for each and further supports, contact zones where they lie on each other,
-    clamps and welds along these, points to measure at the free edges and a few deviations; every line says what it
-    means. The scene runs as it is.
-    """
+def init(meshes, example, out, thickness, welds, points):
+    """``mic init``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     if (example is None) == (not meshes):
         raise SceneError("mic init: name mesh files, or one example with --example NAME")
@@ -822,19 +615,6 @@ def _thicknesses(given: list[str]) -> dict[str | None, float]:
     return found
 
 
-def plain(text):
-    """Text of a user's as it stands: no markup, and none of the characters by which a terminal is controlled."""
-    return escape(re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", str(text)))
-
-
 def _status(stop):
     """Exit status of a program that was interrupted."""
     return stop.status if isinstance(stop, Stopped) else 130
-
-
-def sentence(error):
-    """An error as the console shows it."""
-    console = Console(stderr=True)
-    with console.capture() as capture:
-        console.print(f"[bold red]error:[/] {plain(error)}", highlight=False, soft_wrap=True)
-    return capture.get()

@@ -1,7 +1,8 @@
 """The same bits, in whatever batch a sample comes and on however many threads.
 
 BLAS adds up a row of ``X A`` in another order when X has another number of rows, and when more threads share it. The
-last bit that this moves is enough for a contact to take the other of two ways.
+last bit that this moves is enough for a contact to take the other of two ways. So a product is compiled here, a sample
+at a time; it passes over entries of X that vanish, and most contacts carry no force.
 """
 
 from __future__ import annotations
@@ -14,9 +15,6 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 __all__ = ["one_thread", "product"]
-
-#: Samples that BLAS is handed at a time, always: whole tiles of its kernels, so that it treats all of them alike.
-TILE = 8
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -47,13 +45,45 @@ def product(samples: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     samples : (n, k) array
         X.
     matrix : (k, l) array
-        A.
+        A. Where its rows do not lie one after the other in memory, as those of a transpose, they are copied.
 
     Returns
     -------
     (n, l) array
     """
-    (n, k), tiles = samples.shape, -(-len(samples) // TILE)
-    padded = np.zeros((tiles * TILE, k))
-    padded[:n] = samples
-    return np.matmul(padded.reshape(tiles, TILE, k), matrix).reshape(tiles * TILE, matrix.shape[1])[:n]
+    found = np.zeros((len(samples), matrix.shape[1]))
+    if samples.size and matrix.size:
+        _compiled()(np.ascontiguousarray(samples), np.ascontiguousarray(matrix), found)
+    return found
+
+
+@functools.cache
+def _compiled() -> Callable[[np.ndarray, np.ndarray, np.ndarray], None]:
+    from numba import float64, njit, void  # slow to import, and most commands multiply nothing
+
+    def add(X, A, found):
+        """``found += X A``, eight rows of A at a time."""
+        columns = A.shape[1]
+        for sample in range(len(X)):
+            x, row = X[sample], found[sample]
+            own = np.flatnonzero(x)
+            whole = len(own) - len(own) % 8
+            for i in range(0, whole, 8):
+                k0, k1, k2, k3, k4, k5, k6, k7 = own[i : i + 8]
+                x0, x1, x2, x3, x4, x5, x6, x7 = x[k0], x[k1], x[k2], x[k3], x[k4], x[k5], x[k6], x[k7]
+                A0, A1, A2, A3, A4, A5, A6, A7 = A[k0], A[k1], A[k2], A[k3], A[k4], A[k5], A[k6], A[k7]
+                for j in range(columns):
+                    first = x0 * A0[j] + x1 * A1[j] + x2 * A2[j] + x3 * A3[j]
+                    row[j] += first + (x4 * A4[j] + x5 * A5[j] + x6 * A6[j] + x7 * A7[j])
+            for k in own[whole:]:
+                one, Ak = x[k], A[k]
+                for j in range(columns):
+                    row[j] += one * Ak[j]
+
+    matrix = float64[:, ::1]
+    signature = void(matrix, matrix, matrix)
+    settings = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+    try:
+        return njit(signature, cache=True, **settings)(add)
+    except RuntimeError:  # where no folder can be written, neither here nor at home
+        return njit(signature, **settings)(add)

@@ -7,12 +7,12 @@ from support.curved import curved_assembly, curved_scene, held_compliance, mesh_
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.compliance import provider
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.process.model import ReducedModel
 from mic.results.accuracy import accuracy_table, read_accuracy
 from mic.results.schema import ACCURACY

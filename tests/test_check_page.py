@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mic.commands import app
+from mic.options import app
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 

@@ -7,13 +7,15 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
+from mic.options import app
+from mic.scene.schema import MonteCarlo
 from verification.scenes import FEW
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -208,6 +210,26 @@ def test_laws_and_backends_of_the_options_are_those_of_the_program():
     help_ = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).output
     assert all(law in help_ for law in ("coulomb", "associated", "frictionless", "native", "paper"))
     assert CliRunner().invoke(app, ["run", str(LAP), "--law", "glue"]).exit_code == 2
+
+
+def test_the_backends_of_the_options_are_those_of_a_scene():
+    asked = MonteCarlo.model_fields["backend"].annotation
+    run = next(command for command in app.registered_commands if command.callback.__name__ == "run")
+    declared = get_type_hints(run.callback)["backend"]
+    assert set(get_args(asked)) == set(get_args(declared)[0].__members__)
+
+
+def test_whoever_asks_for_help_waits_for_no_numerics():
+    script = (
+        "import sys, mic.cli\n"
+        "sys.argv = ['mic', 'run', '--help']\n"
+        "try:\n    mic.cli.main()\nexcept SystemExit:\n    pass\n"
+        "slow = {'pandas', 'pyarrow', 'numba', 'scipy', 'matplotlib', 'mpi4py'} & set(sys.modules)\n"
+        "assert not slow, slow"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("OMPI", "PMI"))}
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, env=environment)
+    assert told.returncode == 0 and "--samples" in told.stdout, told.stderr
 
 
 def test_production_path_imports_no_finite_elements():

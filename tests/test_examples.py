@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 import mic
 from mic import examples
-from mic.commands import app
 from mic.errors import RunError, SceneError
+from mic.options import app
 
 ROOT = Path(__file__).resolve().parents[1]
 

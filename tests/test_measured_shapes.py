@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 import mic
 from fem_reference.full.model import FullModel
-from mic.commands import app
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.scene.load import read_table
 
 pytestmark = pytest.mark.fem

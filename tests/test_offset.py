@@ -8,7 +8,6 @@ from support.panels import grid
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.errors import SceneError
 from mic.geometry.load import load_part
 from mic.geometry.offset import moved
@@ -16,6 +15,7 @@ from mic.geometry.script import load_script
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.scene.schema import Part
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
+from mic.options import app
 from mic.orders import STATED, compare, doubts, orders, variants
 
 ROOT = Path(__file__).resolve().parents[1]

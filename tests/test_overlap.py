@@ -7,10 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.errors import SceneError
 from mic.model.assembly import assemble
 from mic.model.overlap import frozen_gaps
+from mic.options import app
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 

@@ -9,9 +9,9 @@ from support.decks import arc, drilled, extruded, grid, write_deck
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.judgement import judge
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.proposal import write_scene
 from mic.sampling.draw import draw
 from mic.scene import load_scene

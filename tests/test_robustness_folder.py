@@ -15,9 +15,10 @@ import pytest
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app, plain
+from mic.console import plain
 from mic.errors import RunError, StorageError
 from mic.model.assembly import assemble
+from mic.options import app
 from mic.results.forecast import LARGEST, forecast
 from mic.results.lock import LOCK, locked
 from mic.results.outcome import read_outcome

@@ -11,7 +11,6 @@ from support.panels import functionals
 from typer.testing import CliRunner
 
 import mic
-from mic.commands import app
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.matrices import read_matrix
 from mic.compliance.part import Part
@@ -21,6 +20,7 @@ from mic.geometry.script import load_script
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
+from mic.options import app
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 MM = (1.0, 1.0)

@@ -22,7 +22,6 @@ __all__ = [
     "NEWTON",
     "PATIENT",
     "SPLITTING",
-    "SWEEP_COST",
     "Rung",
     "rungs",
 ]
@@ -33,8 +32,6 @@ MARGIN = 1e-2
 #: The patient rungs may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts
 #: and 100 s for 600.
 BUDGET = 200.0
-#: A sweep of Gauss-Seidel counts as ``SWEEP_COST / 3m`` factorisations, its share of time.
-SWEEP_COST = 10.0
 
 
 def _smooth(law: Law) -> bool:
@@ -163,42 +160,30 @@ PATIENT = (
     ),
     INTERIOR_POINT,
     Rung(
-        "patient sweeps",
-        "Gauss-Seidel is slow on stacks, but hard to defeat.",
-        _swept,
-        # Runs of this many sweeps, then twice as many, and so on, Newton after each; left for the next rung after so
-        # many forces.
-        {"sweeps": 100, "runs": 10, "forces": 15},
-    ),
-    Rung(
         "fixed point",
         "With De Saxcé's shift held the problem is convex and has one answer; then the shift is renewed.",
         _shifted,
         {"steps": 8},
     ),
-    Rung("last sweeps", "The patient sweeps go on where they stopped.", _swept),
     Rung(
         "proximal points",
-        "Each step is a problem with a regular W + α I near the last answer; α falls while the steps succeed.",
+        "Each step is a problem with a regular W + α I near the last answer, solved or rejected: slow and steady.",
         _every,
-        # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits.
-        # Each problem gets so many rounds of Newton, after sweeps where the law has them.
+        # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits;
+        # after a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after
+        # sweeps where the law has them, and is solved to this tolerance or rejected.
         {
-            "steps": 25,
-            "start": 1e-1,
-            "gain": 0.2,
-            "loss": 5.0,
+            "steps": 2000,
+            "start": 1e-3,
+            "gain": 0.5,
+            "loss": 4.0,
+            "wait": 4,
             "smallest": 1e-9,
             "largest": 10.0,
+            "tol": 1e-12,
             "sweeps": 10,
             "rounds": 3,
         },
-    ),
-    Rung(
-        "interior proximal points",
-        "Constant α, each problem by the interior point: slow and steady, for jammed piles.",
-        _frictional,
-        {"steps": 25, "alphas": (1e-4, 1e-3)},
     ),
 )
 

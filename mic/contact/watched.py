@@ -120,7 +120,8 @@ class WatchedSolver:
         if path is not None and self._start.sum() > MANY:
             working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
         found = self._open(n, m)
-        todo, iterations = np.arange(n), np.zeros(n, dtype=np.int64)
+        todo = np.arange(n)
+        iterations, factorisations = np.zeros((2, n), dtype=np.int64)
         for round_ in range(ROUNDS):
             if self._guessing:
                 working[:] = working.any(axis=0)
@@ -128,6 +129,7 @@ class WatchedSolver:
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
                 self._put(found, samples, own, solution, b[samples])
                 iterations[samples] += solution.iterations
+                factorisations[samples] += solution.trace.factorisations
                 if path is None:  # the next round begins where this one ended
                     force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
@@ -144,7 +146,7 @@ class WatchedSolver:
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
-        return replace(found, iterations=iterations)
+        return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
 
     def _touching(self, b, force, anchor) -> np.ndarray:
         """(n, m) which of the candidates that samples begin with carry force where the path begins or ends, each taken

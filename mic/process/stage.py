@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -50,6 +51,8 @@ __all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_ste
 FLOOR = 5e-5  # mm: forty steps that err alike leave the 2 µm that a coordinate measuring machine tells
 ROUNDING = 1e-9  # mm: a way left that is none
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
+#: of a response, what values, loads and contact forces are mapped by
+MAPS = ("T", "L", "T_out", "L_out", "reaction_T", "reaction_L", "reaction_S")
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,9 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                 except FreeMotion as error:
                     share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                     raise free(model.scene, plan, step, error, int(np.argmax(share))) from error
+                # Samples are multiplied by their transposes, which so have their rows one after the other.
+                maps: dict[str, Any] = {name: np.asfortranarray(getattr(response, name)) for name in MAPS}
+                response = replace(response, **maps)
                 shared[held] = bilateral, response, chosen
             bilateral, response, chosen = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
@@ -392,7 +398,7 @@ class PreparedStage:
 
         def leg(s0, s1) -> Leg:
             """Of the step, whatever its place: loads without contacts, and what they leave to the rest rows."""
-            left = [rest.pushed(response, *ramp.at(s)) for s in (s0, s1)]
+            left = [rest.pushed(response, ramp.at(s)[1]) for s in (s0, s1)]
             return Leg(unloaded(s0, place) + (1 - s0) * lift, unloaded(s1, place) + (1 - s1) * lift, *left)
 
         legs, s0 = rest.legs(self.path, solver.law), 0.0

@@ -19,7 +19,6 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from mic.compliance import provider
 from mic.errors import MicError
 
 __all__ = ["FirstFailed", "LaunchError", "communicator", "leave", "on_first", "others_silent", "shared", "wait"]
@@ -72,6 +71,8 @@ def communicator() -> Any:
             f"that mpi4py uses ({library}); use its own mpirun, or start one "
             "process"
         )
+    from mic.compliance import provider  # one process alone, which asks for help perhaps, need not wait for its imports
+
     provider.installed()  # their libraries start up collectively: later, a process alone would wait for ever
     _parting()
     return MPI.COMM_WORLD
@@ -168,7 +169,7 @@ def shared(world: Any, make: Callable[[], T]) -> T:
     leaders = world.Split(min(node.rank, 1), key=world.rank)
     window = MPI.Win.Allocate_shared(int(starts[-1]) if node.rank == 0 else 0, 1, comm=node)  # for good
     memory, _ = window.Shared_query(0)
-    whole = np.frombuffer(memory, np.uint8)
+    whole = np.array(memory, dtype=np.uint8, copy=False)
     own = [whole[int(a) : int(a) + size] for a, size in zip(starts, sizes)]
     for i in range(len(own)):
         if world.rank == 0:

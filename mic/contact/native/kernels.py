@@ -34,7 +34,6 @@ __all__ = [
     "jit",
     "local_factors",
     "newton",
-    "responses",
     "solve_by_splitting",
     "solve_by_sweeps",
     "solve_frictionless",
@@ -520,14 +519,29 @@ def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
         int64,
         VECTOR,
         COUNTS,
+        COUNTS,
     )
 )
 def solve_by_splitting(
-    equation, shift, W, inverse, resolvent, rho, Q, parameters, Y, tol, steps, rounds, errors, iterations
+    equation,
+    shift,
+    W,
+    inverse,
+    resolvent,
+    rho,
+    Q,
+    parameters,
+    Y,
+    tol,
+    steps,
+    rounds,
+    errors,
+    iterations,
+    factorisations,
 ):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    ``Y`` holds the initial guess and receives the forces.
+    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.
     """
     m = len(parameters)
     for s in range(len(Q)):
@@ -544,6 +558,7 @@ def solve_by_splitting(
             w += q
             error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
             iterations[s] += run + more
+            factorisations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
@@ -553,8 +568,24 @@ def solve_by_splitting(
         errors[s] = best
 
 
-@jit(void(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, MATRIX, MATRIX, NUMBER, int64, int64, NUMBER, VECTOR, COUNTS))
-def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations):
+@jit(
+    void(
+        EQUATION_POINTER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
+        int64,
+        int64,
+        NUMBER,
+        VECTOR,
+        COUNTS,
+        COUNTS,
+    )
+)
+def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations, factorisations):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
     ``Y`` holds the initial guess and receives the forces.  A law whose single contact Gauss-Seidel does not solve has
@@ -582,6 +613,7 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
             guess = y.copy()
             error, more = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, 15, 0, crowd)
             iterations[s] += more
+            factorisations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
@@ -594,8 +626,8 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
         errors[s] = best
 
 
-@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS))
-def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
+@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS, COUNTS))
+def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations, factorisations):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 
     ``W`` (m, m) holds the normal rows only.  ``Y`` holds the initial guess and receives the forces.
@@ -650,6 +682,7 @@ def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
                     y[active[a]] = d[a]
                 w = np.dot(W, y) + q
                 total += 1
+                factorisations[s] += 1
             if best <= tol:
                 break
             y[:] = guess

@@ -1,18 +1,14 @@
 """The patient rungs: one stubborn sample, by one method after the other.
 
-Every method is a generator of forces ``y``, the iterations and the work (factorisations of ``W``) since the last one;
+Every method is a generator of forces ``y``, and of the sweeps and the factorisations that each took since the last one;
 who asks for them certifies each and stops at the first that is good enough.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
-
 import numpy as np
 
-from mic.contact.ladder import INTERIOR_POINT, SWEEP_COST
-from mic.contact.native import kernels
+from mic.contact.ladder import INTERIOR_POINT
 from mic.contact.native.batch import relaxation
 from mic.contact.native.interior_point import interior_point
 from mic.contact.native.polish import polished
@@ -32,13 +28,10 @@ class Search:
         The force that the cheap rungs left behind.
     interior : (d m,) array
         The last answer of the interior point; ``best`` before there is one.
-    sweeping : iterator
-        The patient sweeps, which a later rung continues.
     """
 
     def __init__(self, problem: ScaledProblem, q: np.ndarray, best: np.ndarray):
         self.problem, self.q, self.best, self.interior = problem, q, best, best
-        self.sweeping: Iterator = iter(())
         self.renew(best)
 
     def renew(self, y: np.ndarray) -> None:
@@ -49,7 +42,8 @@ class Search:
 
 def newton(search, rung):
     """Newton from the best force."""
-    yield from polished(search.problem, search.q, search.best)
+    for y, steps in polished(search.problem, search.q, search.best):
+        yield y, 0, steps
 
 
 def renewed_friction(search, rung):
@@ -59,18 +53,14 @@ def renewed_friction(search, rung):
     """
     problem, q, y = search.problem, search.q, search.best
     mu, share, before = problem.friction.copy(), np.ones(len(problem.parameters)), np.zeros(len(problem.parameters))
-    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
     for _ in range(rung["steps"]):
-        Y = y[None].copy()
-        counts[0] = 0
-        relaxation(problem.held(), rung, rung["tol"])(q[None], Y, errors, counts)
-        y = Y[0]
-        if errors[0] > rung["tol"]:
-            y, steps = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
-            counts[0] += steps
-        for z, more, _ in polished(problem, q, y):
-            yield z, int(counts[0]) + more, int(counts[0]) + more
-            counts[0] = 0
+        y, error, sweeps, steps = _relaxed(problem.held(), rung, rung["tol"], q, y)
+        if error > rung["tol"]:
+            y, more = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
+            steps += more
+        for z, more in polished(problem, q, y):
+            yield z, sweeps, steps + more
+            sweeps = steps = 0
         step = problem.renewed(y).friction - mu
         share = np.where(step * before < 0.0, 0.5 * share, np.minimum(1.0, 2.0 * share))
         before, mu = step, mu + share * step
@@ -80,17 +70,6 @@ def renewed_friction(search, rung):
 def interior(search, rung):
     """The interior point, polished."""
     yield from _interior_polished(search, search.problem.law.shift)
-
-
-def patient_sweeps(search, rung):
-    """Gauss-Seidel in longer and longer runs, polished after each; the first forces of them."""
-    search.sweeping = _sweeping(search, rung)
-    yield from islice(search.sweeping, rung["forces"])
-
-
-def last_sweeps(search, rung):
-    """The other forces of the patient sweeps."""
-    yield from search.sweeping
 
 
 def fixed_point(search, rung):
@@ -104,58 +83,36 @@ def fixed_point(search, rung):
 
 
 def proximal_points(search, rung):
-    """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, move there, and lower ``α`` while that succeeds."""
-    q = search.q
-    starts = (search.best, search.interior) if search.problem.law.frictional else (search.best,)
-    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
-    for y in starts:
-        alpha = rung["start"]
-        for _ in range(rung["steps"]):
-            Q, Y = (q - alpha * y)[None], y[None].copy()
-            counts[0] = 0
-            relaxation(search.problem.proximal(alpha), rung, 1e-13)(Q, Y, errors, counts)
-            # A step from a problem that is itself unsolved leads astray, unless it is long against its error.
-            step = np.linalg.norm(Y[0] - y)
-            solved = errors[0] <= max(1e-13, 1e-2 * step / max(np.linalg.norm(Y[0]), np.finfo(float).tiny))
-            y = Y[0]
-            yield y, int(counts[0]), int(counts[0])
-            alpha = (
-                max(rung["gain"] * alpha, rung["smallest"]) if solved else min(rung["loss"] * alpha, rung["largest"])
-            )
+    """Proximal-point steps: solve with ``W + α I`` and ``q - α y``, and move there.
 
-
-def interior_proximal_points(search, rung):
-    """Proximal-point steps of constant ``α``, each by the interior point."""
-    q, law = search.q, search.problem.law
-    for alpha in rung["alphas"]:
-        problem, y = search.problem.proximal(alpha), np.zeros_like(q)
-        for _ in range(rung["steps"]):
-            z, steps = interior_point(problem.W, q - alpha * y, problem.friction, law.shift, **INTERIOR_POINT.settings)
-            y, more, _ = next(polished(problem, q - alpha * y, z))
-            yield y, steps + more, steps + more
+    ``α`` falls while the problems are solved. One that is not is rejected: ``y`` stays and ``α`` grows, and waits there
+    for some solved ones. Steps to half-solved problems stall.
+    """
+    q, y, alpha, wait = search.q, search.interior, rung["start"], 0
+    for _ in range(rung["steps"]):
+        z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 0.1 * rung["tol"], q - alpha * y, y)
+        if error <= rung["tol"]:
+            y, wait = z, wait - 1
+            alpha = alpha if wait > 0 else max(rung["gain"] * alpha, rung["smallest"])
+        else:
+            alpha, wait = min(rung["loss"] * alpha, rung["largest"]), rung["wait"]
+        yield y, *counts
 
 
 def _interior_polished(search, shift, held=None):
     problem, q = search.problem, search.q
     search.interior, steps = interior_point(problem.W, q, problem.friction, shift, held, **INTERIOR_POINT.settings)
-    for y, more, _ in polished(problem, q, search.interior):
-        yield y, steps + more, steps + more
+    for y, more in polished(problem, q, search.interior):
+        yield y, 0, steps + more
         steps = 0
 
 
-def _sweeping(search, rung):
-    q, y, slip = search.q, search.best.copy(), np.zeros(len(search.problem.parameters))
-    w = search.problem.W @ y + q
-    for run in range(rung["runs"]):
-        search.renew(y)
-        problem = search.problem
-        sweeps, _ = kernels.gauss_seidel(
-            problem.W, problem.factors, problem.parameters, y, w, slip, rung["sweeps"] * 2**run, 1e-15
-        )
-        w = problem.W @ y + q
-        for z, more, _ in polished(problem, q, y):
-            yield z, sweeps + more, SWEEP_COST * sweeps / len(q) + more
-            sweeps = 0
+def _relaxed(problem, rung, tol, q, y):
+    """One problem by :func:`relaxation` from y: forces, error, sweeps, and steps of Newton's method."""
+    Y, errors, counts = y[None].copy(), np.zeros(1), np.zeros((2, 1), dtype=np.int64)
+    relaxation(problem, rung, tol)(q[None], Y, errors, *counts)
+    (passes,), (steps,) = counts.tolist()
+    return Y[0], errors[0], passes - steps, steps
 
 
 #: The method of every rung of :data:`mic.contact.ladder.PATIENT`, by its name.
@@ -163,9 +120,6 @@ METHODS = {
     "newton": newton,
     "renewed friction": renewed_friction,
     "interior point": interior,
-    "patient sweeps": patient_sweeps,
     "fixed point": fixed_point,
-    "last sweeps": last_sweeps,
     "proximal points": proximal_points,
-    "interior proximal points": interior_proximal_points,
 }

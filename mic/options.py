@@ -1,0 +1,251 @@
+"""The command line: which commands there are, and their options. What they do, :mod:`mic.commands` says.
+
+Nothing slow is imported here: whoever asks for help is not kept waiting for numerics and tables.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mic import examples
+from mic.contact.laws import LAWS
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="""
+Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
+
+A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
+measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
+report.
+
+Start with:  mic init --example lap_joint  and then  mic check lap_joint  and  mic run lap_joint --samples 50
+""",
+)
+
+
+#: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
+Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
+Backend = Enum("Backend", {name: name for name in ("native", "paper")}, type=str)  # type: ignore[misc]
+
+SceneArgument = Annotated[
+    Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
+]
+LawOption = Annotated[
+    list[Law] | None,
+    typer.Option(
+        "--law",
+        help="Contact law; repeat for several. "
+        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
+        + " Default: the scene's.",
+        show_default=False,
+    ),
+]
+
+
+StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
+
+
+def _commands() -> Any:
+    from mic import commands  # only where one is carried out: numerics and tables take a second to import
+
+    return commands
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
+    ] = None,
+    law: LawOption = None,
+    backend: Annotated[
+        Backend | None,
+        typer.Option(
+            help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
+            "hundred times slower. Default: the scene's.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
+    ] = None,
+    replace: Annotated[
+        bool,
+        typer.Option(
+            "--replace",
+            help="Remove the results of another run from the folder, the files that a run writes and no others. "
+            "Without it, such a folder is refused.",
+        ),
+    ] = False,
+    strict: StrictOption = False,
+):
+    """Run the Monte Carlo of a scene and write tables, fields and a report.
+
+    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished samples
+    are kept: call again to complete an interrupted run, or with more samples to extend one. Under `mpirun -n N` the
+    samples are shared out over N processes.
+    """
+    _commands().run(scene, samples, seed, law, backend, out, replace, strict)
+
+
+@app.command()
+def report(
+    folder: Annotated[
+        Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
+    ],
+):
+    """Write the statistics, fields and report of a results folder again."""
+    _commands().report(folder)
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    law: LawOption = None,
+    accuracy: Annotated[
+        bool,
+        typer.Option(
+            "--accuracy",
+            help="Estimate the error that each part's mesh leaves: its influence coefficients are computed on it, and "
+            "at half its size.",
+        ),
+    ] = False,
+    converge: Annotated[
+        bool,
+        typer.Option(
+            "--converge",
+            help="Repeat the nominal assembly and some samples with pairs at a smaller "
+            "distance, about twice as many, and tell how the key characteristics move.",
+        ),
+    ] = False,
+    normals: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw into this file, NAME.png, where the parts' normals come from: geometry, deck or estimate.",
+            show_default=False,
+        ),
+    ] = None,
+    overlap: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw into this file, NAME.png, where the surfaces of the contact zones are drawn into each other.",
+            show_default=False,
+        ),
+    ] = None,
+    strict: StrictOption = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw the assembly and what is placed on it into this file. Default: "
+            "results/NAME-OF-SCENE/check.html, where a run writes its report.",
+            show_default=False,
+        ),
+    ] = None,
+):
+    """Validate a scene and print what will be modelled, the process step by step, and at what cost.
+
+    Errors stop. Warnings name what no workshop would build: the item, the number, what is usual, and the remedy.
+
+    Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
+    coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
+    on how the parts are set down.
+    """
+    _commands().check(scene, law, accuracy, converge, normals, overlap, strict, page)
+
+
+@app.command()
+def order(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE|MODEL",
+            help="Scene file, or a folder that holds scene.toml; or a saved model, such as model.npz of a results "
+            "folder, which takes no finite elements.",
+            show_default=False,
+        ),
+    ],
+    samples: Annotated[int, typer.Option(min=3, help="Number of samples, the same for every order.")] = 20,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
+    ] = None,
+    law: Annotated[
+        Law | None,
+        typer.Option(help="Contact law. Default: the scene's first with friction.", show_default=False),
+    ] = None,
+    permutations: Annotated[
+        int | None,
+        typer.Option(min=0, help="Random orders beside those that have a name. Default: a few.", show_default=False),
+    ] = None,
+    variants: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file of `[[orders]]` to compare instead, each with a `name` and, in `stages`, the keys that "
+            "change by stage: `stages.clamp.order = [[…], […]]`.",
+            show_default=False,
+        ),
+    ] = None,
+    table: Annotated[Path | None, typer.Option(help="Write all numbers to this CSV file.", show_default=False)] = None,
+):
+    """Say how much hangs on the order in which locators, clamps and welds close and open.
+
+    The key characteristics of the same samples under other orders: in reverse, locators first, clamps first, all
+    together, parts that overlap settled before or while the first thing closes, and a few at random.
+    """
+    _commands().order(source, samples, seed, law, permutations, variants, table)
+
+
+@app.command()
+def init(
+    meshes: Annotated[
+        list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(help=f"Copy an example instead: one of {', '.join(examples.names())}.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The new folder. Default: one called after the meshes.", show_default=False)
+    ] = None,
+    thickness: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="mm, of the parts whose mesh file tells none; or PART=mm, of one. May be repeated.", show_default=False
+        ),
+    ] = None,
+    welds: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of the spot welds, columns x, y, z and perhaps name, parts. Default: welds are proposed.",
+            show_default=False,
+        ),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of the points to measure, columns x, y, z and perhaps name, part, direction, lower, upper.",
+            show_default=False,
+        ),
+    ] = None,
+):
+    """Write a first scene for meshes of your own, or copy an example, to start from.
+
+    From the meshes alone come parts, a 3-2-1 for each and further supports, contact zones where they lie on each other,
+    clamps and welds along these, points to measure at the free edges and a few deviations; every line says what it
+    means. The scene runs as it is.
+    """
+    _commands().init(meshes, example, out, thickness, welds, points)
