@@ -30,7 +30,7 @@ COMPILES = ROOT / "meshes" / "lap_joint"  # evaluated once before, so that compi
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=20)
+    parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--spacing", type=float, help="between candidates, mm; default: the scene's")
     parser.add_argument("--cache", type=Path)
     arguments = parser.parse_args()
