@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.compliance.cache import influence_coefficients
+from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import SceneError
 from mic.geometry.told import mended
 from mic.judgement import judge, readable, refuse, suspect
@@ -33,7 +34,7 @@ from mic.results.outcome import Outcome, read_outcome
 from mic.results.summary import write_path_study, write_summary, write_tables
 from mic.results.tables import tables
 from mic.sampling.montecarlo import monte_carlo
-from mic.sampling.ranks import communicator, on_first
+from mic.sampling.ranks import communicator, on_first, shared
 from mic.scene import Scene
 from mic.store import clean
 
@@ -119,7 +120,8 @@ def run(
             with clock("accuracy of the meshes"):
                 on_first(world, lambda: write_accuracy(folder, estimate_accuracy(assembly, cache, say)))
         with clock("reduced model"):
-            model = ReducedModel.build(assembly, influence)
+            model = shared(world, lambda: _reduced(assembly, influence))
+            influence.clear()  # it lies in the model now
             notes = model.process().redundant + frozen_gaps(model)
             for sentence in notes:
                 listener.say(f"note: {sentence}")
@@ -187,6 +189,14 @@ def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) ->
     for warned in warnings:
         listener.say(f"warning: {warned}")
     return assembly, [str(warned) for warned in warnings]
+
+
+def _reduced(assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> ReducedModel:
+    """The reduced model, with all that it prepares once for all laws."""
+    model = ReducedModel.build(assembly, influence)
+    model.eliminations  # noqa: B018
+    model.likely  # noqa: B018
+    return model
 
 
 def _prepare(

@@ -101,7 +101,7 @@ def test_every_patient_rung_of_another_law_speaks_of_that_law(dilatant, monkeypa
     backend = BACKENDS["native"](problem.S, problem.mu, dilatant, 1e-10, 1, 3)
     monkeypatch.setattr(ladder, "BUDGET", 1e6)
     best = {}
-    for force, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
+    for force, _, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
         residual = certify(problem.S, problem.b[0], problem.mu, force, dilatant).residual
         best[rung] = min(residual, best.get(rung, np.inf))
     assert list(best) == [rung.name for rung in ladder.PATIENT if rung.applies(dilatant)]
@@ -120,10 +120,10 @@ def test_methods_head_for_the_law_before_newton_lands(dilatant):
             pass
         force = search.interior * native.scaling
         assert certify(problem.S, problem.b[0], problem.mu, force, dilatant).residual <= 1e-4, rung.name
-    steps, iterations = 3000, np.zeros(1, np.int64)
+    steps, iterations, factorisations = 3000, *np.zeros((2, 1), np.int64)
     long_rung = Rung("splitting", "Long enough to converge.", lambda law: True, {"steps": steps, "rounds": 1})
-    batch.splitting(scaled, long_rung, 1e-8)(q[None], np.zeros((1, 15)), np.zeros(1), iterations)
-    assert iterations[0] <= steps + 1
+    batch.splitting(scaled, long_rung, 1e-8)(q[None], np.zeros((1, 15)), np.zeros(1), iterations, factorisations)
+    assert iterations[0] == steps + factorisations[0] and factorisations[0] <= 1
 
 
 def test_a_law_with_friction_needs_an_equation():
@@ -223,7 +223,7 @@ def test_the_rungs_of_a_law_are_those_that_it_climbs(law, monkeypatch):
     monkeypatch.setattr(ladder, "BUDGET", 1e6)
     S = compliant(4, np.random.default_rng(2))
     backend = NativeSolver(S, np.full(4, 0.3), law, 1e-10, 1, 3)
-    climbed = dict.fromkeys(rung for _, _, rung in backend.attempts(-np.ones(12), np.zeros(12)))
+    climbed = dict.fromkeys(rung for *_, rung in backend.attempts(-np.ones(12), np.zeros(12)))
     batch = [rung.name for rung in ladder.BATCH if rung.applies(law)]
     assert ladder.rungs(law) == batch + list(climbed)
     assert all(rung.reason.endswith(".") for rung in ladder.BATCH + ladder.PATIENT)
@@ -296,3 +296,25 @@ def test_the_former_enumeration_still_answers_with_a_warning():
     with pytest.warns(DeprecationWarning), pytest.raises(AttributeError, match="law must be one of"):
         Law.TRESCA  # noqa: B018
     assert ContactSolver(np.eye(3), 0.3, COULOMB).law is ContactSolver(np.eye(3), 0.3, "coulomb").law
+
+
+@pytest.mark.parametrize("law, passes", [("coulomb", 10), ("frictionless", 5)])
+def test_of_a_cheap_rungs_passes_those_that_are_not_sweeps_are_factorisations(law, passes):
+    rng = np.random.default_rng(8)
+    problem = manufactured(compliant(8, rng, condition=1e2), np.full(8, 0.27), 20, rng, 0.3, 0.4)
+    found = ContactSolver(problem.S, problem.mu, law).solve(problem.b)
+    first = found.rung == ("sweeps" if law == "coulomb" else "active set")
+    assert first.sum() >= 10 and (found.factorisations[first] > 0).all()
+    assert (found.iterations[first] - found.factorisations[first] == passes).all()
+
+
+def test_every_patient_rung_tells_what_it_factorised(monkeypatch):
+    rng = np.random.default_rng(4)
+    problem = manufactured(compliant(6, rng, condition=1e2), np.full(6, 0.27), 1, rng, 0.4, 0.4)
+    backend = BACKENDS["native"](problem.S, problem.mu, COULOMB, 1e-10, 1, 3)
+    monkeypatch.setattr(ladder, "BUDGET", 1e6)
+    told = {}
+    for _, iterations, factorisations, rung in backend.attempts(problem.b[0], np.zeros(18)):
+        assert 0 <= factorisations <= iterations
+        told[rung] = told.get(rung, 0) + factorisations
+    assert all(told[rung] for rung in told if rung != "last sweeps"), told  # which lands without Newton

@@ -1,5 +1,7 @@
 """Paths of contact with known answers: what is piecewise linear to rounding, what turns to the order of the method."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -165,3 +167,20 @@ def test_small_steps_of_the_associated_law_tend_to_coulombs():
     loads = [[-1, 0, 0], [-1, 2, 0]]
     gaps = [follow(loads, Increments(count), law="associated").displacement[0, 0] for count in (1, 8, 64)]
     assert gaps[0] > 0.5 and gaps[1] < gaps[0] / 4 and gaps[2] < gaps[1] / 4
+
+
+@pytest.mark.parametrize("path", [Followed(), Increments(3)], ids=["followed", "increments"])
+def test_a_rescued_path_counts_what_was_factorised_in_vain_and_what_the_ladder_factorised(path, monkeypatch):
+    solver, b = sheets(30, 2, seed=5)
+    plain, find, solve, spent = solver.follow(b, path=path), solver.backend.follow, solver.solve, []
+
+    def counted(*args, **settings):
+        solution = solve(*args, **settings)
+        spent.append(solution.factorisations[0])
+        return solution
+
+    monkeypatch.setattr(solver.backend, "follow", lambda *args: replace(find(*args), given_up=np.array([True, False])))
+    monkeypatch.setattr(solver, "solve", counted)
+    rescued, before = solver.follow(b, path=path).trace.factorisations, plain.trace.factorisations
+    assert sum(spent) > 0 and before.all()
+    assert rescued.tolist() == [before[0] + sum(spent), before[1]]

@@ -116,7 +116,7 @@ def test_every_patient_rung_renews_the_friction_that_it_holds(monkeypatch):
     law = friction(FUNCTIONS["table"][0], 6, 0.2)
     backend = BACKENDS["native"](problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
     best = {}
-    for force, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
+    for force, _, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
         residual = certify(problem.S, problem.b[0], law, force, PRESSURE_DEPENDENT).residual
         best[rung] = min(residual, best.get(rung, np.inf))
     assert list(best) == [rung.name for rung in ladder.PATIENT if rung.applies(PRESSURE_DEPENDENT)]
@@ -126,12 +126,12 @@ def test_every_patient_rung_renews_the_friction_that_it_holds(monkeypatch):
 def test_methods_that_hold_friction_are_given_that_of_the_last_force(monkeypatch):
     """Newton would hide it: with Newton left out, De Saxcé's fixed point ends at the law asked for."""
     monkeypatch.setattr(ladder, "BUDGET", 1e6)
-    monkeypatch.setattr(patience, "polished", lambda problem, q, y: iter([(y.copy(), 0, 0.0)]))
+    monkeypatch.setattr(patience, "polished", lambda problem, q, y: iter([(y.copy(), 0)]))
     problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
     law = friction(FUNCTIONS["table"][0], 6, 0.2)
     native = NativeSolver(problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
     best = {}
-    for force, _, rung in native.attempts(problem.b[0], np.zeros(18)):
+    for force, _, _, rung in native.attempts(problem.b[0], np.zeros(18)):
         residual = certify(problem.S, problem.b[0], law, force, PRESSURE_DEPENDENT).residual
         best[rung] = min(residual, best.get(rung, np.inf))
     assert best["fixed point"] <= 1e-4, best
@@ -144,7 +144,7 @@ def test_renewing_the_coefficients_alone_converges(pieces, mu, monkeypatch):
 
     def unpolished(problem, q, y):
         handed.append(y)
-        yield y, 0, 0.0
+        yield y, 0
 
     monkeypatch.setattr(patience, "polished", unpolished)
     problem = slip_dominated(8, 1, np.random.default_rng(9), condition=1e2)

@@ -129,3 +129,17 @@ def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
     rounded = end(b * (1 + 1e-14 * np.random.default_rng(noise).standard_normal(b.shape)))
     assert plain[::2].min() > 0 and not plain[1::2].any()
     np.testing.assert_allclose(rounded, plain, rtol=0, atol=1e-9 * plain.max())
+
+
+def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch):
+    follow, spent = ContactSolver.follow, []
+
+    def counted(*args):
+        solution = follow(*args)
+        spent.append(int(solution.trace.factorisations.sum()))
+        return solution
+
+    monkeypatch.setattr(ContactSolver, "follow", counted)
+    found = [followed(watched(problem), problem[2][[i]], Increments(1)) for i in range(N)]
+    assert len(spent) > N and min(spent) > 0  # more rounds than samples
+    assert sum(int(each.trace.factorisations[0]) for each in found) == sum(spent)

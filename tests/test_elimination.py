@@ -1,5 +1,6 @@
 """Stage elimination against the saddle-point system that it condenses, solved whole and dense."""
 
+import pickle
 import tracemalloc
 
 import numpy as np
@@ -208,6 +209,8 @@ def test_displacements_are_the_same_bits_whatever_was_asked_for_before():
     force = np.random.default_rng(8).normal(size=(6, 40)) * (np.random.default_rng(9).random((6, 40)) < 0.3)
     alone, together = (pressed(np.random.default_rng(5))[2].S for _ in range(2))
     together.take(np.array([39, 2, 17]))
+    together = pickle.loads(pickle.dumps(together))  # as another process gets it
+    assert together.found == 3
     every = together.under(force)
     for sample in (4, 1, 5, 0, 3, 2):
         assert (alone.under(force[[sample]])[0] == every[sample]).all()

@@ -50,6 +50,14 @@ def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
         assert (one.surface.points == other.surface.points).all()
 
 
+def test_the_large_case_is_what_its_geometry_says():
+    folder = ROOT / "meshes" / "body_side"
+    written = subprocess.run([sys.executable, folder / "write.py"], capture_output=True, text=True, check=True).stdout
+    assert (folder / "body_side.toml").read_text(encoding="utf-8") == written
+    scene = mic.load_scene(folder / "body_side.toml")
+    assert (len(scene.parts), len(scene.zones), len(scene.welds), len(scene.clamps)) == (12, 21, 66, 24)
+
+
 def test_nothing_is_overwritten_and_names_are_checked(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert examples.copy("lap_joint") == Path("lap_joint")

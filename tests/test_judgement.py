@@ -344,6 +344,15 @@ NONSENSE |= {
         "stop",
         "fixture-turned",
     ),
+    "a pad within a sheet that it does not touch": (
+        "hat_on_plate",
+        all_of(
+            add("fixtures", name="side", point=[80, -35, 0.5], normal=UP, radius=5),
+            add("zones", name="side", parts=["side", "hat"]),
+        ),
+        "side",
+        "fixture-inside",
+    ),
     "a pad of a metre": ("hat_on_plate", put("fixtures.stop", radius=1000), "stop", "fixtures.radius"),
     "a pad like a needle": ("hat_on_plate", put("fixtures.stop", radius=0.05), "stop", "fixtures.radius"),
     "a pad that nothing meets": ("hat_on_plate", drop("zones.stop"), "stop", "stands-alone"),
@@ -386,12 +395,19 @@ NONSENSE |= {
     "measured twice": ("lap_joint", like("measurements.M1", name="M9"), "M9", "measured-twice"),
     "nothing measured": ("lap_joint", drop("measurements"), "measurements", "nothing-read"),
     # Process
+    "welded before a clamp closes": (
+        "lap_joint",
+        lambda scene: scene["stages"].insert(1, scene["stages"].pop(2)),
+        "weld",
+        "welded-open",
+    ),
     "welded when all is open": (
         "lap_joint",
         lambda scene: scene["stages"].insert(2, {"kind": "release", "name": "early"}),
         "weld",
         "welded-open",
     ),
+    "a point as a text": ("lap_joint", put("measurements.M1", point="10, 5, 0"), "in brackets", ERROR),
     "settle as a text": ("lap_joint", put("stages.locate", settle="no"), "locate", ERROR),
     "settle as a number": ("lap_joint", put("stages.locate", settle=0), "locate", ERROR),
     "order as a text": ("lap_joint", put("stages.clamp", order="C1-upper"), "order", ERROR),
@@ -532,6 +548,10 @@ SENSIBLE = {
             located_again("geo"),
         ),
     ),
+    "tacked by guns before the clamps close": (
+        "lap_joint",
+        all_of(lambda scene: scene["stages"].insert(1, scene["stages"].pop(2)), every("welds", gun=1500.0)),
+    ),
     "welded one by one": ("lap_joint", put("stages.weld", sequence=True)),
     "a locator that varies": ("lap_joint", put("deviations.D1", mean=0.3, sigma=0.2)),
     "a uniform deviation": ("lap_joint", put("deviations.F1", distribution="uniform")),
@@ -544,6 +564,13 @@ SENSIBLE = {
     "a third flange layer's locator": (
         "lap_joint",
         add("locators", name="lower-A4", part="lower", point=[40, 20, 0], direction=UP, stage="clamp"),
+    ),
+    "a pad in the hollow of a hat": (
+        "hat_on_plate",
+        all_of(
+            add("fixtures", name="side", point=[80, 0, 30.5], normal=UP, radius=5),
+            add("zones", name="side", parts=["side", "hat"]),
+        ),
     ),
     "a small pad": ("hat_on_plate", put("fixtures.stop", radius=5)),
     "points on the sheet's outer face": ("lap_joint", put("clamps.C1-upper", point=[72, 12.5, 1.5])),

@@ -116,6 +116,55 @@ def test_no_candidate_reads_across_the_rim_of_a_nugget():
     assert sum(pair.area for pair in pairs) == pytest.approx(400)
 
 
+def test_no_candidate_reads_across_the_rim_of_a_pad():
+    """Of two pads upon each other the smaller ends first; one that only touches the zone keeps no rim."""
+    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    centre = np.array([9.0, 10.5, 0.5])
+    pads = [Pressed(centre, 5.0), Pressed(centre, 3.5), Pressed(np.array([-4.9, 10.0, 0.5]), 5.0)]
+    pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads)
+    inside = {radius: 0.0 for radius in (5.0, 3.5)}
+    for pair in pairs:
+        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        for radius in inside:
+            within = np.linalg.norm(x[:, :2] - centre[:2], axis=1) <= radius + 1e-5
+            assert within.all() or not within.any()
+            inside[radius] += pair.area * within.all()
+    for radius, area in inside.items():
+        assert area == pytest.approx(np.pi * radius**2, rel=0.05)
+    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    alone = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads[:2])
+    assert len(alone) == len(pairs)
+
+
+def bend(turn, size, z=0.0):
+    """A sheet in the plane z, 10 mm long, that goes on in an arc of 8 mm by facets of `turn`, 20 mm wide."""
+    profile = [(0.0, z), (10.0, z)]
+    for angle in np.arange(turn / 2, np.pi / 2, turn):
+        x, y = profile[-1]
+        profile.append((x + 16 * np.sin(turn / 2) * np.cos(angle), y + 16 * np.sin(turn / 2) * np.sin(angle)))
+    return Surface(*extrude(profile, 0.0, 20.0, size)[:2])
+
+
+def test_normals_along_a_bend_are_the_arcs_and_do_not_jump_with_the_facet_that_a_candidate_lies_on():
+    """A bend of four facets of 22.5°, one row each, upon itself.
+
+    Where it begins, its estimate shares the turn between flat and arc.
+    """
+    turn = np.pi / 8
+    below = bend(turn, 3.5)
+    above = Surface(below.points + below.vertex_normals, below.triangles)
+    for bodies in ((Side(below, 1.0), Side(above, 1.0)), (Side(above, 1.0), Side(below, 1.0))):
+        for spacing in (3.0, 2.0):
+            seen = []
+            for pair in find_pairs(zone(pairs=None, spacing=spacing), *bodies):
+                y, z = pair.point[1:]
+                direction = pair.frame[1:, 0] * np.sign(pair.frame[2, 0] - pair.frame[1, 0])
+                exact, found = np.arctan2(y - 10.0, 8.0 - z), np.arctan2(-direction[0], direction[1])
+                if turn < exact < 3 * turn:  # the two facets in the middle
+                    seen.append(np.degrees(abs(found - exact)))
+            assert len(seen) > 10 and max(seen) < 2.0
+
+
 def test_every_node_is_every_node_of_both_sheets():
     bodies = Side(plane(0, n=8), 1.0), Side(plane(1, n=7, x0=3.0), 1.0)
     pairs = node_pairs(zone(), *bodies)

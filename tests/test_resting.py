@@ -1,13 +1,18 @@
 """Parts that rest on others by contact alone: statics by hand, what is not held, and the words for it."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from support.feet import STIFFNESS, standing
 from support.springs import six
 
 import mic
+from mic.contact.states import OPEN, SLIP, STICK
 from mic.model.resting import put_down
 from mic.process.plan import plan_assembly, plan_stages
+from mic.process.rest import Rest
 from mic.process.words import sentences
 from mic.sampling.draw import draw
 
@@ -25,7 +30,9 @@ def gauge(part, at, direction=UP, name="M"):
     return {"name": name, "part": part, "point": list(at), "direction": list(direction), "lower": -1, "upper": 1}
 
 
-def table(clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, **change):
+def table(
+    clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, normal=UP, **change
+):
     """b stands on a by its feet, under clamps; a is held by six locators."""
     keys = {
         "parts": [
@@ -38,7 +45,7 @@ def table(clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "m
         "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(feet)],
         "stages": [{"kind": kind} for kind in kinds],
     }
-    return standing([("Z", foot, UP) for foot in feet], gap=gap, shape=shape, **keys | change)
+    return standing([("Z", foot, normal) for foot in feet], gap=gap, shape=shape, **keys | change)
 
 
 def refused(model, words):
@@ -105,7 +112,7 @@ ROOT = np.sqrt(0.5)
 SIDES = [("Z", (side * x, y, abs(x)), (-side * ROOT, 0, ROOT)) for side in (-1, 1) for x in (10, 20) for y in (0, 80)]
 
 
-def groove(friction=0.0, gap=0.0):
+def groove(friction=0.0, gap=0.0, path=None):
     """b's ridge in a's groove, under 100 N, and a stop along it."""
     return standing(
         SIDES,
@@ -118,7 +125,7 @@ def groove(friction=0.0, gap=0.0):
         clamps=[push(100, (0, 40, 0))],
         zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         measurements=[gauge("b", (0, 40, 0)), gauge("b", (0, 40, 0), (1, 0, 0), "X")],
-        stages=[{"kind": kind} for kind in ("locate", "clamp", "measure")],
+        stages=[{"kind": "locate"}, {"kind": "clamp"} | (path or {}), {"kind": "measure"}],
     )
 
 
@@ -143,6 +150,15 @@ def test_being_put_down_rubs_nothing(path):
     assert not middle.failed.any() and not aside.failed.any()
     np.testing.assert_allclose(aside.resolutions["clamp"].force, middle.resolutions["clamp"].force, atol=1e-5)
     np.testing.assert_allclose(aside.measurements - middle.measurements, [[0.1 * ROOT, 0.1 * ROOT]], atol=1e-6)
+
+
+def test_where_it_is_put_down_friction_begins_however_the_path_is_followed():
+    """Sides that stick at once, one of them 0.1 mm out: what was put down is no slip, in one step either."""
+    out = np.where(np.arange(8) < 4, -0.1, 0.0)
+    one, three = (groove(3.0, out, path).evaluate({}) for path in ({"path": "one-step"}, {"increments": 3}))
+    assert not one.failed.any() and not three.failed.any()
+    np.testing.assert_allclose(one.measurements, three.measurements, atol=1e-6)
+    assert one.measurements[0, 0] > 0.1 * ROOT - 0.005  # it sinks by micrometres from there
 
 
 def test_in_a_stack_each_carries_what_lies_above():
@@ -305,7 +321,129 @@ def test_without_a_locator_and_without_friction_it_is_said_what_slides():
         on_pads(parts=parts)
 
 
+def test_a_body_welded_to_what_rests_presses_through_its_weld():
+    """a, on it b, and c welded to b above, on which the clamp pushes: a carries what the levers say."""
+    parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": name == "b"} for name in "abc"]
+    welds = [{"name": f"W{i}", "parts": ["c", "b"], "point": list(foot)} for i, foot in enumerate(FEET)]
+    model = standing(
+        [("Z", foot, UP) for foot in FEET],
+        parts=parts,
+        locators=[*six("a", far=FAR), *six("c", far=FAR)],
+        clamps=[push(100, (30, 20, 0), part="c"), push(10, (30, 20, 0), name="K", part="b", stage="first")],
+        welds=welds,
+        zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
+        measurements=[gauge("c", (30, 20, 0))],
+        stages=[{"kind": "locate"}, {"kind": "clamp", "name": "first"}, {"kind": "weld"}, {"kind": "clamp"}]
+        + [{"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}, {"kind": "measure"}],
+    )
+    plans = plan_assembly(model)
+    assert [plan.steps[-1].resting for plan in plans] == [(1,), (1,), (), (), (1, 2), (1, 2)]
+    found = model.evaluate({})
+    assert not found.failed.any()
+    carried = [100 - 30 - 100 / 3, 30, 100 / 3]
+    np.testing.assert_allclose(found.resolutions["release"].force[0, :, 0], carried, rtol=1e-6)
+
+
+def test_a_part_that_arrives_later_is_not_asked_for_before():
+    """b comes to the second station, where it rests; what presses a before does not press b."""
+    pins = [one | {"part": "b", "name": f"p{i}", "stage": "second"} for i, one in enumerate(six("b", far=FAR)[3:])]
+    stages = [{"kind": "locate"}, {"kind": "clamp", "name": "first"}, {"kind": "locate", "name": "second"}]
+    model = table(
+        [push(30, (30, 20, 0), part="a", name="K", stage="first"), push(100, (30, 20, 0))],
+        locators=[*six("a", far=FAR), *pins],
+        stages=[*stages, {"kind": "clamp"}, {"kind": "measure"}],
+    )
+    plans = plan_assembly(model)
+    assert [plan.steps[-1].parked for plan in plans] == [(1,), (1,), (), (), ()]
+    found = model.evaluate({})
+    carried = np.array([100 - 30 - 100 / 3, 30, 100 / 3])
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["first"].force, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
+
+
+def test_what_nothing_presses_yet_is_lifted_by_what_it_lies_on():
+    """a stands on springs of 100 N/mm; 60 N lift it in their middle by 0.2 mm before 100 N press b on."""
+    soft = [one | ({"stiffness": 100.0} if i < 3 else {}) for i, one in enumerate(six("a", far=FAR))]
+    middle = (100 / 3, 100 / 3, 0)
+    lift = push(60, middle, UP, part="a", name="K")
+    stages = [{"kind": "locate"}, {"kind": "clamp", "order": [["K"], ["C"]]}, {"kind": "measure"}]
+    model = table([lift, push(100, middle)], locators=soft, feet=[(0, 0, 0), (100, 0, 0), (0, 100, 0)], stages=stages)
+    found = model.evaluate({})
+    assert not found.failed.any()
+    np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], 100 / 3, rtol=1e-6)
+    np.testing.assert_allclose(found.measurements[0], (60 - 100) / 300 - PAIR * 100 / 3, atol=1e-6)
+
+
+def test_a_force_that_varies_about_zero_may_press_a_part_on():
+    deviation = {"name": "F", "kind": "clamp", "target": "C", "mean": 100.0, "sigma": 1.0}
+    model = table([push(0, (30, 20, 0))], deviations=[deviation])
+    plan_assembly(model)
+    assert not model.evaluate(np.array([[100.0]])).failed.any()
+
+
 # --------------------------------------------------------------------------------------------------- what is not held
+
+
+@pytest.mark.parametrize("normal, parts", [(UP, ["a", "b"]), ((0, 0, -1), ["b", "a"])])
+@pytest.mark.parametrize("way", [(0.6, 0.8, 0), (-0.6, -0.8, 0)])
+def test_it_is_said_which_way_a_part_is_pushed_off(way, normal, parts):
+    """Whichever of the two bodies of its zone it is."""
+    clamps = [push(100, (30, 20, 0)), push(0, (30, 20, 0), way, "D")]
+    zones = [{"name": "Z", "parts": parts, "friction": 0.2, "pairs": 1}]
+    deviations = [{"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}]
+    model = table(clamps, normal=normal, zones=zones, deviations=deviations)
+    (status,) = model.evaluate(np.array([[30.0]])).resolutions["clamp"].status
+    said = re.fullmatch(r"not held: part b is pushed off along \[(.*)\]", status)
+    assert np.array(said[1].split(","), dtype=float) @ way > 0.9
+
+
+def test_a_couple_that_friction_does_not_hold_turns_the_part():
+    """Three feet at the corners of an equilateral triangle, of 33 N each, pressed in the middle; a couple about it."""
+    middle = np.array([50, 50 / 3**0.5, 0])
+    turning = [push(0, middle + (0, side * 60, 0), (side, 0, 0), name) for side, name in ((1, "D"), (-1, "E"))]
+    model = table(
+        [push(100, middle), *turning],
+        feet=[(0, 0, 0), (100, 0, 0), (50, 50 * 3**0.5, 0)],
+        deviations=[{"name": "F", "kind": "clamp", "target": ["D", "E"], "sigma": 1.0}],
+    )
+    found = model.evaluate(np.array([[30.0], [5.0]]))
+    np.testing.assert_array_equal(found.failed, [True, False])
+    assert found.resolutions["clamp"].status[0] == "not held: part b is pushed off and turns"
+
+
+#: A contact along z, and a stop that holds x, in rows: what they read of b's translations along z, x and y.
+ALONG_Z, STOPS_X = np.eye(3), np.eye(3)[[1]]
+
+
+def loose(force, state, bound, stopped=0.0, free=3):
+    """What is said of b, free along z, or along x and y too, under one contact and one stop."""
+    soft = np.append(np.full(free, True), False)
+    directions = np.vstack([np.eye(3)[[2, 0, 1]][:free], np.eye(3)[:1]])
+    rest = Rest(np.arange(1, free + 2), soft, directions, (*"bbb"[:free], "c"))
+    read = np.vstack([ALONG_Z, STOPS_X])[:, :free]
+    response = SimpleNamespace(S=np.eye(4), T=np.column_stack([np.full(4, 9.0), read, np.full(4, 9.0)]))
+    arrays = np.array([[force]]), np.array([[state]]), np.array([[bound]]), np.array([[stopped]])
+    return rest.loose(response, *arrays).get(0)
+
+
+def test_a_contact_holds_along_what_it_resists_and_nothing_else():
+    """Sticking in all directions; slipping across its slip; without friction along its normal; open not at all."""
+    assert loose((10.0, 0.5, 0.5), STICK, 2.0) is None
+    said = loose((10.0, 1.2, 1.6), SLIP, 2.0)  # friction along (0.6, 0.8): so it may go on slipping
+    assert said in (
+        "not held: part b lies loose along [0.6, 0.8, 0]",
+        "not held: part b lies loose along [-0.6, -0.8, 0]",
+    )
+    assert loose((10.0, 0.0, 2.0), SLIP, 2.0) == "not held: part b lies loose along y"
+    assert "lies loose" in loose((10.0, 0.0, 0.0), STICK, 0.0)
+    assert loose((10.0, 0.0, 0.0), STICK, 0.0, free=1) is None
+    assert loose((0.0, 0.0, 0.0), OPEN, 2.0, free=1) == "not held: part b lies loose along z"
+
+
+def test_a_stop_holds_while_it_carries_anything():
+    assert loose((10.0, 2.0, 0.0), SLIP, 2.0) == "not held: part b lies loose along x"
+    assert loose((10.0, 2.0, 0.0), SLIP, 2.0, stopped=3.0) is None
 
 
 def test_without_friction_the_directions_that_slide_are_named_before_anything_is_computed():
@@ -369,6 +507,13 @@ def test_only_a_part_that_says_so_may_rest():
         plan_stages(held.scene, held.weld_size)
 
 
+def test_parts_that_rest_on_each_other_alone_are_told_what_is_missing():
+    parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": True} for name in "ab"]
+    refused(
+        table([push(100, (30, 20, 0))], parts=parts, locators=[]), r"\(locate\): 6 rigid-body .* no zones lead from it"
+    )
+
+
 def test_the_process_in_words_says_what_rests():
     model = table([push(100, (30, 20, 0))])
     said = [sentences(model.scene, plan) for plan in plan_stages(model.scene, model.weld_size)]
@@ -389,5 +534,7 @@ def test_put_down_moves_a_part_least_so_that_nothing_overlaps():
     np.testing.assert_allclose(put_down(np.array([-0.2, -0.2]), sides), [0.0, 0.2], atol=2e-9)
     np.testing.assert_allclose(put_down(np.array([-0.2, 0.2]), sides), [0.1, 0.1], atol=2e-9)
     np.testing.assert_array_equal(put_down(np.array([0.0, 0.4]), sides), [0.0, 0.0])
+    aside = np.array([[1.0, 0.0], [0.0, 0.0]])  # a gap that nothing changes does not count
+    np.testing.assert_allclose(put_down(np.array([-0.3, -0.1]), aside), [0.3, 0.0], atol=2e-9)
     walls = np.array([[1.0], [-1.0]])  # too narrow for it: it stays as it is drawn
     np.testing.assert_array_equal(put_down(np.array([-0.2, -0.1]), walls), [0.0])

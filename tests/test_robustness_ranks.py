@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from support.processes import on_processes
 
 from mic.results.schema import DATASETS
 from mic.sampling.ranks import LaunchError, communicator
@@ -167,6 +168,17 @@ def test_kept_files_that_were_cut_are_computed_anew_and_said_once_each(alone, ke
 def test_processes_that_would_find_different_caches_agree(alone, kept, tmp_path):
     code, said = mic(2, [*RUN, "--out", tmp_path / "out"], kept, plant=(0, "cache"))
     assert code == 0 and blocks(tmp_path / "out") == blocks(alone), said
+
+
+def test_what_the_first_process_makes_lies_once_in_the_memory_of_a_node():
+    done = on_processes(3, "-m", "support.sharing")
+    lines = [line.split(" grew ") for line in sorted(done.stdout.splitlines())]
+    assert done.returncode == 0 and [said for said, _ in lines] == [
+        "0 made [0] right True one True",
+        "1 made [] right True one True",
+        "2 made [] right True one True",
+    ], done.stdout + done.stderr
+    assert max(float(grew) for _, grew in lines[1:]) < 8  # MB; the array has 80
 
 
 @pytest.mark.parametrize("name", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"])

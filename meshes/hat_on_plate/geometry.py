@@ -20,7 +20,7 @@ TOP_WIDTH = 40.0  # mm
 THICKNESS = 1.0  # mm, both parts
 
 PARTS = ("plate", "hat")
-SIZES = {"coarse": 8.0, "medium": 4.0, "fine": 2.0}  # mm
+SIZES = {"coarse": 8.0, "medium": 2.5, "fine": 1.25}  # mm; nuggets have a radius of 2.5
 HAT_REFINEMENT = 1.15  # the hat's elements are smaller by this, so that the meshes do not match
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mic.cache import ABSENT, Cache
 from mic.compliance import provider
 from mic.compliance.coefficients import InfluenceCoefficients
@@ -37,7 +35,7 @@ def influence_coefficients(
     Returns
     -------
     coefficients : dict
-        By part name; the same bits on every process.
+        By part name, on the first process; on the others those that were computed, not those that the cache had.
     cached : dict
         By part name: whether the cache had them.
 
@@ -51,7 +49,6 @@ def influence_coefficients(
     cached = {name: coefficients is not None for name, coefficients in kept.items()}
     if comm is not None:
         cached = comm.bcast(cached)
-        kept = {name: _shared(name, kept[name], comm) if cached[name] else None for name in cached}
     found = {name: coefficients for name, coefficients in kept.items() if coefficients is not None}
     missing = [part for part in assembly.parts if not cached[part.name]]
     for part in missing:
@@ -68,7 +65,7 @@ def influence_coefficients(
             found[part.name] = computed[part.name]
             if first:
                 _keep(part, computed[part.name], cache)
-    return {part.name: found[part.name] for part in assembly.parts}, cached
+    return {part.name: found[part.name] for part in assembly.parts if part.name in found}, cached
 
 
 def is_cached(part: Part, cache: Path) -> bool:
@@ -87,14 +84,3 @@ def _kept(part, cache):
 def _keep(part, coefficients, cache):
     header = {"part": part.name, "provenance": coefficients.provenance}
     Cache(cache, "influence", KEPT).keep(part.fingerprint(), header, {"H": coefficients.H, "G": coefficients.G})
-
-
-def _shared(name, coefficients, comm):
-    """Coefficients that the first process has, on all of them; as arrays, for pickled they may be too large to send."""
-    first = comm.rank == 0
-    size, provenance = comm.bcast((len(coefficients.H), coefficients.provenance) if first else None)
-    H, G = (coefficients.H, coefficients.G) if first else (np.empty((size, size)), np.empty((size, 6)))
-    H, G = (np.ascontiguousarray(array, dtype=float) for array in (H, G))
-    comm.Bcast(H)
-    comm.Bcast(G)
-    return InfluenceCoefficients(name, H, G, provenance)

@@ -19,7 +19,7 @@ __all__ = ["BACKENDS", "Backend"]
 class Backend(Protocol):
     """One compliance and one law, prepared; many right-hand sides."""
 
-    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Forces for every sample, good or not: the caller certifies them.
 
         Parameters
@@ -32,12 +32,13 @@ class Backend(Protocol):
         Returns
         -------
         force : array shaped like ``b``
-        iterations : (n,) int array
+        iterations, factorisations : (n,) int array
+            As :class:`mic.contact.solution.ContactSolution` has them.
         rung : (n,) object array of str
             The method that found each force.
         """
 
-    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, str]]:
+    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
         """Further forces for one sample, by more and more patient methods, from the best one so far.
 
         The caller certifies each and stops at the first that is good enough.  The generator ends by itself, so that a
@@ -46,8 +47,8 @@ class Backend(Protocol):
         Yields
         ------
         force : (d m,) array
-        iterations : int
-            Passes since the last force.
+        iterations, factorisations : int
+            Since the last force.
         rung : str
         """
 

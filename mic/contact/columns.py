@@ -32,14 +32,15 @@ class Columns:
 
     def __init__(self, find: Callable[[np.ndarray], np.ndarray], shape: tuple[int, int]):
         self.shape, self._find = shape, find
-        self._kept, self._count = np.empty((0, shape[0])), 0
+        # Columns that were there when the matrix was made or sent elsewhere, and those found since, with room for more.
+        self._given, self._own, self._count = np.empty((0, shape[0])), np.empty((0, shape[0])), 0
         self._at = np.full(shape[1], -1, dtype=np.int64)
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> Columns:
         """Of a matrix that is there, (r, c)."""
         found = cls(_missing, (matrix.shape[0], matrix.shape[1]))
-        found._kept, found._count = np.ascontiguousarray(matrix.T), matrix.shape[1]
+        found._given = np.ascontiguousarray(matrix.T)
         found._at = np.arange(matrix.shape[1], dtype=np.int64)
         return found
 
@@ -49,12 +50,20 @@ class Columns:
     @property
     def found(self) -> int:
         """How many columns have been asked for."""
-        return self._count
+        return len(self._given) + self._count
+
+    def __getstate__(self) -> dict:
+        """All that was found is given to whoever gets the copy; processes that share it add to it each for itself."""
+        given = np.concatenate([self._given, self._own[: self._count]]) if self._count else self._given
+        return self.__dict__ | {"_given": given, "_own": np.empty((0, self.shape[0])), "_count": 0}
 
     def take(self, numbers: np.ndarray) -> np.ndarray:
         """(k, r) columns with these numbers (k,), one a row."""
         self._provide(numbers)
-        return self._kept[self._at[numbers]]
+        at, columns = self._at[numbers], np.empty((len(numbers), self.shape[0]))
+        own = at >= len(self._given)
+        columns[~own], columns[own] = self._given[at[~own]], self._own[at[own] - len(self._given)]
+        return columns
 
     def block(self, numbers: np.ndarray) -> np.ndarray:
         """(k, k) rows and columns with these numbers of a matrix that is symmetric but for rounding; without it."""
@@ -75,24 +84,22 @@ class Columns:
 
         self._provide(np.flatnonzero(force.any(axis=0)))
         read = np.empty((len(force), self.shape[0]))
-        responses(self._kept, self._at, np.ascontiguousarray(force), read)
+        responses(self._given, self._own, self._at, np.ascontiguousarray(force), read)
         return read
 
     def _provide(self, numbers) -> None:
         new = np.unique(numbers[self._at[numbers] < 0])
         if not len(new):
             return
-        columns = self._find(new)
-        if self._count + len(new) > len(self._kept):
-            kept = np.empty((min(max(2 * self._count, self._count + len(new)), self.shape[1]), self.shape[0]))
-            kept[: self._count] = self._kept[: self._count]
-            self._kept = kept
-        elif not self._kept.flags.writeable:
-            self._kept = self._kept.copy()
-        self._kept[self._count : self._count + len(new)] = columns
-        self._at = self._at.copy()  # what is shared with other processes is read-only
-        self._at[new] = np.arange(self._count, self._count + len(new))
-        self._count += len(new)
+        count = self._count + len(new)
+        if count > len(self._own):
+            room = np.empty((min(max(2 * self._count, count), self.shape[1]), self.shape[0]))
+            room[: self._count] = self._own[: self._count]
+            self._own = room
+        self._own[self._count : count] = self._find(new)
+        self._at = self._at.copy()  # others may share it
+        self._at[new] = len(self._given) + np.arange(self._count, count)
+        self._count = count
 
 
 def _first(S: Columns, count: int, numbers: np.ndarray) -> np.ndarray:

@@ -75,7 +75,9 @@ class Trace:
         Estimate of the error that the path left in the contacts' tangential positions, root mean square over the
         contacts, mm; NaN where nothing estimates it.
     steps, factorisations : (n,) int array
-        What it took.
+        What it took: matrices over the contacts that touch that were factorised or inverted anew, by whichever rung,
+        those of a rung that failed too.  What changes a few rows of an inverse is not counted, nor what is factorised
+        once for all samples.
     """
 
     slip: np.ndarray
@@ -134,8 +136,10 @@ class PathSolution:
     rung: np.ndarray
 
     def put(self, own: np.ndarray, some: PathSolution) -> PathSolution:
-        """These paths, those of the samples `own` replaced."""
-        return _put(self, own, some)
+        """These paths, those of the samples `own` replaced; what was factorised in vain counts too."""
+        found = _put(self, own, some)
+        found.trace.factorisations[own] += self.trace.factorisations[own]
+        return found
 
     @classmethod
     def join(cls, pieces: Sequence[PathSolution]) -> PathSolution:
@@ -218,7 +222,8 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     plain = isinstance(path, Increments)
     leg = solver.backend.follow(b0, b1, force, anchor, path)
     name = "increments" if plain else "followed"
-    solution = solver.certified(leg.b, leg.force, leg.factorisations, np.full(n, name, dtype=object))
+    counts = leg.factorisations, leg.factorisations
+    solution = solver.certified(leg.b, leg.force, *counts, np.full(n, name, dtype=object))
     trace = Trace(
         leg.slip,
         leg.length,
@@ -289,6 +294,7 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         converged &= solution.converged
         residual = np.maximum(residual, solution.residual)
         iterations = iterations + solution.iterations
+        factorisations = factorisations + solution.factorisations
     u = (product(force, solver.S) + b1).reshape(n, -1)
     steps = np.full(n, count, dtype=np.int64)
     return PathSolution(
@@ -318,7 +324,9 @@ def at_once(solver, b, guess) -> PathSolution:
     force = solution.force.reshape(n, m, -1)
     state = classify(force, solver.bound(force[:, :, 0]))
     share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
-    trace = replace(Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64))
+    trace = replace(
+        Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64), factorisations=solution.factorisations
+    )
     return PathSolution(
         solution.force,
         solution.displacement,

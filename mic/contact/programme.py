@@ -82,16 +82,16 @@ class ConeProgramme:
             constraints = [self._force >= 0]
         self._problem = cvxpy.Problem(objective, constraints)
 
-    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Forces for each row of ``b``; zero where the optimiser gives up.  ``guess`` is not used by these solvers.
 
         See :meth:`mic.contact.backends.Backend.solve`; the rung is the optimiser's name.
         """
         force = np.zeros_like(b)
-        iterations = np.zeros(len(b), dtype=np.int64)
+        iterations, untold = np.zeros((2, len(b)), dtype=np.int64)
         found = np.full(len(b), self.name, dtype=object)
         if not self._force.size:
-            return force, iterations, found
+            return force, iterations, untold, found
         for sample, row in enumerate(b[:, :: self._stride] * self._scaling):
             # The optimum scales with the load; a unit load suits the solvers' absolute tolerances.
             size = np.abs(row).max() or 1.0
@@ -103,9 +103,9 @@ class ConeProgramme:
             iterations[sample] = self._problem.solver_stats.num_iters or 0
             if self._force.value is not None and np.isfinite(self._force.value).all():
                 force[sample, :: self._stride] = self._force.value * size * self._scaling
-        return force, iterations, found
+        return force, iterations, untold, found
 
-    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, str]]:
+    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
         """None: an optimiser has said what it can."""
         return iter(())
 

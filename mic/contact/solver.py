@@ -156,11 +156,12 @@ class ContactSolver:
     def _solve(self, rows, guess) -> ContactSolution:
         """Numbers within range."""
         if self._rigid:  # nothing moves, whatever the forces: either none are needed or none help
-            force, iterations = np.zeros_like(rows), np.zeros(len(rows), dtype=np.int64)
+            force, counts = np.zeros_like(rows), np.zeros((2, len(rows)), dtype=np.int64)
             rung = np.full(len(rows), "rigid", dtype=object)
         else:
-            force, iterations, rung = self.backend.solve(rows, guess)
-        solution = self.certified(rows, force, iterations, rung)
+            force, *both, rung = self.backend.solve(rows, guess)
+            counts = np.array(both)
+        solution = self.certified(rows, force, counts[0], counts[1], rung)
         unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
             infeasible = np.zeros(len(rows), dtype=bool)
@@ -169,18 +170,22 @@ class ContactSolver:
                 if infeasible[sample]:
                     force[sample] = 0.0
                 else:
-                    self._persist(sample, rows, force, iterations, rung)
-            solution = self.certified(rows, force, iterations, rung, infeasible)
+                    self._persist(sample, rows, force, counts, rung)
+            solution = self.certified(rows, force, counts[0], counts[1], rung, infeasible)
             lost = ~solution.converged & ~infeasible
             if guess is not None and lost.any():  # where a guess leads nowhere, none may lead on
-                solution = _replaced(solution, lost, self._solve(rows[lost], None))
+                again = self._solve(rows[lost], None)
+                counts = counts[:, lost] + [again.iterations, again.factorisations]
+                again = replace(again, iterations=counts[0], factorisations=counts[1])
+                solution = _replaced(solution, lost, again)
         return solution
 
     def _solve_strange(self, rows, guess) -> ContactSolution:
         """Numbers out of range: in units of their own where the law knows none, else refused."""
         if self.law.reads:
             n, zero = len(rows), np.zeros_like(rows)
-            found = self.certified(rows, zero, np.zeros(n, dtype=np.int64), np.full(n, "none", dtype=object))
+            none = np.zeros(n, dtype=np.int64)
+            found = self.certified(rows, zero, none, none.copy(), np.full(n, "none", dtype=object))
             return _refused(found, np.ones(n, dtype=bool))
         compliance, length = unit(self.S.ravel()), unit(rows)
         own = ContactSolver(self.S / compliance, self.mu, self.law, tol=self.tol, semidefinite=True, **self._settings)
@@ -206,6 +211,7 @@ class ContactSolver:
         b: np.ndarray,
         force: np.ndarray,
         iterations: np.ndarray,
+        factorisations: np.ndarray,
         rung: np.ndarray,
         infeasible: np.ndarray | None = None,
     ) -> ContactSolution:
@@ -214,7 +220,8 @@ class ContactSolver:
         Parameters
         ----------
         b, force : (n, d m) array
-        iterations : (n,) int array
+        iterations, factorisations : (n,) int array
+            What that took.
         rung : (n,) object array
             Who found them.
         infeasible : (n,) bool array, optional
@@ -234,6 +241,7 @@ class ContactSolver:
             converged=converged,
             status=status,
             iterations=iterations,
+            factorisations=factorisations,
             rung=rung,
             **vars(certificate),
         )
@@ -271,12 +279,12 @@ class ContactSolver:
         known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
         return measure(self._sliding, rows, *known)
 
-    def _persist(self, sample, b, force, iterations, rung):
-        """Work on one sample that did not converge, improving its force, count and rung in place."""
+    def _persist(self, sample, b, force, counts, rung):
+        """Work on one sample that did not converge, improving its force, counts and rung in place."""
         start = force[sample].copy()
         best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
-        for candidate, count, name in self.backend.attempts(b[sample], start):
-            iterations[sample] += count
+        for candidate, *more, name in self.backend.attempts(b[sample], start):
+            counts[:, sample] += more
             residual = self._measure(b[[sample]], candidate[None])[0].residual[0]
             if residual < best:
                 best = residual

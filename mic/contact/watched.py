@@ -9,8 +9,9 @@ touch.
 
 What penetrates on the way and no longer at the end of a path is not seen.
 
-A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples:
-the outcome of a sample does not depend on what it is solved together with.
+A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples;
+of a set of more than `MANY`, with those that carry force where its path begins or ends. The outcome of a sample does
+not depend on what it is solved together with.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ __all__ = ["PENETRATION", "WatchedSolver"]
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
+MANY = 300  # contacts that a sample may begin a path with unasked: the path's cost grows with their number cubed
 
 
 class WatchedSolver:
@@ -53,6 +55,9 @@ class WatchedSolver:
     allowed : (m,) bool array
         Candidates that may ever carry force.
     law : Law
+    guessing : bool
+        Whether to guess who carries force, at a fraction of the cost: all samples share a working set, which loses
+        again what lets go, and of a path only its end is solved.
     **settings
         Of :class:`mic.contact.ContactSolver`.
 
@@ -71,15 +76,21 @@ class WatchedSolver:
         start: np.ndarray,
         allowed: np.ndarray,
         law: Law,
+        guessing: bool = False,
         **settings,
     ):
         self.law, self._S, self._settings = law, S, settings
         self._d = settings.get("dimension", 3)
         self._friction = friction if law.frictional else Friction.of(0.0, len(start))
         self._parameters = law.parameters(self._friction)
-        self._start, self._allowed = start & allowed, allowed
+        self._start, self._allowed, self._guessing = start & allowed, allowed, guessing
         self.carried = np.zeros(len(start), dtype=bool)
         self._neighbours = cKDTree(point).query_ball_point(point, reach)
+        # What joins lies mostly beside what takes part: samples that need more share this set, and its solver.
+        self._beside = self._start.copy()
+        for candidate in np.flatnonzero(self._start):
+            self._beside[self._neighbours[candidate]] = True
+        self._beside &= allowed
         self._solvers: dict[bytes, ContactSolver] = {}
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
@@ -98,7 +109,7 @@ class WatchedSolver:
         PathSolution
             Over all candidates; what took no part was open all the way.
         """
-        return self._grown(b, force, anchor, path)
+        return self._grown(b, force, anchor, None if self._guessing else path)
 
     def _grown(self, b, force, anchor, path: Path | None) -> PathSolution:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load at once, on sets that grow."""
@@ -106,13 +117,19 @@ class WatchedSolver:
         force = np.where(np.repeat(self._allowed, d), force, 0.0)
         normal = force.reshape(n, m, d)[:, :, 0]
         working = self._start | self._allowed & _loaded(normal)
+        if path is not None and self._start.sum() > MANY:
+            working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
         found = self._open(n, m)
-        todo, iterations = np.arange(n), np.zeros(n, dtype=np.int64)
-        for _ in range(ROUNDS):
+        todo = np.arange(n)
+        iterations, factorisations = np.zeros((2, n), dtype=np.int64)
+        for round_ in range(ROUNDS):
+            if self._guessing:
+                working[:] = working.any(axis=0)
             for samples, own in _alike(working, todo):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
                 self._put(found, samples, own, solution, b[samples])
                 iterations[samples] += solution.iterations
+                factorisations[samples] += solution.trace.factorisations
                 if path is None:  # the next round begins where this one ended
                     force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
@@ -120,12 +137,25 @@ class WatchedSolver:
             todo, unseen = todo[grows], unseen[grows]
             if not len(todo):
                 break
+            if self._guessing and round_ < ROUNDS // 2:
+                working = self._start | _loaded(found.force.reshape(n, m, d)[:, :, 0])
             for sample, depth in zip(todo, unseen):
                 working[sample, self._deepest(depth)] = True
+                if path is None and not self._guessing:
+                    working[sample] |= self._beside
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
-        return replace(found, iterations=iterations)
+        return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
+
+    def _touching(self, b, force, anchor) -> np.ndarray:
+        """(n, m) which of the candidates that samples begin with carry force where the path begins or ends, each taken
+        at once."""
+        touching = np.zeros((len(b), len(self._start)), dtype=bool)
+        for k in (0, -1):
+            solution = self._solved(self._start, b[:, [k]], force, anchor, None)
+            touching[:, self._start] |= _loaded(solution.force.reshape(len(b), -1, self._d)[:, :, 0])
+        return touching
 
     def _solved(self, own, b, force, anchor, path) -> PathSolution:
         """Paths of samples that share a working set (m,)."""
@@ -137,10 +167,15 @@ class WatchedSolver:
         if solver is None:
             index = np.flatnonzero(rows)
             solver = ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
-            if (own == self._start).all():  # the one that most samples need, and need again
+            if (own == self._start).all() or (
+                own == self._beside
+            ).all():  # most samples need these, and need them again
                 self._solvers[key] = solver
         if path is None:
-            return at_once(solver, b[:, -1, rows], force[:, rows])
+            end = b[:, -1, rows].reshape(len(b), -1, self._d)
+            end[:, :, 1:] -= anchor[:, own]
+            solution = at_once(solver, end.reshape(len(b), -1), force[:, rows])
+            return replace(solution, anchor=solution.anchor + anchor[:, own])
         return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
 
     def _open(self, n: int, m: int) -> PathSolution:

@@ -14,7 +14,12 @@ between two pairs demands,
 They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
 length of the edge; at every place where something presses the sheets together; and over the rest, each reading a cell.
 Contact begins where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a
-nugget or outside, so that no pair fights the weld that it lies at half.
+nugget or outside, so that no pair fights the weld that it lies at half; and within a clamp's pad or outside, so that
+what two pads press uniformly the cells between them carry uniformly, and a nominal assembly does not move.
+
+A pair's normal is that of the curved sheet which the triangles stand for, between the normals at their corners. Across
+a bend of a few facets those of the facets jump by more than the angle of friction, and with them what a pair carries,
+by which facet it happens to read. An edge or fold presses along the normal of the sheet that it presses on.
 
 Points *between* the pairs, as far from them as there are, tell how far the sheets pass through each other unseen.
 
@@ -115,8 +120,8 @@ class Pressed:
     point : (3,) array
         mm.
     radius : float
-        Of a clamp, mm: candidates are so near to each other that a few lie under it. Of a weld's nugget, mm: pairs lie
-        within or outside, none across its rim. Nothing hangs on that of a locator.
+        Of a clamp's pad, mm: candidates are so near to each other that a few lie under it. Of a weld's nugget, mm. Of
+        both, candidates lie within or outside, none across the rim. Nothing hangs on that of a locator.
     weld : int
         Number of the weld; -1 for anything else.
     """
@@ -196,16 +201,19 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
         ends = _centres(edge.point, edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
     along = _nearest(ends, edge.point, tie) if len(ends) else np.zeros(0, dtype=np.int64)
     under = _under(pressed, cloud, spacing, tie)
+    group = _grouped(pressed, cloud, fused, spacing, tie)
     pairs = []
-    for nugget in np.unique(fused):
-        whole = cloud.take(np.flatnonzero(fused == nugget))
+    for number in np.unique(group):
+        member = np.flatnonzero(group == number)
+        nugget, free = fused[member[0]], number < 0
+        whole = cloud.take(member)
         own = under[cKDTree(whole.point).query(under)[0] <= tie]
         taken = whole.area.sum()
-        if nugget < 0 and len(ends):
+        if free and len(ends):
             own = own[cKDTree(ends).query(own)[0] > spacing / 4 + tie]
             taken -= spacing * length / 2
             own = np.vstack([ends, own])
-        rest = taken / spacing**2 - (len(own) - (len(ends) if nugget < 0 else 0))
+        rest = taken / spacing**2 - (len(own) - (len(ends) if free else 0))
         count = min(max(1, len(own) + max(0, int(rest + 0.5 + EQUAL))), len(whole.area))
         centres = _centres(whole.point, whole.area, count, tie, own)
         cell = _nearest(centres, whole.point, tie)
@@ -213,7 +221,7 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
             member = whole.take(np.flatnonzero(cell == k))
             if not len(member.area):
                 continue
-            if nugget < 0 and k < len(ends) and zone.patch == "tributary":
+            if free and k < len(ends) and zone.patch == "tributary":
                 reading = edge.take(np.flatnonzero(along == k))
             else:
                 reading = _reading(zone, sampled, other, member, centre, tie)
@@ -241,11 +249,30 @@ def _fused(pressed, cloud, tie) -> np.ndarray:
     found = np.full(len(cloud.area), -1)
     for one in pressed:
         if one.weld >= 0:
-            step = cloud.point - one.point
-            along = np.einsum("ij,ij->i", step, cloud.normal)
-            sideways = np.linalg.norm(step - along[:, None] * cloud.normal, axis=1)
-            found[(sideways <= one.radius + tie) & (np.abs(along) <= cloud.distance + one.radius)] = one.weld
+            found[_within(one, cloud, tie)] = one.weld
     return found
+
+
+def _within(one, cloud, tie) -> np.ndarray:
+    """(n,) bool: which points lie, seen along the normal, within the disc of what presses."""
+    step = cloud.point - one.point
+    along = np.einsum("ij,ij->i", step, cloud.normal)
+    sideways = np.linalg.norm(step - along[:, None] * cloud.normal, axis=1)
+    return (sideways <= one.radius + tie) & (np.abs(along) <= cloud.distance + one.radius)
+
+
+def _grouped(pressed, cloud, fused, spacing, tie) -> np.ndarray:
+    """(n,) the disc that each point lies in, of those across whose rims no candidate reads; -1 for none.
+
+    Nuggets come first, then the smaller pads; of a pad that others leave less than half a cell no rim is kept.
+    """
+    group, welds = fused.copy(), fused.max(initial=-1) + 1
+    pads = sorted((one for one in pressed if one.weld < 0 and one.radius), key=lambda one: one.radius)
+    for i, one in enumerate(pads):
+        left = _within(one, cloud, tie) & (group < 0)
+        if cloud.area[left].sum() >= spacing**2 / 2:
+            group[left] = welds + i
+    return group
 
 
 def _edges(zone, sampled, other, spacing):
@@ -265,8 +292,11 @@ def _edges(zone, sampled, other, spacing):
             cloud = replace(
                 cloud, area=cloud.area / tree.query_ball_point(cloud.point, body.surface.tie, return_length=True)
             )
-        if body is other:
-            cloud = _turned(cloud, sampled)
+        seen = _turned(cloud, opposite)
+        if body is sampled:
+            cloud = replace(cloud, normal=-seen.normal)  # an edge presses along the normal of what it presses on
+        else:
+            cloud = seen
             if len(found[0].area):
                 cloud = cloud.take(cKDTree(found[0].point).query(cloud.point)[0] > spacing / 4 + sampled.surface.tie)
         found.append(cloud.take(_in_region(zone, cloud.point, sampled.surface.tie)))
@@ -280,9 +310,9 @@ def _joined(clouds):
 def _turned(cloud, body):
     """The same points seen from the other body, onto whose surface they were projected."""
     point = body.surface.at(cloud.other_triangle, cloud.other_barycentric)
-    normal = body.surface.normals[cloud.other_triangle]
-    along = np.einsum("ij,ij->i", cloud.point - point, normal)
+    along = np.einsum("ij,ij->i", cloud.point - point, body.surface.normals[cloud.other_triangle])
     sign = np.where(along < -body.surface.tie, -1.0, 1.0)
+    normal = body.surface.smooth_normals(cloud.other_triangle, cloud.other_barycentric)
     return _Cloud(
         cloud.other_triangle,
         cloud.other_barycentric,
@@ -522,6 +552,7 @@ def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, no
     """Sampling points with their closest points on the other surface, those that face nothing left out."""
     surface, opposite = sampled.surface, other.surface
     point = surface.at(triangle, barycentric)
+    smooth = surface.smooth_normals(triangle, barycentric) if normal is None else normal
     normal = surface.normals[triangle] if normal is None else normal
     reach = max_gap + sampled.half_thickness + other.half_thickness
     thinner = _thinner(sampled, other)
@@ -549,7 +580,7 @@ def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, no
         triangle[good],
         barycentric[good],
         point[good],
-        (normal * sign[:, None])[good],
+        (smooth * sign[:, None])[good],
         area[good],
         (along * sign)[good],
         foot.triangle[good],

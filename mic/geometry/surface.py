@@ -460,6 +460,11 @@ class Surface:
         barycentric[rows, (opposite[owner] + 2) % 3] = at
         return triangle[owner], barycentric, (length / parts)[owner]
 
+    def smooth_normals(self, triangle, barycentric) -> np.ndarray:
+        """(q, 3) unit normals of the sheet that the triangles stand for, between those at their corners."""
+        n = np.einsum("qi,qij->qj", barycentric, self.corner_normals[triangle])
+        return n / np.linalg.norm(n, axis=1, keepdims=True)
+
     def at(self, triangle, barycentric) -> np.ndarray:
         """(q, 3) coordinates of points given by triangle and barycentric coordinates, mm."""
         return np.einsum("qi,qij->qj", barycentric, self.corners[triangle])

@@ -262,10 +262,10 @@ def stands_alone(scene) -> Iterator[Seen]:
 
 
 def welded_open(scene) -> Iterator[Seen]:
-    """Welds that are made when every clamp has opened again."""
+    """Welds that are made when every clamp has opened again, or, without a gun, before one of their station closes."""
     closed: set[str] = set()
     opened = False
-    for stage in scene.stages:
+    for number, stage in enumerate(scene.stages):
         if moves_assembly(scene, stage):
             closed, opened = set(), False  # in another station the first welds hold the sheets together
         if stage.kind == "clamp":
@@ -273,8 +273,14 @@ def welded_open(scene) -> Iterator[Seen]:
         elif stage.kind == "release":
             opened |= bool(closed)
             closed &= set(stage.keep or ())
-        elif stage.kind == "weld" and opened and not closed:
-            yield f"stage {stage.name}", "welds when every clamp has opened", None
+        elif stage.kind == "weld" and not closed:
+            later = itertools.takewhile(lambda one: not moves_assembly(scene, one), scene.stages[number:])
+            waiting = {one.name for one in later} & {clamp.stage for clamp in scene.clamps}
+            pressed = all(weld.gun or weld.close for weld in scene.welds if weld.stage == stage.name)
+            if opened:
+                yield f"stage {stage.name}", "welds when every clamp has opened", None
+            elif waiting and not pressed:
+                yield f"stage {stage.name}", "welds before a clamp has closed", None
 
 
 def welds_nothing(scene) -> Iterator[Seen]:

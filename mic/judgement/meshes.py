@@ -25,6 +25,7 @@ GAP = 1.0  # mm under a weld
 FAR = 100.0  # mm from a weld to the next contact pair
 SHARED = 0.5  # of the smaller zone
 BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
+BODY = 3.0  # mm: no pad is thinner
 CROSSED = 0.05  # mm on either side
 SMALL = 20.0  # mm²
 
@@ -290,6 +291,23 @@ def fixture_turned(assembly) -> Iterator[Seen]:
                 if height < 0:
                     said = f"looks away from part {name}, whose mid-surface lies {-height:.2g} mm behind it"
                     yield of("fixtures", fixture), said, fixture.point
+
+
+def fixture_inside(assembly) -> Iterator[Seen]:
+    """Pads within which another part lies, behind their faces."""
+    scene = assembly.scene
+    for fixture in scene.fixtures:
+        touched = {name for zone in scene.zones if fixture.name in zone.parts for name in zone.parts}
+        for part in assembly.parts if fixture.point is not None else ():
+            if part.name in touched:
+                continue
+            foot = part.surface.project(fixture.point)
+            step = foot.point[0] - fixture.point
+            behind = -float(step @ fixture.normal)
+            aside = float(np.linalg.norm(step + behind * np.array(fixture.normal)))
+            if 0 < behind < BODY and aside < fixture.radius:
+                said = f"has part {part.name} within it, whose mid-surface lies {behind:.2g} mm behind its face"
+                yield of("fixtures", fixture), said, fixture.point
 
 
 def parts_cross(parts) -> Iterator[Seen]:

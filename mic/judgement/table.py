@@ -306,7 +306,7 @@ FILE: tuple[Rule, ...] = (
         "welded-open",
         "welding while clamps hold",
         "they press the sheets together",
-        "put the release after the weld",
+        "put the weld stage between clamping and release",
         file.welded_open,
     ),
     Rule(
@@ -449,5 +449,12 @@ MESHES: tuple[Rule, ...] = (
         "the part rests on the pad's outer face",
         "turn normal round, or correct the pad's point",
         meshes.fixture_turned,
+    ),
+    Rule(
+        "fixture-inside",
+        f"nothing within {meshes.BODY:g} mm behind a pad's face but what it touches",
+        "there is the pad itself",
+        "set it against the other side, or against the part that lies there",
+        meshes.fixture_inside,
     ),
 )

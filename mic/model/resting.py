@@ -98,7 +98,7 @@ class RestRows:
             rows.append(csr_matrix(placed, shape=(len(chosen), motions.size)))
             owner.append(np.full(len(chosen), p))
             second = [assembly.scene.zones[contacts.zone[i // contacts.dimension]].parts[1] for i in chosen]
-            sign = np.where(np.array(second) == assembly.scene.parts[p].name, 1.0, -1.0)
+            sign = np.where(np.array(second, dtype=str) == assembly.scene.parts[p].name, 1.0, -1.0)
             direction.append(sign[:, None] * along[chosen])
         return cls(vstack(rows, format="csr"), np.concatenate(owner), np.concatenate(direction))
 

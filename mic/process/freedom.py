@@ -9,7 +9,7 @@ Whether contact can, the pairs tell before anything is factorised. With N the mo
 
 - no motion of N may be one that no pair reads, along its normal or, with friction, its tangents;
 - forces of the pairs within their friction, and of the rows, balance the clamps' forces;
-- some of them press on each part that rests, at the end of a stage.
+- some of them press on each part that rests, or on what is welded to it, at the end of a stage.
 
 The cones of friction are widened to pyramids there, so that nothing is refused that may hold.
 """
@@ -26,7 +26,7 @@ from scipy.sparse import csr_matrix, hstack, identity, vstack
 from mic.compliance.support import completing
 from mic.contact.laws import LAWS
 from mic.errors import FreeMotion, SceneError
-from mic.process.actions import Joints
+from mic.process.actions import Arrive, Joints, SetDown, Transfer
 
 __all__ = ["check_resting", "free", "rested", "towards"]
 
@@ -64,7 +64,9 @@ def rested(scene, joints: Joints, plan):
             resting: tuple[int, ...] = ()
         except FreeMotion as error:
             resting = bodies.moved(error.motions)
-            zones = [zone for i, zone in enumerate(scene.zones) if step.sets_down or i not in step.away]
+            # What arrives touches nothing yet, but will.
+            arrives = any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move)
+            zones = [zone for i, zone in enumerate(scene.zones) if arrives or i not in step.away]
             try:
                 completing(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)
                 completing(held, bodies.joined(zones), bodies.size)
@@ -80,9 +82,14 @@ def free(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
     """The error of a step that leaves a part free."""
     opened = [getattr(scene, f"{kind}s")[i].name for kind, i in step.released if kind != "weld"]
     once = f" once {', '.join(opened[:4])}{' …' * (len(opened) > 4)} opened" if opened else ""
+    contact = (
+        "it rests, but no zones lead from it to a fixture, or to a part that locators hold: add one"
+        if scene.parts[part].rests
+        else "where contact is to hold it, give it rests = true and a zone"
+    )
     return SceneError(
         f"stages ({plan.name}): {error}{once}, mostly of part {scene.parts[part].name!r}; keep more locators in this "
-        "stage, or join the part by welds with moment; where contact is to hold it, give it rests = true and a zone"
+        f"stage, or join the part by welds with moment; {contact}"
     )
 
 
@@ -145,7 +152,8 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
             f"press where the part lies on something, or {remedy}"
         )
     for p in parts if last else ():
-        touching = np.abs(normal[:, 6 * p : 6 * p + 6]).max(axis=1, initial=0.0) > 0
+        together = sum(normal[:, 6 * q : 6 * q + 6] for q in bodies.welded(p, step.welds))
+        touching = np.abs(together).max(axis=1, initial=0.0) > 0  # of its welds' other parts as well, each other not
         if not _balanced(held, pairs, mu, least, most, pushing, bodies.size, touching.astype(float)):
             raise SceneError(
                 f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
@@ -270,6 +278,14 @@ class _Bodies:
             if friction.pressure is not None:
                 mu[[self.scene.zones[zone].pressure_pieces() is not None for zone in contacts.zone]] = ROUGH
         return reading[:, 0], reading[:, 1:], mu
+
+    def welded(self, part: int, welds: Iterable[int]) -> set[int]:
+        """A part, and all that welds join to it."""
+        pairs = [{self.number[name] for name in self.scene.welds[i].parts} for i in welds]
+        found = {part}
+        while any(pair & found and not pair <= found for pair in pairs):
+            found = found.union(*(pair for pair in pairs if pair & found))
+        return found
 
     def moved(self, motions: np.ndarray) -> tuple[int, ...]:
         """Parts that take part in motions (6P, k)."""

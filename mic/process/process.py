@@ -33,7 +33,14 @@ APART = 2.0
 
 
 def contact_solver(
-    contacts, S: Columns, own: np.ndarray, friction: Friction, step: Step, start: np.ndarray, **settings
+    contacts,
+    S: Columns,
+    own: np.ndarray,
+    friction: Friction,
+    step: Step,
+    start: np.ndarray,
+    guessing: bool = False,
+    **settings,
 ):
     """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate, or
     takes no part.
@@ -50,6 +57,8 @@ def contact_solver(
     step : Step
     start : (m,) bool array
         Candidates that take part from the beginning.
+    guessing : bool
+        As :class:`mic.contact.watched.WatchedSolver` has it.
     **settings
         Law and others, as :class:`mic.contact.ContactSolver` takes them.
     """
@@ -67,6 +76,7 @@ def contact_solver(
         np.concatenate([APART * np.sqrt(contacts.area), np.zeros(stops.count)]),
         np.concatenate([~contacts.watched | start, always]),
         np.concatenate([~out, always]),
+        guessing=guessing,
         **settings,
     )
 
@@ -133,7 +143,7 @@ class Process:
         check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
-        self._starts = model.likely if starts is None else starts
+        self._starts, self._guessing = model.likely if starts is None else starts, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
         self._path_tolerance = path_tolerance
         self.stages = self._prepared([path_of(plan, obeyed, path_tolerance) for plan in self._plans])
@@ -154,14 +164,14 @@ class Process:
         if key not in self._solvers:
             start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
             self._solvers[key] = contact_solver(
-                contacts, *eliminated.compliance, friction, step, start, **self._settings
+                contacts, *eliminated.compliance, friction, step, start, self._guessing, **self._settings
             )
         return self._solvers[key]
 
     @classmethod
     def look_ahead(cls, model) -> dict[tuple[str, Step], np.ndarray]:
         """Which candidates (m,) are likely to carry force, by stage and step: those that do in a few samples, always
-        the same, under Coulomb's law where tangents are modelled, with one increment a step.
+        the same, under Coulomb's law where tangents are modelled, with one increment a step, all on one working set.
 
         A sample starts from them, whatever samples it is evaluated with.
         """
@@ -171,7 +181,7 @@ class Process:
         mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
         draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
         draws[0] = 0.0
-        ahead.stages = ahead._prepared([Increments(1)] * len(ahead.stages))
+        ahead.stages, ahead._guessing = ahead._prepared([Increments(1)] * len(ahead.stages)), True
         ahead.attempt(mean + sigma * draws)
         return ahead.carried
 

@@ -117,10 +117,10 @@ class Rest:
         own = response.own + c * np.einsum("ij,ij->i", G, G)
         return Columns(partial(_softened, response.S, c, G), response.S.shape), own
 
-    def pushed(self, response: Response, v: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """(n, k) e of the soft rows: what values (n, b) of bilateral rows, and loads, leave to the rest rows."""
-        own = self.columns(response)
-        return product(v, response.reaction_T[own, : v.shape[1]].T) + product(p, response.reaction_L[own].T)
+    def pushed(self, response: Response, p: np.ndarray) -> np.ndarray:
+        """(n, k) e of the soft rows: what loads (n, l) leave to the rest rows; values of bilateral rows leave nothing,
+        as these do no work on the motions that they leave free."""
+        return product(p, response.reaction_L[self.columns(response)].T)
 
     def legs(self, path: Path, law: Law) -> list[tuple[float, Path]]:
         """Where the legs of a path end, and how each is followed: every increment is one of its own.
@@ -207,7 +207,7 @@ class Rest:
             return solution, found, position
         status, converged = solution.status.copy(), solution.converged & ~open_
         for sample in np.flatnonzero(open_):
-            status[sample] = self._unheld(λ[sample], "is pushed off") if off[sample] else Status.NOT_CONVERGED
+            status[sample] = self._unheld(-λ[sample], "is pushed off") if off[sample] else Status.NOT_CONVERGED
         return replace(solution, status=status, converged=converged), found, position
 
     def loose(
@@ -248,7 +248,7 @@ class Rest:
         return found
 
     def _unheld(self, share: np.ndarray, how: str) -> str:
-        """Why a part is not held, from how much each rest row takes part."""
+        """Why a part is not held, from how much each rest row takes part, positive where it goes."""
         own = [name for name, soft in zip(self.name, self.soft) if soft]
         part = own[int(np.argmax(np.abs(share)))]
         of_part = np.array([name == part for name in own])

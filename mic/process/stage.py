@@ -398,7 +398,7 @@ class PreparedStage:
 
         def leg(s0, s1) -> Leg:
             """Of the step, whatever its place: loads without contacts, and what they leave to the rest rows."""
-            left = [rest.pushed(response, *ramp.at(s)) for s in (s0, s1)]
+            left = [rest.pushed(response, ramp.at(s)[1]) for s in (s0, s1)]
             return Leg(unloaded(s0, place) + (1 - s0) * lift, unloaded(s1, place) + (1 - s1) * lift, *left)
 
         legs, s0 = rest.legs(self.path, solver.law), 0.0

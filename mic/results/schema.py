@@ -240,12 +240,17 @@ RESOLUTIONS = _dataset(
             "over the pairs; NaN where nothing estimates it",
         ),
         Column("steps", "int64", "", "steps along the path"),
-        Column("factorisations", "int64", "", "factorisations of the active contacts; 0 where nothing counts them"),
+        Column(
+            "factorisations",
+            "int64",
+            "",
+            "factorisations of the active contacts, of all rungs, in vain or not; 0 where a backend tells none",
+        ),
         Column("unseen", "float64", "mm", "deepest penetration between the pairs at the stage's end, which none sees"),
         Column("unseen_at", "int32", "", "at which of the model's points between the pairs; −1 where there is none"),
     ),
     "How contact was resolved, and what the way there left.",
-    version=4,
+    version=5,
 )
 SLIPS = _dataset(
     "slips",

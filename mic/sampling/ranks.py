@@ -8,6 +8,7 @@ others along, for they would wait for it for ever.
 from __future__ import annotations
 
 import os
+import pickle
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -20,11 +21,13 @@ import numpy as np
 
 from mic.errors import MicError
 
-__all__ = ["FirstFailed", "LaunchError", "communicator", "leave", "on_first", "others_silent", "wait"]
+__all__ = ["FirstFailed", "LaunchError", "communicator", "leave", "on_first", "others_silent", "shared", "wait"]
 
 T = TypeVar("T")
 
 PATIENCE = 2.0  # s that a process which fails waits for the others to end as well
+ALIGNED = 64  # bytes
+PIECE = 2**30  # bytes in one message of MPI, which counts in 32 bits
 LAUNCHERS = {  # what says how many processes were started, the innermost launcher first
     "OMPI_COMM_WORLD_SIZE": "mpirun of Open MPI",
     "PMI_SIZE": "mpiexec of MPICH",
@@ -138,6 +141,51 @@ def on_first(world: Any, action: Callable[[], T]) -> T:
     finally:
         wait(world)
         world.bcast(answer)
+
+
+def shared(world: Any, make: Callable[[], T]) -> T:
+    """What the first process makes, on all of them; its arrays lie in memory that the processes of a node share.
+
+    Parameters
+    ----------
+    world : mpi4py.MPI.Comm or None
+    make : callable
+        What it returns can be pickled. Its arrays are one and the same on all processes of a node, so that nobody may
+        write to them.
+
+    Raises
+    ------
+    FirstFailed
+        On the other processes, where the first has failed.
+    """
+    if world is None:
+        return make()
+    from mpi4py import MPI  # only here: importing it starts MPI
+
+    found: list[pickle.PickleBuffer] = []
+    body, sizes = on_first(world, lambda: _packed(make(), found))
+    starts = np.concatenate([[0], np.cumsum(-(-np.array(sizes, dtype=np.int64) // ALIGNED) * ALIGNED)])
+    node = world.Split_type(MPI.COMM_TYPE_SHARED, key=world.rank)
+    leaders = world.Split(min(node.rank, 1), key=world.rank)
+    window = MPI.Win.Allocate_shared(int(starts[-1]) if node.rank == 0 else 0, 1, comm=node)  # for good
+    memory, _ = window.Shared_query(0)
+    whole = np.asarray(memory, np.uint8)
+    own = [whole[int(a) : int(a) + size] for a, size in zip(starts, sizes)]
+    for i in range(len(own)):
+        if world.rank == 0:
+            own[i][:] = np.frombuffer(found[i].raw(), np.uint8)
+        if node.rank == 0:
+            for first in range(0, sizes[i], PIECE):
+                leaders.Bcast(own[i][first : first + PIECE])
+    found.clear()
+    wait(world)
+    return pickle.loads(body, buffers=own)
+
+
+def _packed(made: Any, buffers: list[pickle.PickleBuffer]) -> tuple[bytes, list[int]]:
+    """A pickle without the arrays, which are put among the buffers, and how many bytes each of these has."""
+    body = pickle.dumps(made, protocol=5, buffer_callback=buffers.append)
+    return body, [buffer.raw().nbytes for buffer in buffers]
 
 
 @contextmanager

@@ -110,6 +110,8 @@ def _explain(table: dict[str, Any], item) -> list[str]:
         "missing": "required key is missing; add it",
         "greater_than": f"{message}; got {given!r}, correct the value",
         "greater_than_equal": f"{message}; got {given!r}, correct the value",
+        "tuple_type": f"give a list in brackets, such as [1, 2, 3]; got {given!r}",
+        "list_type": f"give a list in brackets; got {given!r}",
         "finite_number": f"{message}; got {given!r}, give a finite number",
         "union_tag_not_found": "required key kind is missing; add it",
         "union_tag_invalid": f"kind must be one of {item.get('ctx', {}).get('expected_tags')}; correct it",

@@ -1,8 +1,8 @@
 """The cheap rungs: all samples of a batch, in compiled code.
 
 A method is made for one problem, rung and tolerance, which prepares what all samples share; it then takes ``Q`` (n, d
-m), the guess
-``Y``, which receives the forces, ``errors`` (n,) and ``iterations`` (n,), which it adds to.
+m), the guess ``Y``, which receives the forces, ``errors`` (n,), and ``iterations`` and ``factorisations`` (n,), which
+it adds to: passes over all contacts, and those of them that factorised the matrix of the contacts that touch.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
     """Sweeps of Gauss-Seidel where the law has them, then Newton."""
     if not problem.law.frictional:
 
-        def active_set(Q, Y, errors, iterations):
-            kernels.solve_frictionless(problem.W, Q, Y, tol, rung["rounds"], errors, iterations)
+        def active_set(Q, Y, errors, *counts):
+            kernels.solve_frictionless(problem.W, Q, Y, tol, rung["rounds"], errors, *counts)
 
         return active_set
     # Rounds differ in their sweeps alone: without them the second would repeat the first.
     rounds, sweeps = (rung["rounds"], rung["sweeps"]) if problem.law.gauss_seidel else (1, 0)
     crowd = rung.settings.get("crowd", 1.0) * len(problem.parameters)
 
-    def sweep(Q, Y, errors, iterations):
+    def sweep(Q, Y, errors, *counts):
         kernels.solve_by_sweeps(
             problem.equation,
             problem.W,
@@ -41,7 +41,7 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
             sweeps,
             crowd,
             errors,
-            iterations,
+            *counts,
         )
 
     return sweep
@@ -51,7 +51,7 @@ def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
     """The splitting, then Newton."""
     inverse, resolvent, rho = problem.splitting
 
-    def split(Q, Y, errors, iterations):
+    def split(Q, Y, errors, *counts):
         kernels.solve_by_splitting(
             problem.equation,
             problem.law.shift,
@@ -66,7 +66,7 @@ def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
             rung["steps"],
             rung["rounds"],
             errors,
-            iterations,
+            *counts,
         )
 
     return split

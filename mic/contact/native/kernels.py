@@ -293,25 +293,30 @@ def times(W, x, out):
             out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
 
 
-@jit(void(MATRIX, COUNTS, MATRIX, MATRIX))
-def responses(S, at, F, out):
-    """``out = F Sᵀ``, one sample a row, skipping the entries of F that vanish; column k of S is the row ``at[k]``.
+@jit(void(MATRIX, MATRIX, COUNTS, MATRIX, MATRIX))
+def responses(S, T, at, F, out):
+    """``out = F Sᵀ``, one sample a row, skipping the entries of F that vanish; column k is row ``at[k]`` of S and T.
 
     Where few of many contacts carry force it takes a fraction of the time of a product; a row is the same bits whatever
     the others are, and in whatever order the columns are kept.
     """
+    size = len(S)
     for s in range(len(F)):
         row, own = out[s], np.flatnonzero(F[s])
         row[:] = 0.0
         last = len(own) % 4
         for a in range(last):
-            force, column = F[s, own[a]], S[at[own[a]]]
+            k = at[own[a]]
+            force, column = F[s, own[a]], S[k] if k < size else T[k - size]
             for j in range(len(row)):
                 row[j] += column[j] * force
         for a in range(last, len(own), 4):
-            k0, k1, k2, k3 = own[a], own[a + 1], own[a + 2], own[a + 3]
-            f0, f1, f2, f3 = F[s, k0], F[s, k1], F[s, k2], F[s, k3]
-            S0, S1, S2, S3 = S[at[k0]], S[at[k1]], S[at[k2]], S[at[k3]]
+            f0, f1, f2, f3 = F[s, own[a]], F[s, own[a + 1]], F[s, own[a + 2]], F[s, own[a + 3]]
+            k0, k1, k2, k3 = at[own[a]], at[own[a + 1]], at[own[a + 2]], at[own[a + 3]]
+            S0 = S[k0] if k0 < size else T[k0 - size]
+            S1 = S[k1] if k1 < size else T[k1 - size]
+            S2 = S[k2] if k2 < size else T[k2 - size]
+            S3 = S[k3] if k3 < size else T[k3 - size]
             for j in range(len(row)):
                 row[j] += S0[j] * f0 + S1[j] * f1 + S2[j] * f2 + S3[j] * f3
 
@@ -514,14 +519,29 @@ def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
         int64,
         VECTOR,
         COUNTS,
+        COUNTS,
     )
 )
 def solve_by_splitting(
-    equation, shift, W, inverse, resolvent, rho, Q, parameters, Y, tol, steps, rounds, errors, iterations
+    equation,
+    shift,
+    W,
+    inverse,
+    resolvent,
+    rho,
+    Q,
+    parameters,
+    Y,
+    tol,
+    steps,
+    rounds,
+    errors,
+    iterations,
+    factorisations,
 ):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    ``Y`` holds the initial guess and receives the forces.
+    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.
     """
     m = len(parameters)
     for s in range(len(Q)):
@@ -538,6 +558,7 @@ def solve_by_splitting(
             w += q
             error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
             iterations[s] += run + more
+            factorisations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
@@ -547,8 +568,24 @@ def solve_by_splitting(
         errors[s] = best
 
 
-@jit(void(EQUATION_POINTER, MATRIX, MATRIX, MATRIX, MATRIX, MATRIX, NUMBER, int64, int64, NUMBER, VECTOR, COUNTS))
-def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations):
+@jit(
+    void(
+        EQUATION_POINTER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
+        int64,
+        int64,
+        NUMBER,
+        VECTOR,
+        COUNTS,
+        COUNTS,
+    )
+)
+def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations, factorisations):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
     ``Y`` holds the initial guess and receives the forces.  A law whose single contact Gauss-Seidel does not solve has
@@ -576,6 +613,7 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
             guess = y.copy()
             error, more = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, 15, 0, crowd)
             iterations[s] += more
+            factorisations[s] += more
             if error < best:
                 best = error
                 Y[s] = y
@@ -588,8 +626,8 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
         errors[s] = best
 
 
-@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS))
-def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
+@jit(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS, COUNTS))
+def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations, factorisations):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 
     ``W`` (m, m) holds the normal rows only.  ``Y`` holds the initial guess and receives the forces.
@@ -644,6 +682,7 @@ def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations):
                     y[active[a]] = d[a]
                 w = np.dot(W, y) + q
                 total += 1
+                factorisations[s] += 1
             if best <= tol:
                 break
             y[:] = guess

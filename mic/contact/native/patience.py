@@ -1,6 +1,6 @@
 """The patient rungs: one stubborn sample, by one method after the other.
 
-Every method is a generator of forces ``y``, the iterations and the work (factorisations of ``W``) since the last one;
+Every method is a generator of forces ``y``, and of the sweeps and the factorisations that each took since the last one;
 who asks for them certifies each and stops at the first that is good enough.
 """
 
@@ -42,7 +42,8 @@ class Search:
 
 def newton(search, rung):
     """Newton from the best force."""
-    yield from polished(search.problem, search.q, search.best)
+    for y, steps in polished(search.problem, search.q, search.best):
+        yield y, 0, steps
 
 
 def renewed_friction(search, rung):
@@ -52,18 +53,14 @@ def renewed_friction(search, rung):
     """
     problem, q, y = search.problem, search.q, search.best
     mu, share, before = problem.friction.copy(), np.ones(len(problem.parameters)), np.zeros(len(problem.parameters))
-    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
     for _ in range(rung["steps"]):
-        Y = y[None].copy()
-        counts[0] = 0
-        relaxation(problem.held(), rung, rung["tol"])(q[None], Y, errors, counts)
-        y = Y[0]
-        if errors[0] > rung["tol"]:
-            y, steps = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
-            counts[0] += steps
-        for z, more, _ in polished(problem, q, y):
-            yield z, int(counts[0]) + more, int(counts[0]) + more
-            counts[0] = 0
+        y, error, sweeps, steps = _relaxed(problem.held(), rung, rung["tol"], q, y)
+        if error > rung["tol"]:
+            y, more = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
+            steps += more
+        for z, more in polished(problem, q, y):
+            yield z, sweeps, steps + more
+            sweeps = steps = 0
         step = problem.renewed(y).friction - mu
         share = np.where(step * before < 0.0, 0.5 * share, np.minimum(1.0, 2.0 * share))
         before, mu = step, mu + share * step
@@ -92,25 +89,30 @@ def proximal_points(search, rung):
     for some solved ones. Steps to half-solved problems stall.
     """
     q, y, alpha, wait = search.q, search.interior, rung["start"], 0
-    errors, counts = np.zeros(1), np.zeros(1, dtype=np.int64)
     for _ in range(rung["steps"]):
-        Q, Y = (q - alpha * y)[None], y[None].copy()
-        counts[0] = 0
-        relaxation(search.problem.proximal(alpha), rung, 0.1 * rung["tol"])(Q, Y, errors, counts)
-        if errors[0] <= rung["tol"]:
-            y, wait = Y[0], wait - 1
+        z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 0.1 * rung["tol"], q - alpha * y, y)
+        if error <= rung["tol"]:
+            y, wait = z, wait - 1
             alpha = alpha if wait > 0 else max(rung["gain"] * alpha, rung["smallest"])
         else:
             alpha, wait = min(rung["loss"] * alpha, rung["largest"]), rung["wait"]
-        yield y, int(counts[0]), int(counts[0])
+        yield y, *counts
 
 
 def _interior_polished(search, shift, held=None):
     problem, q = search.problem, search.q
     search.interior, steps = interior_point(problem.W, q, problem.friction, shift, held, **INTERIOR_POINT.settings)
-    for y, more, _ in polished(problem, q, search.interior):
-        yield y, steps + more, steps + more
+    for y, more in polished(problem, q, search.interior):
+        yield y, 0, steps + more
         steps = 0
+
+
+def _relaxed(problem, rung, tol, q, y):
+    """One problem by :func:`relaxation` from y: forces, error, sweeps, and steps of Newton's method."""
+    Y, errors, counts = y[None].copy(), np.zeros(1), np.zeros((2, 1), dtype=np.int64)
+    relaxation(problem, rung, tol)(q[None], Y, errors, *counts)
+    (passes,), (steps,) = counts.tolist()
+    return Y[0], errors[0], passes - steps, steps
 
 
 #: The method of every rung of :data:`mic.contact.ladder.PATIENT`, by its name.

@@ -13,15 +13,14 @@ from mic.contact.native.problem import ScaledProblem
 __all__ = ["polished"]
 
 
-def polished(problem: ScaledProblem, q: np.ndarray, y: np.ndarray) -> Iterator[tuple[np.ndarray, int, float]]:
+def polished(problem: ScaledProblem, q: np.ndarray, y: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
     """Newton from ``y``, one force after each run of the rung :data:`mic.contact.ladder.NEWTON`.
 
     Yields
     ------
     y : (3m,) array
-    iterations : int
-    work : float
-        Factorisations of ``W`` that it took.
+    steps : int
+        Factorisations that it took, one each.
     """
     scale = kernels.starting_scale(q)
     for damping, halvings in NEWTON["runs"]:
@@ -41,4 +40,4 @@ def polished(problem: ScaledProblem, q: np.ndarray, y: np.ndarray) -> Iterator[t
             halvings,
             len(problem.parameters),
         )
-        yield z, steps, steps
+        yield z, steps

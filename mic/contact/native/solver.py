@@ -61,7 +61,7 @@ class NativeSolver:
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
         self.problem = ScaledProblem.of(law, W, parameters)
 
-    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All samples, by the cheap rungs: each takes those that the ones before left unsolved.
 
         See :meth:`mic.contact.backends.Backend.solve`.
@@ -70,19 +70,21 @@ class NativeSolver:
         Q = np.ascontiguousarray(b[:, :: self._stride] * self.scaling)
         Y = np.zeros_like(Q) if guess is None else np.ascontiguousarray(guess[:, :: self._stride] / self.scaling)
         rungs = [rung for rung in ladder.BATCH if rung.applies(law) and (rung.name != "guess" or Y.any())]
-        errors, iterations = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
+        errors, iterations, factorisations = np.full(n, np.inf), *np.zeros((2, n), dtype=np.int64)
         found = np.full(n, rungs[0].name, dtype=object)
         for rung in rungs if Q.size else ():
             unsolved = np.flatnonzero(errors > tol)
             if not unsolved.size:
                 break
-            self._share(batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations)
+            self._share(
+                batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations, factorisations
+            )
             found[unsolved] = rung.name
         force = np.zeros_like(b)
         force[:, :: self._stride] = Y * self.scaling
-        return force, iterations, found
+        return force, iterations, factorisations, found
 
-    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, str]]:
+    def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
         """The patient rungs, each starting from the last, until :data:`mic.contact.ladder.BUDGET` is spent.
 
         See :meth:`mic.contact.backends.Backend.attempts`.
@@ -92,12 +94,12 @@ class NativeSolver:
         for rung in ladder.PATIENT:
             if not rung.applies(self.problem.law):
                 continue
-            for y, iterations, work in patience.METHODS[rung.name](search, rung):
+            for y, sweeps, factorisations in patience.METHODS[rung.name](search, rung):
                 search.renew(y)
                 candidate = np.zeros_like(b)
                 candidate[:: self._stride] = y * self.scaling
-                yield candidate, iterations, rung.name
-                budget -= work
+                yield candidate, sweeps + factorisations, factorisations, rung.name
+                budget -= sweeps + factorisations
                 if budget < 0.0:
                     return
 
@@ -154,13 +156,14 @@ class NativeSolver:
     def _scaled(self, b):
         return b[:: self._stride] * self.scaling
 
-    def _share(self, method, samples, Q, Y, errors, iterations):
-        """Run ``method(Q, Y, errors, iterations)`` on chunks of the samples, in parallel."""
+    def _share(self, method, samples, Q, *found):
+        """Run ``method(Q, *found)`` on chunks of the samples, in parallel; it changes what was found in place."""
 
         def chunk(pick):
-            parts = Q[pick], Y[pick], errors[pick], iterations[pick]
-            method(*parts)
-            Y[pick], errors[pick], iterations[pick] = parts[1:]
+            parts = [array[pick] for array in found]
+            method(Q[pick], *parts)
+            for array, part in zip(found, parts):
+                array[pick] = part
 
         self._each(lambda own: chunk(samples[own]), len(samples))
 

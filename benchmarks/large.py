@@ -1,0 +1,110 @@
+"""The large case from end to end: what each phase of a run of the body side takes, and what S takes of it.
+
+    python benchmarks/large.py                        # twelve parts, two thousand candidates; a few minutes
+    python benchmarks/large.py --spacing 15 --samples 10         # three thousand
+
+One process, one thread. Time is processor time; memory the peak of the process so far. Influence coefficients are
+computed anew unless `--cache` names a folder that holds them. *columns* are those of S and of the readings that were
+formed, over all steps that were eliminated, beside those that there are; *dense* what all of them would take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+import mic
+from mic.compliance.cache import influence_coefficients
+from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
+from mic.sampling.draw import draw
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE = ROOT / "meshes" / "body_side" / "body_side.toml"
+COMPILES = ROOT / "meshes" / "lap_joint"  # evaluated once before, so that compilation is no part of what is measured
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=20)
+    parser.add_argument("--spacing", type=float, help="between candidates, mm; default: the scene's")
+    parser.add_argument("--cache", type=Path)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        measure(arguments, arguments.cache or Path(temporary))
+
+
+def measure(arguments, cache: Path) -> None:
+    scene = mic.load_scene(SCENE)
+    if arguments.spacing:
+        zones = [zone.model_copy(update={"spacing": arguments.spacing}) for zone in scene.zones]
+        scene = scene.model_copy(update={"zones": zones})
+    phases = Phases()
+    phases.start()
+    assembly = assemble(scene, cache)
+    phases.end("meshes and pairs")
+    influence, _ = influence_coefficients(assembly, cache)
+    phases.end("influence coefficients")
+    model = ReducedModel.build(assembly, influence)
+    phases.end("reduced model")
+    model.eliminations  # noqa: B018
+    phases.end("elimination of all steps")
+    phases.pause(lambda: mic.reduce(mic.load_scene(COMPILES), cache).evaluate({}))
+    model.likely  # noqa: B018
+    phases.end("candidates looked for ahead")
+    found = model.process("coulomb").evaluate(draw(scene, scene.monte_carlo.seed, 0, arguments.samples))
+    phases.end(f"{arguments.samples} samples", arguments.samples)
+    own = {id(one.response): one.response for steps in model.eliminations.values() for one in steps}
+    every = {id(columns): columns for one in own.values() for columns in (one.S, one.S_out)}.values()
+    formed, all_ = (sum(count(columns) for columns in every) for count in (lambda c: c.found, lambda c: c.shape[1]))
+    dense = sum(8e-6 * columns.shape[0] * columns.shape[1] for columns in every)
+    kept = sum(8e-6 * columns.shape[0] * columns.found for columns in every)
+    touch = max((one.force[:, :, 0] > 0).sum(axis=1).mean() for one in found.resolutions.values())
+    parts, pairs = len(scene.parts), len(model.contacts)
+    print(f"{parts} parts, {model.compliance.size} functionals, {pairs} candidates, of which {touch:.0f} touch;")
+    print(f"{len(scene.welds)} welds, {len(scene.clamps)} clamps, {len(own)} eliminations;")
+    print(f"columns: {formed} of {all_}, {kept:.0f} MB; dense {dense:.0f} MB;")
+    print(
+        f"H of all parts as one matrix would take {8e-6 * model.compliance.size**2:.0f} MB, by parts it takes", end=""
+    )
+    print(f" {sum(8e-6 * H.size for H in model.compliance.H):.0f} MB;")
+    residual = max(np.nanmax(one.residual) for one in found.resolutions.values())
+    print(f"{int(found.failed.sum())} of {arguments.samples} samples failed; largest residual {residual:.1e}")
+
+
+class Phases:
+    """Processor time and peak memory of one phase after the other."""
+
+    def __init__(self):
+        print(f"{'phase':<28} {'s':>8} {'ms a sample':>12} {'peak MB so far':>15}")
+        self.start()
+
+    def start(self) -> None:
+        """The next phase begins here."""
+        self.begin = time.process_time()
+
+    def end(self, name: str, samples: int = 0) -> None:
+        """A phase is over, and the next begins."""
+        seconds = time.process_time() - self.begin
+        each = f"{1e3 * seconds / samples:.0f}" if samples else ""
+        print(f"{name:<28} {seconds:8.2f} {each:>12} {peak():15.0f}", flush=True)
+        self.start()
+
+    def pause(self, work) -> None:
+        """Something that is not measured."""
+        work()
+        self.start()
+
+
+def peak() -> float:
+    """Peak resident memory of this process, MB."""
+    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:")]
+    return int(line.split()[1]) / 1e3
+
+
+if __name__ == "__main__":
+    main()

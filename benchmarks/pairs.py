@@ -1,0 +1,187 @@
+"""What pairs and parts cost: elimination, and a batch of contact problems, as both grow.
+
+    python benchmarks/pairs.py                       # up to a thousand pairs, a few minutes
+    python benchmarks/pairs.py --cases 5,3000        # parts, pairs
+
+Everything is synthetic and seeded: a stack of P sheets, m pairs shared among the interfaces, eight locators a sheet and
+a weld an interface; smooth kernels stand for H, and every sample presses the sheets together and bends them. One
+process, one BLAS thread, processor time.
+
+*set-up* is the elimination of the bilateral rows, *dense S* the same from dense matrices, *apart* the largest
+difference of all columns on demand from it, of its largest entry. *from nothing* solves a sample on all pairs,
+*watched* on those that close, begun with those that did in eight other samples; *forces* is their largest difference,
+of the largest force. *before* are commit cbe9767's figures for one clamped stage, in ms, and how often they hold
+*watched*.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.sparse import csr_matrix, vstack
+from scipy.spatial.distance import cdist
+
+from mic.compliance.blocks import Blocks
+from mic.compliance.elimination import eliminate
+from mic.contact import ContactSolver, laws
+from mic.contact.friction import Friction
+from mic.contact.watched import WatchedSolver
+from mic.product import one_thread
+
+CASES = ["2,102", "2,300", "2,1002", "20,1000"]
+BEFORE = {102: 0.42, 300: 16.6, 1002: 1707.0}  # ms a sample, from nothing
+AHEAD, SAMPLES = 8, 40
+FEW = 10  # samples that are solved on all pairs where these are many
+DENSE = 1500  # pairs up to which S is formed and solved whole
+MU, LONG, WIDE = 0.27, 900.0, 25.0  # mm, of a sheet
+LOCATORS = np.array([[20, 0], [880, 0], [450, 25], [300, 12], [20, 0], [880, 25], [20, 25], [600, 0]], float)
+AXES = np.array([0, 0, 0, 0, 1, 1, 2, 2])  # n, t1 or t2, which each locator holds
+WELD = np.array([[450.0, 12.0]])
+COLUMNS = ("parts", "pairs", "set-up, s", "dense S, s", "apart", "from nothing, ms", "watched, ms", "forces", "before")
+
+
+@dataclass(frozen=True)
+class Stack:
+    """A stack of sheets: its compliance, its rows, where its pairs stand, and the loads of its samples."""
+
+    compliance: Blocks
+    held: csr_matrix
+    pairs: csr_matrix
+    point: np.ndarray
+    b: np.ndarray
+
+    @classmethod
+    def of(cls, parts: int, pairs: int, seed: int = 0) -> Stack:
+        """So many parts and pairs."""
+        rng = np.random.default_rng(seed)
+        share = np.diff(np.linspace(0, pairs, parts).astype(int))
+        interfaces = [rng.uniform(size=(count, 2)) * (LONG, WIDE) for count in share]
+        H, G, first = [], [], [0]
+        start: dict[tuple[int, int], int] = {}  # (part, interface): the first of its functionals there
+        for p in range(parts):
+            places, axes = [LOCATORS], [AXES]
+            count = first[-1] + len(LOCATORS)
+            for i in (p - 1, p):
+                if 0 <= i < parts - 1:
+                    start[p, i] = count
+                    points = np.vstack([interfaces[i], WELD])
+                    places.append(np.repeat(points, 3, axis=0))
+                    axes.append(np.tile(np.arange(3), len(points)))
+                    count += 3 * len(points)
+            first.append(count)
+            H.append(kernel(np.vstack(places), np.concatenate(axes)))
+            G.append(motions(np.vstack(places), np.concatenate(axes)))
+        F = first[-1]
+        locators = np.concatenate([first[p] + np.arange(len(LOCATORS)) for p in range(parts)])
+        lower = [start[i, i] + np.arange(3 * share[i]) for i in range(parts - 1)]
+        upper = [start[i + 1, i] + np.arange(3 * share[i]) for i in range(parts - 1)]
+        other = [start[i + 1, i] + 3 * share[i] + np.arange(3) for i in range(parts - 1)]
+        weld = [start[i, i] + 3 * share[i] + np.arange(3) for i in range(parts - 1)]
+        held = vstack([rows(F, locators), joined(F, weld, other)], format="csr")
+        point = np.vstack([np.column_stack([at, np.full(len(at), 1e4 * i)]) for i, at in enumerate(interfaces)])
+        b = np.zeros((AHEAD + SAMPLES, pairs, 3))
+        for sample in b:
+            waves = [rng.normal() / k * np.sin(k * np.pi * point[:, 0] / LONG + rng.uniform(0, 6)) for k in range(1, 9)]
+            sample[:, 0] = 0.05 * sum(waves) + 0.02 * (point[:, 1] / WIDE) * rng.normal() - 0.25
+            sample[:, 1], sample[:, 2] = 0.05 * np.cos(point[:, 0] / 200), 0.02
+        return cls(Blocks(tuple(H), tuple(G)), held, joined(F, lower, upper), point, b.reshape(len(b), -1))
+
+
+def kernel(place: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(F, F) a sheet that bends over 150 mm and gives way beneath a contact; its axes do not mix."""
+    apart = cdist(place, place)
+    bends = 2e-3 * np.exp(-((apart / 150) ** 2)) + 1e-5 * np.exp(-apart / 10)
+    slides = 2e-4 * np.exp(-apart / 40)
+    alike = axis[:, None] == axis
+    return np.where(alike, np.where(axis == 0, bends, slides), 0.0) + 1e-5 * np.eye(len(axis))
+
+
+def motions(place: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(F, 6) what functionals along an axis each read of a flat sheet's rigid motions."""
+    direction = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[axis]
+    point = np.column_stack([place, np.zeros(len(place))]) - [LONG / 2, WIDE / 2, 0]
+    return np.hstack([direction, np.cross(point, direction)])
+
+
+def rows(size: int, functional: np.ndarray) -> csr_matrix:
+    """Rows that read one functional each."""
+    count = len(functional)
+    return csr_matrix((np.ones(count), (np.arange(count), functional)), (count, size))
+
+
+def joined(size: int, first, second) -> csr_matrix:
+    """Rows that read the second functional less the first."""
+    return rows(size, np.concatenate(second)) - rows(size, np.concatenate(first))
+
+
+@one_thread
+def measure(parts: int, pairs: int) -> list[str]:
+    """The row of one case."""
+    stack = Stack.of(parts, pairs)
+    none = csr_matrix((0, stack.compliance.size))
+    response, set_up = timed(lambda: eliminate(stack.compliance, stack.held, stack.pairs, none, none))
+    S, b, law = response.S, stack.b[AHEAD:], laws.find("coulomb")
+
+    def watched(start, **settings):
+        reach, all_ = np.full(pairs, 12.0), np.ones(pairs, dtype=bool)
+        given = S, Friction.of(MU, pairs), stack.point, reach, start, all_, law
+        return WatchedSolver(*given, semidefinite=True, **settings)
+
+    ahead = watched(np.zeros(pairs, dtype=bool), guessing=True)
+    ahead.solve(stack.b[:AHEAD])
+    solver = watched(ahead.carried)
+    solver.solve(stack.b[:2])
+    found, each = timed(lambda: solver.solve(b))
+    if pairs > DENSE:
+        shown = ["", "", ""]
+        forces = ""
+    else:
+        whole, forming = timed(lambda: dense(stack))
+        apart = np.abs(S.take(np.arange(len(S))) - whole).max() / np.abs(whole).max()
+        every = ContactSolver(whole, MU, semidefinite=True)
+        every.solve(b[:1])
+        count = SAMPLES if pairs <= 300 else FEW
+        reference, slow = timed(lambda: every.solve(b[:count]))
+        forces = f"{np.abs(reference.force - found.force[:count]).max() / np.abs(reference.force).max():.0e}"
+        shown = [f"{forming:.2f}", f"{apart:.0e}", f"{1e3 * slow / count:.2f}"]
+    before = BEFORE.get(pairs) if parts == 2 else None
+    ratio = f"{before:g}: {before / (1e3 * each / SAMPLES):.0f} ×" if before else ""
+    return [str(parts), str(pairs), f"{set_up:.2f}", *shown, f"{1e3 * each / SAMPLES:.2f}", forces, ratio]
+
+
+def dense(stack: Stack) -> np.ndarray:
+    """(c, c) S from dense matrices, bilateral rows and rigid motions eliminated in one step."""
+    H, G = stack.compliance.dense()
+    B, C = stack.held.toarray(), stack.pairs.toarray()
+    held, rigid = B @ H @ B.T, B @ G
+    system = np.block([[held, rigid], [rigid.T, np.zeros((G.shape[1],) * 2)]])
+    left = np.hstack([C @ H @ B.T, C @ G])
+    S = C @ H @ C.T - left @ np.linalg.solve(system, left.T)
+    return 0.5 * (S + S.T)
+
+
+def timed(work):
+    """What came of it, and processor seconds."""
+    start = time.process_time()
+    result = work()
+    return result, time.process_time() - start
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", nargs="+", default=CASES, help="parts,pairs")
+    table = Table(*COLUMNS)
+    for case in parser.parse_args().cases:
+        row = measure(*(int(number) for number in case.split(",")))
+        print(*row, sep="\t", flush=True)
+        table.add_row(*row)
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    main()

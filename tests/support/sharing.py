@@ -1,0 +1,37 @@
+"""One array of 80 MB that the first of several processes makes and all share: what each of them gets, one line each."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mic.sampling.ranks import communicator, shared, wait
+
+SIZE = 10_000_000
+
+
+def private() -> float:
+    """MB of memory that this process has for itself."""
+    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssAnon:")]
+    return int(line.split()[1]) / 1e3
+
+
+def main() -> None:
+    world = communicator()
+    before, made = private(), []
+
+    def make():
+        made.append(world.rank)
+        return {"array": np.arange(SIZE, dtype=float), "few": np.arange(3), "words": ["as", "they", "are"]}
+
+    found = shared(world, make)
+    total = found["array"].sum()
+    wait(world)
+    if world.rank == 0:
+        found["array"][7] = -1.0  # what no program does: to see that there is one array
+    wait(world)
+    right = total == SIZE * (SIZE - 1) / 2 and found["words"] == ["as", "they", "are"] and found["few"].sum() == 3
+    print(f"{world.rank} made {made} right {right} one {found['array'][7] == -1.0} grew {private() - before:.0f}")
+
+
+if __name__ == "__main__":
+    main()
