@@ -175,7 +175,7 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
     def energy_norm(f):
         return np.sqrt(np.einsum("nki,nki,k->n", f, f, 1.0 / stiffness))
 
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         # Beside forces so large that rounding swallows ρ û, the map would vanish whatever the displacements are.
         error = np.maximum(energy_norm(natural_map(f, u, mu)), np.finfo(float).eps * energy_norm(f))
         # Redundant contacts may carry large forces that store nothing: keep their rounding out of the energy.

@@ -114,6 +114,26 @@ INTERIOR_POINT = Rung(
     _frictional,
     {"tol": 1e-11, "steps": 100},
 )
+PROXIMAL_POINTS = Rung(
+    "proximal points",
+    "Each step is a problem with a regular W + α I near the last answer, solved or rejected: slow and steady.",
+    _every,
+    # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits;
+    # after a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after
+    # sweeps where the law has them, and is solved to this tolerance or rejected.
+    {
+        "steps": 15,
+        "start": 1e-3,
+        "gain": 0.5,
+        "loss": 4.0,
+        "wait": 4,
+        "smallest": 1e-9,
+        "largest": 10.0,
+        "tol": 1e-12,
+        "sweeps": 10,
+        "rounds": 3,
+    },
+)
 
 #: Cheap methods, for all samples together.
 BATCH = (
@@ -158,6 +178,7 @@ PATIENT = (
         # lands; by the interior point where that fails.
         {"steps": 20, "sweeps": 10, "rounds": 3, "tol": 1e-8},
     ),
+    PROXIMAL_POINTS,
     INTERIOR_POINT,
     Rung(
         "fixed point",
@@ -166,24 +187,10 @@ PATIENT = (
         {"steps": 8},
     ),
     Rung(
-        "proximal points",
-        "Each step is a problem with a regular W + α I near the last answer, solved or rejected: slow and steady.",
+        "last proximal points",
+        "The same from where the interior point ended, as long as the budget lasts: jammed piles.",
         _every,
-        # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits;
-        # after a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after
-        # sweeps where the law has them, and is solved to this tolerance or rejected.
-        {
-            "steps": 2000,
-            "start": 1e-3,
-            "gain": 0.5,
-            "loss": 4.0,
-            "wait": 4,
-            "smallest": 1e-9,
-            "largest": 10.0,
-            "tol": 1e-12,
-            "sweeps": 10,
-            "rounds": 3,
-        },
+        dict(PROXIMAL_POINTS.settings) | {"steps": 2000},
     ),
 )
 

@@ -122,4 +122,5 @@ METHODS = {
     "interior point": interior,
     "fixed point": fixed_point,
     "proximal points": proximal_points,
+    "last proximal points": proximal_points,
 }
