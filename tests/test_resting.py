@@ -431,7 +431,7 @@ def loose(force, state, bound, stopped=0.0, free=3):
     directions = np.vstack([np.eye(3)[[2, 0, 1]][:free], np.eye(3)[:1]])
     rest = Rest(np.arange(1, free + 2), soft, directions, (*"bbb"[:free], "c"))
     read = np.vstack([ALONG_Z, STOPS_X])[:, :free]
-    response = SimpleNamespace(S=np.eye(4), T=np.column_stack([np.full(4, 9.0), read, np.full(4, 9.0)]))
+    response = SimpleNamespace(own=np.ones(4), T=np.column_stack([np.full(4, 9.0), read, np.full(4, 9.0)]))
     arrays = np.array([[force]]), np.array([[state]]), np.array([[bound]]), np.array([[stopped]])
     return rest.loose(response, *arrays).get(0)
 

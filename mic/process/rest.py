@@ -207,7 +207,9 @@ class Rest:
             return solution, found, position
         status, converged = solution.status.copy(), solution.converged & ~open_
         for sample in np.flatnonzero(open_):
-            status[sample] = self._unheld(-λ[sample], "is pushed off") if off[sample] else Status.NOT_CONVERGED
+            status[sample] = (
+                self._unheld((target - place)[sample], "is pushed off") if off[sample] else Status.NOT_CONVERGED
+            )
         return replace(solution, status=status, converged=converged), found, position
 
     def loose(
