@@ -587,14 +587,15 @@ def init(meshes, example, out, thickness, welds, points):
         if thickness or welds or points:
             raise SceneError("mic init: --thickness, --welds and --points go with mesh files, not with --example")
         folder = examples.copy(example, out)
-        print(f"{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}\nNext:  mic check {folder}")
+        names = ", ".join(sorted(path.name for path in folder.iterdir()))
+        print(f"{folder}: {names}\nNext:  mic check {shlex.quote(str(folder))}")
         return
     folder, proposal = write_scene(meshes or [], out, _thicknesses(thickness or []), welds, points)
     for sentence in proposal.sentences:
         console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
+    quoted = plain(shlex.quote(str(folder)))
     console.print(
-        f"{plain(folder / 'scene.toml')}: {plain(proposal.words())}\nNext:  mic check {plain(folder)}  and  "
-        f"mic run {plain(folder)}",
+        f"{plain(folder / 'scene.toml')}: {plain(proposal.words())}\nNext:  mic check {quoted}  and  mic run {quoted}",
         highlight=False,
         soft_wrap=True,
     )

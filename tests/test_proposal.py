@@ -15,6 +15,8 @@ from mic.options import app
 from mic.proposal import write_scene
 from mic.sampling.draw import draw
 from mic.scene import load_scene
+from mic.scene.schema import Measurement, Weld
+from mic.scene.tables import read_rows
 
 
 def hat(z, width=90.0, foot=22.0, rise=20.0, x=0.0):
@@ -296,6 +298,26 @@ def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
     clamps = np.array([clamp.point for clamp in scene.clamps])
     assert np.linalg.norm(clamps - [65, 15, 0.5], axis=1).min() > 10
     assemble(scene, tmp_path / "cache")
+
+
+def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(tmp_path):
+    """As a spreadsheet writes it where numbers have commas, with a byte-order mark; names keep theirs."""
+    (tmp_path / "w.csv").write_bytes("\ufeffname;x;y;z\r\nS1;65,5;1,5e1;0,5\r\n".encode())
+    (tmp_path / "p.csv").write_text("name\tx\ty\tz\tdirection\tset\nM1\t5,0\t25\t0\t0,0 0,0 1,0\t1,2\n")
+    (weld,) = (row for _, row in read_rows(tmp_path / "w.csv", Weld))
+    assert weld == {"name": "S1", "point": [65.5, 15.0, 0.5]}
+    (point,) = (row for _, row in read_rows(tmp_path / "p.csv", Measurement))
+    assert point == {"name": "M1", "point": [5.0, 25, 0], "direction": [0.0, 0.0, 1.0], "set": "1,2"}
+    (tmp_path / "q.csv").write_text('x,y,z\n"1,500",15,0.5\n')  # a thousand and a half, or one and a half
+    with pytest.raises(mic.SceneError, match="row 2: x, y and z must be numbers, mm; got 1,500, 15, 0.5"):
+        write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "q.csv")
+
+
+def test_what_comes_next_can_be_copied_where_a_folder_has_blanks(tmp_path):
+    done = CliRunner().invoke(
+        app, ["init", *map(str, laid(tmp_path)), "--thickness", "1", "--out", str(tmp_path / "my scene")]
+    )
+    assert f"mic check '{tmp_path / 'my scene'}'" in done.output
 
 
 def test_no_tong_presses_on_a_weld(tmp_path):

@@ -147,6 +147,7 @@ def _listed_points(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
 def _coordinates(where: str, row: dict[str, Any], problems: list[str]) -> list[float] | None:
     point = row.get("point")
     if point is None or any(isinstance(x, str) or not np.isfinite(x) for x in point):
-        problems.append(f"{where}: x, y and z must be numbers, mm")
+        given = "nothing" if point is None else ", ".join(str(x) or "nothing" for x in point)
+        problems.append(f"{where}: x, y and z must be numbers, mm; got {given}")
         return None
     return [float(x) for x in point]

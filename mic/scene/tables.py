@@ -7,6 +7,7 @@ blanks between them; an empty cell leaves the key to the table, or to its defaul
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ from mic.errors import SceneError
 __all__ = ["read_rows", "written_out"]
 
 AXES = ("x", "y", "z")
+DECIMAL = re.compile(r"(?<=\d),(?=\d)")
 
 
 def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
@@ -138,7 +140,7 @@ def _column(location: tuple[Any, ...], row: dict[str, Any]) -> str:
 def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, Any]]]:
     """Rows of a CSV file as a table of the scene has them, by their number in the file; the header is row 1.
 
-    Commas, semicolons or tabs separate the cells.
+    Commas, semicolons or tabs separate the cells; where commas do not, numbers may have a decimal comma.
 
     Parameters
     ----------
@@ -190,6 +192,8 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
     rows = []
     for number, record in enumerate(frame.to_dict("records"), 2):
         cells = {str(column): str(cell).strip() for column, cell in record.items()}
+        if separator != ",":
+            cells = {column: _with_points(cell, kind, column) for column, cell in cells.items()}
         if any(cells.values()):
             rows.append((number, _row(cells, kind)))
     if not rows:
@@ -215,6 +219,12 @@ def _value(cell: str, kind: type[BaseModel], column: str) -> Any:
     if _is_text(kind.model_fields[column].annotation):
         return cell
     return {"true": True, "false": False}.get(cell.lower(), _number(cell))
+
+
+def _with_points(cell: str, kind: type[BaseModel], column: str) -> str:
+    """A cell with points in its numbers, where commas do not separate the cells and may stand for them."""
+    text = column not in AXES and column != "direction" and _is_text(kind.model_fields[column].annotation)
+    return cell if text else DECIMAL.sub(".", cell)
 
 
 def _number(cell: str) -> Any:

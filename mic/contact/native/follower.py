@@ -24,9 +24,7 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
    ``l`` and ``c`` are the prediction's.
 3. **Error.**  ``l`` and ``c`` of the solution give other shifts.  How far they differ, root mean square over the
    contacts, estimates the step's error; it may be a share of the motion so far, not of the path, most of which may pass
-   without any.  Too large, the step is solved once more with the better shifts, then cut.  The first contact that
-   closes keeps the prediction's ``c``: until then no force changes it, and what its own force does to the others, and
-   they to it, happens in the share ``1 - c`` of the step, by which its estimate is the less.
+   without any.  Too large, the step is solved once more with the better shifts, then cut.
 """
 
 from __future__ import annotations
@@ -137,11 +135,6 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
     touched : (m,) array
         Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.
     """
-    first = 1.0
-    for k in range(len(state0)):
-        i = 3 * k
-        if state0[k] == OPEN and w0[i] + motion[i] < 0.0:
-            first = min(first, _crossing(w0[i], w0[i] + motion[i]))
     for k in range(len(state0)):
         i = 3 * k
         shift[k, 0] = shift[k, 1] = touched[k] = 0.0
@@ -150,8 +143,6 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
             if solved and state[k] == OPEN:
                 continue
             gap, m1, m2 = w0[i] + motion[i], motion[i + 1], motion[i + 2]
-            foreseen = _crossing(w0[i], gap) if gap < 0.0 else 1.0
-            p1, p2 = foreseen * m1, foreseen * m2
             if solved:  # but for the contact's own force
                 gap, m1, m2 = w[i], w[i + 1], w[i + 2]
                 for j in range(i, i + 3):
@@ -162,11 +153,6 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
                 c = _crossing(w0[i], gap)
                 touched[k] = c
                 shift[k, 0], shift[k, 1] = c * m1, c * m2
-            if solved and foreseen <= first and foreseen < 1.0:
-                # Until the first contact closes no force changes the prediction, and then for the rest of the step
-                # alone: its share of what the forces change is of second order.
-                shift[k, 0] = foreseen * p1 + (1.0 - foreseen) * shift[k, 0]
-                shift[k, 1] = foreseen * p2 + (1.0 - foreseen) * shift[k, 1]
         elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
             d1, d2 = e0[k, 0], e0[k, 1]
             if solved:
@@ -1239,13 +1225,8 @@ def _compile(digest):
                         if solved == 1 and (turn == 1 if given else error <= allowed):
                             break
                         if turn == 0 and solved == 1:
-                            turn, first = 1, 1.0
-                            for k in range(m):
-                                if state0[k] == OPEN:
-                                    first = min(first, touched[k])
-                            for k in range(m):
-                                if state0[k] != OPEN or touched[k] > first:  # the first that closes is foreseen
-                                    shift[k], touched[k] = other[k], late[k]
+                            turn = 1
+                            shift[:], touched[:] = other, late
                         elif last:
                             turn = 2
                             shift[:], touched[:] = 0.0, 0.0
