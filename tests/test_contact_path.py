@@ -123,7 +123,7 @@ def sheets(contacts, samples, seed):
 
 @pytest.fixture(scope="module")
 def followed_sheets():
-    solver, b = sheets(30, 24, seed=5)
+    solver, b = sheets(30, 160, seed=5)
     return solver, b, solver.follow(b), solver.follow(b, path=Increments(1024))
 
 

@@ -44,7 +44,7 @@ class Followed:
         So many equal steps instead, whatever their error: to show the order of the method.
     """
 
-    tolerance: float = 1e-3
+    tolerance: float = 2.5e-4
     floor: float = 0.0
     steps: int | None = None
 

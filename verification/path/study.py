@@ -25,7 +25,7 @@ SCENES = {"lap_joint": 2, "hat_on_plate": 4, "wheelhouse": 10}  # and what a pat
 SLIP, KEY, LENGTH = 0.01, 0.005, 0.002  # of a mean or 6σ, and mm: what a number of the report may be off by
 ROUNDING = 1e-6  # mm: errors below are neither estimated nor of use
 STEPS = (8, 16, 32, 64)
-TIGHT = Followed(tolerance=1e-5, floor=1e-7)  # a hundredth of what production asks of a step, and less
+TIGHT = Followed(tolerance=1e-5, floor=1e-7)  # a twenty-fifth of what production asks of a step, and less
 #: How far a step may err, mm: of the full solve's path, and of the reduced model's, in ever finer ones.
 FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 3e-14)
 QUICK_FULL, QUICK_REDUCED = (1e-4, 1e-6), (1e-8, 1e-10)
