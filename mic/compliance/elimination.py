@@ -13,7 +13,8 @@ over the parts: under functional forces f and rigid motions q the readings are `
 2. Eliminate the remaining bilateral rows R: ``λ_R = (R H_s Rᵀ)⁻¹ (v_R - R Q v_A - R H_s f)``. For rows C this leaves
    equation (7) of the paper, ``δ = S f_C + T v``, with ``S = H_CC - H_CR H_RR⁻¹ H_RC``.
 
-S is a gather less a correction whose rank is 12 P and the number of rows R, and no more of it is formed than its columns that are asked for.
+S is a gather less a correction whose rank is 12 P and the number of rows R, and no more of it is formed than its
+columns that are asked for.
 
 A row that yields by c per unit force reads ``v - c λ`` in place of v. Rows R that do add c to ``R H_s Rᵀ``. For rows A,
 ``λ_A = -(J Q)ᵀ f_J`` of the forces f_J on all other rows, so that ``J H_s Kᵀ`` grows by ``(J Q) c_A (K Q)ᵀ``, as if
