@@ -193,8 +193,7 @@ def _of_nodes(path: Path, frame: pd.DataFrame, scale: float, surface: Surface, d
 def sheet_normals(surface: Surface, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nearest points on a surface (n, 3), and the unit normals of the curved sheet there (n, 3)."""
     foot = surface.project(points)
-    normal = np.einsum("qi,qij->qj", foot.barycentric, surface.corner_normals[foot.triangle])
-    return foot.point, normal / np.linalg.norm(normal, axis=1)[:, None]
+    return foot.point, surface.smooth_normals(foot.triangle, foot.barycentric)
 
 
 def deviations(path: Path, cloud: Cloud, surface: Surface, skin: float, align: bool, within: float) -> Deviations:
