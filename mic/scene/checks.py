@@ -31,7 +31,14 @@ def problems(scene, whole: bool = True) -> list[str]:
         One line a problem, with the key, the name of the item and the remedy.
     """
     found: list[str] = []
-    for check in (check_names, check_references, check_stages, check_friction, *(check_held,) * whole):
+    for check in (
+        check_names,
+        check_references,
+        check_stages,
+        check_friction,
+        check_correlations,
+        *(check_held,) * whole,
+    ):
         try:
             found += told(check, scene)
         except (AttributeError, KeyError, TypeError, IndexError):  # of items that lack keys, or have others
@@ -106,6 +113,23 @@ def check_friction(scene) -> None:
                 f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
                 'zone, or ask for "coulomb"'
             )
+    _raise(found)
+
+
+def check_correlations(scene) -> None:
+    """Deviations that vary together exist, are drawn one by one, and stand in one table of correlations."""
+    kinds = {item.name: item for item in scene.deviations}
+    found, seen = [], set()
+    for i, table in enumerate(scene.correlations):
+        for name in table.deviations:
+            at = f"correlations[{i}].deviations"
+            found += told(known, at, name, kinds, "deviation")
+            item = kinds.get(name)
+            if item is not None and (item.several or getattr(item, "scores", None) is not None):
+                found.append(f"{at}: {name!r} stands for several modes, which are uncorrelated; take it out")
+            if name in seen:
+                found.append(f"{at}: {name!r} stands there twice; put all that varies with it into one matrix, once")
+            seen.add(name)
     _raise(found)
 
 

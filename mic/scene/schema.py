@@ -25,12 +25,14 @@ from pydantic import (
 from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.path import Followed
 from mic.scene.checks import problems
+from mic.scene.distribution import check_distribution
 from mic.scene.settings import fill_in
 from mic.scene.tables import written_out
 
 __all__ = [
     "Clamp",
     "ClampDeviation",
+    "Correlation",
     "Deviation",
     "Fixture",
     "FollowedPath",
@@ -615,10 +617,30 @@ class _Deviation(_Table):
     name: Name = Field(description="names the deviation in results and in `model.evaluate`")
     mean: FiniteFloat = Field(0.0, description="N or mm")
     sigma: NonNegative = Field(description="standard deviation, N or mm")
-    distribution: Literal["normal", "uniform"] = Field("normal", description="with this mean and this sigma")
+    distribution: Annotated[str, Field(min_length=1)] = Field(
+        "normal",
+        description="with this mean and this sigma: `normal`, `uniform`, or the name of any continuous distribution of "
+        "`scipy.stats` that has both",
+    )
+    parameters: dict[str, FiniteFloat] = Field(
+        {}, description="its shape parameters by SciPy's names, such as `{ a = 4 }` with `skewnorm`"
+    )
+    truncated: tuple[FiniteFloat, FiniteFloat] | None = Field(
+        None, description="smallest and largest value, N or mm: cut off there; mean and sigma are those before"
+    )
 
     #: The scene's table in which `target` stands, where the deviation moves something.
     moves: ClassVar[str | None] = None
+
+    #: Whether it becomes several, each with the distribution.
+    several: ClassVar[bool] = False
+
+    @model_validator(mode="after")
+    def _distributed(self):
+        if self.several and self.truncated is not None:
+            raise ValueError("truncated: it stands for several modes, which have no limits of their own; remove it")
+        check_distribution(self)
+        return self
 
 
 class ForceDeviation(_OnPart, _Deviation):
@@ -708,6 +730,7 @@ class MeasuredDeviation(_Deviation):
     """
 
     kind: Literal["measured"] = Field(description='`"measured"`')
+    several: ClassVar[bool] = True
     part: Name = Field(description="the part that was measured")
     files: str = Field(
         description="a file for each piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with a header "
@@ -749,6 +772,7 @@ class FieldDeviation(_Deviation):
     """
 
     kind: Literal["field"] = Field(description='`"field"`')
+    several: ClassVar[bool] = True
     part: Name = Field(description="the part whose shape varies")
     mean: Annotated[FiniteFloat, Field(ge=0, le=0)] = Field(0.0, description="0: give a mean shape as `shape`")
     sigma: Positive = Field(description="standard deviation at every point, mm, before the part is set down")
@@ -814,9 +838,73 @@ class MonteCarlo(_Table):
 
     samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
     seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
+    design: Literal["independent", "antithetic", "latin-hypercube", "sobol"] = Field(
+        "independent",
+        description="how the distributions are sampled: each sample for itself; in pairs of opposite deviations; in "
+        "Latin hypercubes of 50 samples; in scrambled Sobol' sequences of 64. The number of samples is a multiple of "
+        "these",
+    )
+    table: Annotated[str, Field(min_length=1)] | None = Field(
+        None,
+        description="file of samples, CSV or Parquet, in place of all drawing: a row for each assembly, a column for "
+        "each deviation under its name, N or mm as it has them (modes as `NAME.1` …); left out, `samples` is all of it",
+    )
+    values: list[list[FiniteFloat]] | None = Field(
+        None, description="or these samples themselves, each with the deviations in their order"
+    )
     backend: Literal["native", "paper"] = Field(
         "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as the paper did"
     )
+
+    @model_validator(mode="after")
+    def _drawn_or_given(self):
+        given = "table" if self.table is not None else "values"
+        if (self.table is not None or self.values is not None) and self.design != "independent":
+            raise ValueError(f"design says how samples are drawn, and {given} gives them: remove one of them")
+        return self
+
+
+class Correlation(_Table):
+    """Deviations that vary together: a Gaussian copula, which leaves each its own distribution.
+
+    Sample by sample the copula draws correlated standard normals ``z = L ε`` with ``L Lᵀ`` the matrix; each deviation
+    is the quantile of its distribution at ``Φ(z)``. Of normal deviations the matrix is their own correlation.
+    """
+
+    deviations: Annotated[list[Name], Field(min_length=2)] = Field(
+        description="their names; a deviation may stand in one such table, and not be of kind `measured` or `field`, "
+        "whose modes are uncorrelated"
+    )
+    matrix: list[list[FiniteFloat]] = Field(
+        description="correlations between them, symmetric, 1 on the diagonal, no eigenvalue below 0"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_correlation(self):
+        n = len(self.deviations)
+        if [len(row) for row in self.matrix] != [n] * n:
+            raise ValueError(f"matrix: {n} deviations need {n} rows of {n} numbers")
+        R = np.array(self.matrix)
+        if np.abs(R - R.T).max() > 1e-12:
+            i, j = np.argwhere(np.abs(R - R.T) > 1e-12)[0]
+            raise ValueError(f"matrix is not symmetric: {R[i, j]:g} above the diagonal and {R[j, i]:g} below; mend it")
+        if np.abs(np.diag(R) - 1).max() > 1e-12:
+            raise ValueError("matrix needs 1 all along its diagonal: give correlations, not covariances")
+        if np.abs(R).max() > 1:
+            raise ValueError(f"matrix: a correlation lies between -1 and 1; got {R.flat[np.abs(R).argmax()]:g}")
+        least = float(np.linalg.eigvalsh(R)[0])
+        if least < -1e-9:
+            raise ValueError(
+                f"matrix: no deviations can vary like that: its smallest eigenvalue is {least:.3g} and must not be "
+                "negative; correct the correlations"
+            )
+        return self
+
+    @property
+    def factor(self) -> np.ndarray:
+        """(k, k) L with ``L Lᵀ`` the matrix, which may be singular."""
+        value, vector = np.linalg.eigh(np.array(self.matrix))
+        return vector * np.sqrt(value.clip(0.0))
 
 
 class FollowedPath(_Table):
@@ -852,6 +940,7 @@ class Scene(_Table):
     zones: list[Zone] = []
     stages: Annotated[list[Stage], Field(min_length=1)]
     deviations: list[Deviation] = []
+    correlations: list[Correlation] = []
     measurements: list[Measurement] = []
     path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()
