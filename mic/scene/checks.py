@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from mic.contact.laws import LAWS
-from mic.scene.stages import check_stages, known, set_down_in, told
+from mic.scene.stages import check_stages, known, moves_assembly, set_down_in, told
 
 __all__ = ["entry", "problems"]
 
@@ -37,6 +37,7 @@ def problems(scene, whole: bool = True) -> list[str]:
         check_stages,
         check_friction,
         check_correlations,
+        check_stations,
         *(check_held,) * whole,
     ):
         try:
@@ -112,6 +113,19 @@ def check_friction(scene) -> None:
             found.append(
                 f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
                 'zone, or ask for "coulomb"'
+            )
+    _raise(found)
+
+
+def check_stations(scene) -> None:
+    """Gravity acts where something is set down."""
+    stations = [str(stage.name) for stage in scene.stages if stage is scene.stages[0] or moves_assembly(scene, stage)]
+    found = []
+    for i, item in enumerate(scene.deviations):
+        if item.kind == "gravity" and item.stage is not None and item.stage not in stations:
+            found.append(
+                f"{entry('deviations', i, item, 'stage')}: in {item.stage!r} nothing is set down anew; name one of "
+                f"{', '.join(stations)}"
             )
     _raise(found)
 

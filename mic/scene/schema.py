@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -38,6 +39,7 @@ __all__ = [
     "FollowedPath",
     "FieldDeviation",
     "ForceDeviation",
+    "GravityDeviation",
     "Locator",
     "LocatorDeviation",
     "MeasuredDeviation",
@@ -48,6 +50,7 @@ __all__ = [
     "Scene",
     "ShapeDeviation",
     "Stage",
+    "TemperatureDeviation",
     "Weld",
     "Zone",
 ]
@@ -190,6 +193,10 @@ class Part(_Table):
     )
     poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
         None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
+    )
+    density: Positive | None = Field(None, description="kg/m³, such as 7850; needed where gravity acts")
+    expansion: Positive | None = Field(
+        None, description="coefficient of thermal expansion, 1/K, such as 1.2e-5; needed where temperature deviates"
     )
     rests: Flag = Field(
         False,
@@ -657,11 +664,26 @@ class ForceDeviation(_OnPart, _Deviation):
 
 
 class LocatorDeviation(_Deviation):
-    """``kind = "locator"``: moves a locator along its direction, mm."""
+    """``kind = "locator"``: moves a locator along its direction, mm; or a pin or hole that several read."""
 
     kind: Literal["locator"] = Field(description='`"locator"`')
-    target: Name = Field(description="the locator that moves")
+    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
+        description="the locator that moves; or those of one pin, with its `direction`"
+    )
+    direction: Annotated[Vector | None, AfterValidator(_unit)] = Field(
+        None,
+        description="in which the pin moves: each locator by what of it lies along its own; left out, the locator's",
+    )
+    where: Literal["fixture", "part"] = Field(
+        "fixture", description="whether the pin is out of place in its fixture, or the hole in its part"
+    )
     moves: ClassVar[str | None] = "locators"
+
+    @model_validator(mode="after")
+    def _one_way(self):
+        if not isinstance(self.target, str) and self.direction is None:
+            raise ValueError("several locators move as one pin: give its direction = [x, y, z]")
+        return self
 
 
 class ClampDeviation(_Deviation):
@@ -672,6 +694,36 @@ class ClampDeviation(_Deviation):
         description="the clamp that moves, a tong with both its jaws; or several that move alike"
     )
     moves: ClassVar[str | None] = "clamps"
+
+
+class GravityDeviation(_Deviation):
+    """``kind = "gravity"``: the weight of all parts, from when they are set down in a station until they leave it.
+
+    Nothing of it is left where the assembly is set down elsewhere; there it may hang another way, by a deviation of its
+    own.
+    """
+
+    kind: Literal["gravity"] = Field(description='`"gravity"`')
+    direction: Annotated[Vector, AfterValidator(_unit)] = Field(
+        (0.0, 0.0, -1.0), description="in which weight pulls, as the parts are drawn"
+    )
+    mean: FiniteFloat = Field(1.0, description="multiples of the earth's gravity, 9.80665 m/s²")
+    sigma: NonNegative = Field(0.0, description="standard deviation, in the same multiples")
+    stage: Name | None = Field(
+        None, description="the locate or measure stage in whose station it acts; left out, the first"
+    )
+
+
+class TemperatureDeviation(_Deviation):
+    """``kind = "temperature"``: a part is uniformly warmer than it was drawn, from before it is set down to the end.
+
+    It is measured warm. Fixtures do not grow; neither does its thickness.
+    """
+
+    kind: Literal["temperature"] = Field(description='`"temperature"`')
+    part: Name | None = Field(None, description="which part; left out, all of them")
+    mean: FiniteFloat = Field(0.0, description="K")
+    sigma: NonNegative = Field(description="standard deviation, K")
 
 
 class ShapeDeviation(_Deviation):
@@ -783,7 +835,14 @@ class FieldDeviation(_Deviation):
 
 
 Deviation = Annotated[
-    ForceDeviation | LocatorDeviation | ClampDeviation | ShapeDeviation | MeasuredDeviation | FieldDeviation,
+    ForceDeviation
+    | LocatorDeviation
+    | ClampDeviation
+    | ShapeDeviation
+    | MeasuredDeviation
+    | FieldDeviation
+    | GravityDeviation
+    | TemperatureDeviation,
     Field(discriminator="kind"),
 ]
 

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from mic.model.sources.clamp import ClampSetting
 from mic.model.sources.force import CorrectiveForce
+from mic.model.sources.gravity import Gravity
 from mic.model.sources.locator import LocatorPosition
 from mic.model.sources.shape import ShapeAtPoints
 from mic.model.sources.source import Control, Source
+from mic.model.sources.temperature import Temperature
 
 __all__ = ["SOURCES", "Control", "Source", "sources"]
 
@@ -23,9 +25,11 @@ SOURCES: dict[str, type[Source]] = {
     "locator": LocatorPosition,
     "clamp": ClampSetting,
     "shape": ShapeAtPoints,
+    "gravity": Gravity,
+    "temperature": Temperature,
 }
 
 
 def sources(scene) -> list[Source]:
     """The sources of a scene, in the order of its deviations."""
-    return [SOURCES[item.kind](item, f"deviations[{i}]") for i, item in enumerate(scene.deviations)]
+    return [SOURCES[item.kind](item, f"deviations[{i}]", scene) for i, item in enumerate(scene.deviations)]

@@ -48,10 +48,12 @@ class Source:
         The scene's table.
     key : str
         Where it stands in the scene, for messages.
+    scene : mic.scene.Scene
+        What it is a deviation of.
     """
 
-    def __init__(self, deviation: Any, key: str):
-        self.deviation, self.key = deviation, key
+    def __init__(self, deviation: Any, key: str, scene: Any):
+        self.deviation, self.key, self.scene = deviation, key, scene
 
     def retain(self, rows: Any) -> None:
         """Add the rows that the source needs to :class:`mic.model.rows.Rows`."""
@@ -66,6 +68,10 @@ class Source:
     def control(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> Control | None:
         """The shape of a part where it is known, per unit amplitude, in place of a force that makes it, or None."""
         return None
+
+    def expansion(self) -> Mapping[str, float]:
+        """By how much parts grow in all directions per unit amplitude, free of stress, mm/mm, by name."""
+        return {}
 
     def target(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
         """By how much bilateral rows are moved per unit amplitude, mm along the row."""
