@@ -227,3 +227,51 @@ def test_maps_of_displacement_do_not_pass_over_what_grows(cache):
 def test_no_source_does_anything_that_the_scene_does_not_say(lap_scene):
     for source in sources(lap_scene):
         assert source.expansion() == {}
+
+
+MU = {"name": "mu", "kind": "friction", "target": "lap", "sigma": 0.05}
+
+
+def test_friction_that_varies_is_that_of_scenes_with_other_friction(lap_scene, cache):
+    """Of runs of equal values, of single ones, and of what is negative, which is counted."""
+    table = lap_scene.model_dump()
+    forces = table["deviations"]
+    varied = mic.reduce(mic.Scene(**table | {"deviations": [*forces, MU], "folder": lap_scene.folder}), cache)
+    samples = np.zeros((6, len(forces) + 1))
+    samples[:, : len(forces)] = [[-8.0, 4.0, 0.1]] * 6
+    samples[:, -1] = [0.0, -0.2, -0.2, 0.1, -0.3, 0.0]
+    found = varied.process("coulomb").attempt(samples)
+    np.testing.assert_array_equal(found.deviations, samples)
+    assert found.failed.tolist() == [False] * 4 + [True, False]
+    assert "friction would be -0.03" in found.resolutions["clamp"].status[4]
+    for i in (0, 1, 3):
+        table["zones"][0]["friction"] = 0.27 + samples[i, -1]
+        fixed = mic.reduce(mic.Scene(**table | {"folder": lap_scene.folder}), cache)
+        alone = fixed.evaluate(samples[i, :-1], "coulomb").resolutions["clamp"]
+        np.testing.assert_allclose(found.resolutions["clamp"].force[i], alone.force[0], atol=1e-9)
+    force = found.resolutions["clamp"].force
+    assert np.abs(force[0] - force[1]).max() > 1e-3
+    np.testing.assert_array_equal(force[[0, 1]], force[[5, 2]])
+    smooth = varied.process("frictionless").evaluate(samples)
+    assert not smooth.failed.any()
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"target": "roof"}, "no zone called 'roof'"),
+        ({"target": []}, "target"),
+        ({"sigma": -0.1}, "sigma"),
+        ({"zone": "lap"}, r"zone \(mu\): unknown key"),
+        ({"friction": 0}, "zone 'lap' has no constant friction to add to; give it friction"),
+        (
+            {"friction_table": [[0.0, 0.2], [1.0, 0.2]]},
+            "zone 'lap' has no constant friction to add to; give it friction",
+        ),
+    ],
+)
+def test_friction_of_no_zone_is_refused_with_the_remedy(change, said, cache):
+    table = lap([MU | {key: value for key, value in change.items() if not key.startswith("friction")}])
+    table["zones"][0] |= {key: value for key, value in change.items() if key.startswith("friction")}
+    with pytest.raises(mic.SceneError, match=said):
+        assemble(read(table), cache)

@@ -10,7 +10,7 @@ of all parts, shapes are found by finite elements, and each increment of each st
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,7 +24,7 @@ from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
 from mic.model.shape import controlling_forces, datum_rows, known_shapes
-from mic.model.sources import sources
+from mic.model.sources import changed, sources
 from mic.process.drive import drive
 from mic.process.plan import plan_assembly
 
@@ -204,11 +204,12 @@ class FullModel:
             raise ValueError(f"law {law!r}: the full solve knows {' and '.join(LAWS)}")
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
+        rubbing = replace(assembly, contacts=changed(assembly.scene, contacts, deviations))
         mesh, asked = self._driven(deviations)
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
-            friction = friction_of(assembly, laws.find(law), plan.name)
+            friction = friction_of(rubbing, laws.find(law), plan.name)
             state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
                 state, asked
             )

@@ -36,6 +36,7 @@ __all__ = [
     "Correlation",
     "Deviation",
     "Fixture",
+    "FrictionDeviation",
     "FollowedPath",
     "FieldDeviation",
     "ForceDeviation",
@@ -726,6 +727,21 @@ class TemperatureDeviation(_Deviation):
     sigma: NonNegative = Field(description="standard deviation, K")
 
 
+class FrictionDeviation(_Deviation):
+    """``kind = "friction"``: what the coefficient of friction of zones is higher by, in all stages.
+
+    Its samples are solved one by one. One whose coefficient would be negative is counted as failed: give `truncated`.
+    """
+
+    kind: Literal["friction"] = Field(description='`"friction"`')
+    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
+        description="the zone, or several that vary alike; each with a constant `friction`"
+    )
+    mean: FiniteFloat = Field(0.0, description="added to the coefficient")
+    sigma: NonNegative = Field(description="standard deviation of the coefficient")
+    moves: ClassVar[str | None] = "zones"
+
+
 class ShapeDeviation(_Deviation):
     """``kind = "shape"``: how far a part is out of shape at points of it, mm along the normals of its mesh.
 
@@ -842,7 +858,8 @@ Deviation = Annotated[
     | MeasuredDeviation
     | FieldDeviation
     | GravityDeviation
-    | TemperatureDeviation,
+    | TemperatureDeviation
+    | FrictionDeviation,
     Field(discriminator="kind"),
 ]
 

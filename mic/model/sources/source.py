@@ -52,6 +52,9 @@ class Source:
         What it is a deviation of.
     """
 
+    #: Whether it changes the contacts themselves, so that each of its values has contact problems of its own.
+    changes = False
+
     def __init__(self, deviation: Any, key: str, scene: Any):
         self.deviation, self.key, self.scene = deviation, key, scene
 
@@ -72,6 +75,15 @@ class Source:
     def expansion(self) -> Mapping[str, float]:
         """By how much parts grow in all directions per unit amplitude, free of stress, mm/mm, by name."""
         return {}
+
+    def change(self, contacts: Any, amplitude: float) -> Any:
+        """:class:`mic.model.assembly.Contacts` as they are at an amplitude, where the source changes them.
+
+        Raises
+        ------
+        ImpossibleSample
+        """
+        return contacts
 
     def target(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
         """By how much bilateral rows are moved per unit amplitude, mm along the row."""
