@@ -78,8 +78,9 @@ DAMPING = 1e-12
 EVENTS, PASSES = 32, 32
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
-#: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step.
-SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS = 10, 40, 10, 100
+#: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step, of
+#: all contacts and of one: more, and they go round in a circle.
+SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS, TURNS = 10, 40, 10, 100, 3
 #: A step with the inverse of one before, a tenth of the cost of a new one, must bring the error down by this, and of
 #: the contacts this share may have changed their status.
 CHORD, CHANGES = 0.3, 0.3
@@ -561,6 +562,7 @@ def _compile(digest):
         m = len(parameters)
         phi, new_A, new_B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         state, found, place = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
+        turned = np.zeros(m, np.int64)
         e, right, scaling = np.zeros((m, 2)), np.zeros(3 * m), np.ones(m)
         y_new, w_new, trial, still = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m)
         one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
@@ -629,6 +631,7 @@ def _compile(digest):
                 kept[k], stretch[k] = state[k], scaling[k]
             y_old[:], before = y, error
             settled = False
+            turned[:] = 0
             for _ in range(PIVOTS):
                 linear(W, own, inverse, right, y, q, y_new, w_new)
                 trial[:] = y_new
@@ -657,6 +660,9 @@ def _compile(digest):
                         hardest, worst = wrong, k
                 if worst < 0:
                     settled = True
+                    break
+                turned[worst] += 1
+                if turned[worst] > TURNS:
                     break
                 i = 3 * worst
                 if place[worst] < 0:
