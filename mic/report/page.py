@@ -15,7 +15,7 @@ from mic.contact.solution import Status
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, change, number, percent, zone_colour
-from mic.report.viewer import viewer_data
+from mic.report.viewer import packed, viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.statistics import LEVEL, covered_share
@@ -91,7 +91,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         contacts=_records(outcome.contact_statistics),
         listed_contacts=LISTED_CONTACTS,
         viewer=viewer,
-        plotly=get_plotlyjs() if viewer else None,
+        plotly=packed(get_plotlyjs()) if viewer else None,
     )
     path = outcome.folder / "report.html"
     write_text(path, page)
