@@ -11,6 +11,7 @@ from functools import wraps
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -39,7 +40,7 @@ from mic.proposal import write_scene
 from mic.results.folder import RunFolder
 from mic.results.forecast import forecast
 from mic.results.identity import identity
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY
+from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
@@ -114,10 +115,14 @@ def report(folder):
 
 def _report(console, outcome):
     """The page, and on the console the least that a user wants to know."""
-    from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
+    from mic.report.answer import answer  # drawing libraries are slow to import, and most commands need none
+    from mic.report.page import write_report
 
     page = write_report(outcome.folder, outcome)
     _print_zones(console, outcome)
+    found = answer(outcome)
+    for sentence in found.sentences if found else ():
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
     console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(outcome.folder / 'summary.json')}")
 
 
@@ -256,7 +261,11 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     if accuracy:
         _print_accuracy(console, assembly, say)
     if converge:
-        _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
+        converged = density.converge(assembly, cache_folder(), asked.report.laws[0], say)
+        _print_convergence(console, assembly, converged)
+        folder = Path("results") / asked.name
+        if _holds(folder, assembly):
+            _keep_studies(console, folder, {DENSITY: _density_table(asked, converged)})
     surfaces = {part.name: part.surface for part in assembly.parts}
     _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans)
     if normals is not None or overlap is not None:
@@ -507,10 +516,8 @@ def _print_convergence(console, assembly, found):
 def order(source, samples, seed, law, permutations, variants, table):
     """``mic order``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
-    model = _model(console, source)
-    scene = model.scene
-    frictional = [name for name in scene.report.laws if LAWS[name].frictional]
-    asked = law.value if law else (frictional or scene.report.laws)[0]
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
     random = PERMUTATIONS if permutations is None else permutations
     others = read_variants(scene, variants) if variants else orders(scene, random)
     if len(others) == 1:
@@ -532,6 +539,7 @@ def order(source, samples, seed, law, permutations, variants, table):
     if table:
         found.to_csv(table, index=False)
         console.print(f"table: {plain(table)}")
+    _keep_studies(console, folder, {ORDERS: found.assign(law=asked)[ORDERS.names].astype({"samples": "int64"})})
 
 
 def _model(console, source):
@@ -620,7 +628,8 @@ def _print_contributors(console, scene, found):
         )
         table.add_row(plain(row["measurement"]), number(1e3 * row["sigma"]), driven, said, number(row["r_squared"]))
     console.print(table)
-    console.print(f"Over all key characteristics: {plain(named(driving.joint_ranking(found, scene), 'total'))}")
+    ranked = driving.joint_ranking(found.table, found.linearity, scene)
+    console.print(f"Over all key characteristics: {plain(named(ranked, 'total'))}")
     for sentence in linear_words(found.table, found.linearity):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     one = found.linearity.iloc[0]
@@ -667,6 +676,23 @@ def _print_friction(console, found):
         console.print(table)
     for sentence in friction_words(found, rubbing.friction_needed(found)):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+
+def _holds(folder, assembly) -> bool:
+    """Whether a folder holds the results of an assembly."""
+    if not (folder / "run.json").is_file():
+        return False
+    record = RunFolder(folder).record()
+    return identity(assembly, record["seed"]) == record["identity"]
+
+
+def _density_table(scene, found) -> pd.DataFrame:
+    """As :data:`mic.results.schema.DENSITY` declares it."""
+    change = lambda values: values[1] - values[0]
+    columns = {"law": scene.report.laws[0], "measurement": [item.name for item in scene.measurements]}
+    columns |= {"pairs": int(found.pairs[0]), "denser": int(found.pairs[1])}
+    columns |= {f"{name}_change": change(getattr(found, name)) for name in ("nominal", "mean", "six_sigma")}
+    return pd.DataFrame(columns | {"failed": found.failed})
 
 
 def _studied(console, source):

@@ -198,7 +198,7 @@ def _shares(variance: np.ndarray, varies: np.ndarray) -> np.ndarray:
         return np.where(varies, variance / variance.sum(axis=0), np.nan)
 
 
-def joint_ranking(found: Contributors, scene: Scene) -> pd.DataFrame:
+def joint_ranking(table: pd.DataFrame, linearity: pd.DataFrame, scene: Scene) -> pd.DataFrame:
     """Which contributor hurts most overall: total indices over all key characteristics, weighed by how much of its
     tolerance each takes,
 
@@ -212,8 +212,8 @@ def joint_ranking(found: Contributors, scene: Scene) -> pd.DataFrame:
         ``law``, ``contributor`` and ``total``, the largest first.
     """
     width = {item.name: item.upper - item.lower for item in scene.measurements}
-    told = found.linearity.assign(weight=(found.linearity["sigma"] / found.linearity["measurement"].map(width)) ** 2)
-    whole = found.table.merge(told[["law", "measurement", "weight"]]).dropna(subset=["total"])
+    told = linearity.assign(weight=(linearity["sigma"] / linearity["measurement"].map(width)) ** 2)
+    whole = table.merge(told[["law", "measurement", "weight"]]).dropna(subset=["total"])
     whole["share"] = whole["total"] * whole["weight"]
     summed = whole.groupby(["law", "contributor"], sort=False)[["share", "weight"]].sum()
     ranked = (summed["share"] / summed["weight"]).rename("total").reset_index()

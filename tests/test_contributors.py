@@ -231,11 +231,10 @@ def test_the_joint_ranking_weighs_each_characteristic_by_how_much_of_its_toleran
     rows = [("wide", "A", 0.9), ("wide", "B", 0.1), ("tight", "A", 0.2), ("tight", "B", 0.8)]
     table = pd.DataFrame([{"law": "coulomb", "measurement": m, "contributor": c, "total": t} for m, c, t in rows])
     linearity = pd.DataFrame({"law": "coulomb", "measurement": ["wide", "tight"], "sigma": [0.1, 0.01]})
-    found = SimpleNamespace(table=table, linearity=linearity)
-    ranked = joint_ranking(found, SimpleNamespace(measurements=items)).set_index("contributor")["total"]
+    ranked = joint_ranking(table, linearity, SimpleNamespace(measurements=items)).set_index("contributor")["total"]
     np.testing.assert_allclose([ranked["A"], ranked["B"]], [0.55, 0.45])
     linearity["sigma"] = [0.1, 0.03]  # nine times the share of its tolerance, squared
-    ranked = joint_ranking(found, SimpleNamespace(measurements=items))
+    ranked = joint_ranking(table, linearity, SimpleNamespace(measurements=items))
     assert ranked["contributor"].tolist() == ["B", "A"]
     np.testing.assert_allclose(ranked["total"], [0.73, 0.27])
     assert named(ranked, "total") == "B 73 %, A 27 %"
@@ -248,7 +247,8 @@ def test_the_command_takes_a_saved_model_and_prints_what_it_found(lap_model, tmp
     )
     assert done.exit_code == 0, done.output
     wanted = contributors(lap_model, "coulomb", 16, lap_model.scene.monte_carlo.seed)
-    assert f"Over all key characteristics: {named(joint_ranking(wanted, lap_model.scene), 'total')}" in done.output
+    ranked = joint_ranking(wanted.table, wanted.linearity, lap_model.scene)
+    assert f"Over all key characteristics: {named(ranked, 'total')}" in done.output
     assert "86 evaluations" in done.output
 
 

@@ -16,6 +16,7 @@ from support.runs import all_fail, edit, fail
 
 import mic.report
 from mic.contact import ContactSolver
+from mic.contributors import contributors
 from mic.geometry.surface import Surface
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, Entry, draw, draw_all
@@ -27,7 +28,7 @@ from mic.report.thinning import thinned
 from mic.results.fields import write_fields
 from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
-from mic.results.schema import PATH, PATH_ERRORS, RESOLUTIONS
+from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
 from mic.scene import Scene
 
@@ -80,8 +81,12 @@ def _sampled(scene, samples):
 
 def _results(scene, cache, folder, samples):
     """Everything that a run of a scene leaves behind, and its page."""
-    run(_sampled(scene, samples), folder, cache)
+    model = run(_sampled(scene, samples), folder, cache).model
     write_fields(folder)
+    if scene.measurements:
+        found = contributors(model, samples=16)
+        CONTRIBUTORS.write(folder, found.table)
+        LINEARITY.write(folder, found.linearity)
     return _Page(write_report(folder))
 
 
