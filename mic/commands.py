@@ -599,6 +599,11 @@ def contributors(source, samples, seed, law):
     if not scene.measurements or not scene.deviations:
         what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
         raise SceneError(f"scene {scene.name!r} has no {what}; give it some")
+    if scene.monte_carlo.values is not None:
+        raise SceneError(
+            f"scene {scene.name!r}: it states its samples in a table, which does not say what each deviation does "
+            "alone; take monte_carlo.table out, so that they are drawn"
+        )
     count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
     with _counting(console, f"evaluations under {asked}", count) as advance:
         found = driving.contributors(model, asked, samples, _seed_of(scene, seed), _threads(), advance)

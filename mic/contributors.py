@@ -50,10 +50,14 @@ class Contributors:
 
 
 def groups(scene: Scene) -> dict[str, list[int]]:
-    """The scene's deviations by contributor: those of one batch are one, all others stand for themselves."""
+    """The scene's deviations by contributor: those of one batch, or correlated, are one, all others stand for
+    themselves."""
     found: dict[str, list[int]] = {}
     for j, item in enumerate(scene.deviations):
         found.setdefault(getattr(item, "batch", None) or item.name, []).append(j)
+    for table in scene.correlations:
+        joined = [name for name, own in found.items() if {scene.deviations[j].name for j in own} & {*table.deviations}]
+        found[" + ".join(joined)] = sorted(j for name in joined for j in found.pop(name))
     return found
 
 
@@ -87,6 +91,13 @@ def contributors(
     scene, own = model.scene, groups(model.scene)
     if not scene.measurements or not own:
         raise ValueError(f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}")
+    if scene.monte_carlo.values is not None:
+        raise ValueError(
+            f"scene {scene.name!r} states its samples in a table, which says nothing of what varies alone: take the "
+            "table out, and give each deviation its sigma"
+        )
+    independent = scene.monte_carlo.model_copy(update={"design": "independent"})
+    scene = scene.model_copy(update={"monte_carlo": independent})
     process = model.process(law, threads=threads)
 
     def measured(deviations: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from mic.options import app
 from mic.report.answer import answer
 from mic.report.page import write_report
+from mic.report.style import change
 from mic.results.budget import error_budget, whole_yield
 from mic.results.outcome import read_outcome
 from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE
@@ -114,15 +115,14 @@ def test_each_source_of_error_tells_what_was_measured_of_it(copied):
     assert budget["meshes"].six_sigma == pytest.approx(0.02 * table.loc["M1", "six_sigma"])
     assert all(one.measured for one in budget.values())
     said = answer(outcome).sentences[-1]
-    total = np.sqrt(sum(one.six_sigma**2 for one in budget.values()))
-    assert f"6σ to {1e3 * total:.0f} µm, most of it from samples." in said.replace("0 µm", "0 µm")
+    total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))
+    assert f"6σ to {change(total).lstrip('+')}, most of it from samples." in said
 
 
 def test_samples_that_failed_are_told_beside_the_answer(copied):
     fail(copied, "coulomb", {3: ("clamp", "not converged")})
-    assert (
-        answer(read_outcome(copied)).sentences[-1] == f"1 of {SAMPLES} samples failed or are missing, and do not count."
-    )
+    last = answer(read_outcome(copied)).sentences[-1]
+    assert last == f"1 of {SAMPLES} samples failed or are missing, and do not count."
 
 
 def test_a_rare_miss_is_told_as_it_was_computed(copied):

@@ -104,7 +104,10 @@ def test_what_does_not_vary_has_no_shares():
 def test_deviations_of_one_batch_are_one_contributor():
     items = [SimpleNamespace(name="F", batch=None), SimpleNamespace(name="S.1", batch="S")]
     items += [SimpleNamespace(name="L"), SimpleNamespace(name="S.2", batch="S")]
-    assert groups(SimpleNamespace(deviations=items)) == {"F": [0], "S": [1, 3], "L": [2]}
+    scene = SimpleNamespace(deviations=items, correlations=[])
+    assert groups(scene) == {"F": [0], "S": [1, 3], "L": [2]}
+    scene.correlations = [SimpleNamespace(deviations=["L", "F"])]
+    assert groups(scene) == {"S": [1, 3], "F + L": [0, 2]}
 
 
 # ------------------------------------------------------------------------------------------------ contact
@@ -215,6 +218,12 @@ def test_of_a_nearly_linear_assembly_that_is_said_and_all_rank_alike(lap_model):
         assert own["first"].sum() == pytest.approx(1.0, abs=0.05)
     assert "nearly linear" in linear_words(found.table, found.linearity)[0]
     assert found.linearity["evaluations"].unique().tolist() == [32 * 5 + 6]
+
+
+def test_samples_of_a_table_do_not_tell_what_varies_alone(closing):
+    given = closing.scene.monte_carlo.model_copy(update={"values": [[0.0, 0.0, 0.0]], "samples": 1})
+    with pytest.raises(ValueError, match="states its samples in a table"):
+        contributors(replace(closing, scene=closing.scene.model_copy(update={"monte_carlo": given})), "frictionless", 8)
 
 
 def test_what_hardly_varies_is_told_and_given_no_shares(closing):

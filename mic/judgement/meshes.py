@@ -41,7 +41,7 @@ def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
     parts = {part.name: part for part in assembly.parts}
     for table in PADS:
         for item in getattr(assembly.scene, table):
-            if getattr(item, "hole", None) is not None or not hasattr(item, "point"):
+            if getattr(item, "hole", None) is not None or getattr(item, "point", None) is None:
                 continue
             names = item.parts if table == "welds" else [item.part] if hasattr(item, "part") else []
             for name in names:
@@ -252,6 +252,30 @@ def zone_small(assembly) -> Iterator[Seen]:
         area = float(assembly.contacts.area[own].sum())
         if own.any() and area < SMALL:
             yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
+
+
+def samples_twice(assembly) -> Iterator[Seen]:
+    """Rows of a table of samples that stand there more than once."""
+    values = assembly.scene.monte_carlo.values or []
+    seen: dict[tuple[float, ...], int] = {}
+    twice = [(i, seen[row]) for i, row in enumerate(map(tuple, values)) if seen.setdefault(row, i) != i]
+    if twice:
+        i, first = twice[0]
+        yield "monte_carlo", f"sample {i} is sample {first} again ({len(twice)} of {len(values)} are another's)", None
+
+
+def samples_narrow(assembly) -> Iterator[Seen]:
+    """Columns of a table of samples that vary far less than their sigma says."""
+    values = np.array(assembly.scene.monte_carlo.values or [])
+    if len(values) < ENOUGH:
+        return
+    for item, column in zip(assembly.scene.deviations, values.T):
+        spread = float(column.std())
+        if 0.0 < spread < NARROW * item.sigma:
+            yield of("deviations", item), f"varies by {spread:.3g} in the samples, and sigma = {item.sigma:g}", None
+
+
+ENOUGH, NARROW = 8, 0.02  # samples that tell a spread, and the least share of sigma that it is
 
 
 def overlap_closed(assembly) -> Iterator[Seen]:

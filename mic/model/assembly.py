@@ -29,6 +29,7 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
+from mic.model import characteristics
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.modes import write_modes
@@ -39,6 +40,7 @@ from mic.model.sources import sources
 from mic.product import one_thread
 from mic.scene import Scene
 from mic.scene.checks import entry
+from mic.scene.samples import take_samples
 from mic.store import fingerprint
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -259,7 +261,9 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     decks = {one.part.name: one.deck for one in loaded}
     scene, placed = place(scene, surfaces, decks)
     written = write_modes(scene, surfaces, decks)
-    scene, placed, inputs = written.scene, placed + written.sentences, inputs | written.inputs
+    scene, placed = written.scene, placed + written.sentences
+    scene, given = take_samples(scene)
+    inputs |= written.inputs | given
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     pads = [pad for pad in scene.fixtures if pad.mesh is None]  # some of which the parts' meshes have placed
@@ -286,9 +290,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for source in sources(scene):
         with problems:
             source.retain(rows)
-    for i, measurement in enumerate(scene.measurements):
-        with problems:
-            rows.point("measurement", f"measurements[{i}]", measurement)
+    characteristics.retain(rows, scene, problems)
     bodies_elsewhere = {}
     for one in loaded:
         with problems:
@@ -369,7 +371,7 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
     turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
     """
     for name in weld.parts:
-        rows.on_part(key, weld, name)
+        rows.on_part(key, weld.name, weld.point, name)
     try:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
+from mic.errors import ImpossibleSample, SceneError
+from mic.model.sources import changed, sources
 from mic.process.drive import drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
@@ -30,6 +34,8 @@ TOLERANCE = 1e-10
 AHEAD = 8
 #: Spacings between two candidates that join a working set together.
 APART = 2.0
+#: Processes that are kept whose deviations have changed the contacts.
+KEPT = 8
 
 
 def contact_solver(
@@ -142,6 +148,10 @@ class Process:
         self._plans = plan_stages(model.scene, model.weld_size, limited)
         check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
+        rubs = obeyed.frictional
+        self._changing = [j for j, source in enumerate(sources(model.scene)) if source.changes and rubs]
+        self._changed_by, self._limited = np.zeros(len(self._changing)), limited
+        self._varied: dict[bytes, Process] = {}
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
         self._starts, self._guessing = model.likely if starts is None else starts, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
@@ -181,6 +191,7 @@ class Process:
         mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
         draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
         draws[0] = 0.0
+        draws[:, ahead._changing] = 0.0
         ahead.stages, ahead._guessing = ahead._prepared([Increments(1)] * len(ahead.stages)), True
         ahead.attempt(mean + sigma * draws)
         return ahead.carried
@@ -214,25 +225,57 @@ class Process:
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
+        if self._changing and (deviations[:, self._changing] != self._changed_by).any():
+            return self._evaluate_changed(deviations)
         model = self.model
         asked = drive(
             model, deviations, {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
         )
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
         state = ProcessState.start(len(deviations), len(model.contacts), model.contacts.dimension, rows)
-        resolutions, read = {}, np.zeros((len(deviations), 0))
+        resolutions, readings = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
             state, resolution = stage.advance(state, asked)
             if resolution is not None:
                 resolutions[stage.plan.name] = resolution
             if stage.plan.reads:
-                read = state.reading["measurement"] + asked.measured
+                readings = state.reading["measurement"] + asked.measured
         force, motion = self._equilibrium(state, deviations)
-        found = Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
+        read = model.characteristics.values(readings) if readings.size else readings
+        found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, force, motion)
         short = np.flatnonzero(~found.built)
         if short.size:
             self._tell_needs(found, short)
         return found
+
+    def _evaluate_changed(self, deviations: np.ndarray) -> Evaluation:
+        """Samples whose deviations change the contacts, each run of equal ones by a process of its own."""
+        own = deviations[:, self._changing]
+        edges = [0, *(np.flatnonzero((own[1:] != own[:-1]).any(axis=1)) + 1).tolist(), len(own)]
+        pieces = [self._changed(own[a]).evaluate(deviations[a:b]) for a, b in zip(edges, edges[1:])]
+        return Evaluation.join(pieces)
+
+    def _changed(self, amplitudes: np.ndarray) -> Process:
+        """The process with contacts as these deviations change them; rows and compliance stay as they are."""
+        key = amplitudes.tobytes()
+        if key not in self._varied:
+            deviations = np.zeros(len(self.model.scene.deviations))
+            deviations[self._changing] = amplitudes
+            model = replace(self.model, contacts=changed(self.model.scene, self.model.contacts, deviations))
+            kept = {name: getattr(self.model, name) for name in ("eliminations", "likely", "rest")}
+            vars(model).update(kept)
+            backend = "native" if self._settings["backend"] == "native" else "paper"
+            how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
+            how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
+            try:
+                process = Process(model, self.law, backend=backend, **how)
+            except SceneError as problem:  # what rests under the scene's friction may not under the sample's
+                raise ImpossibleSample(str(problem)) from problem
+            process._changed_by = amplitudes
+            if len(self._varied) >= KEPT:
+                self._varied.clear()
+            self._varied[key] = process
+        return self._varied[key]
 
     def _tell_needs(self, found: Evaluation, short: np.ndarray) -> None:
         """What the forces of these samples would be if none had a limit, into ``needed``; NaN where that fails."""
@@ -300,6 +343,7 @@ class Process:
             deviations=deviations,
             resolutions=resolutions,
             measurements=nan(len(model.scene.measurements) if self.stages[-1].plan.reads else 0),
+            readings=nan(model.rows["measurement"].shape[0] if self.stages[-1].plan.reads else 0),
             failed=np.ones(n, bool),
             functional_force=nan(model.compliance.size),
             motion=nan(6 * len(model.compliance)),

@@ -76,7 +76,8 @@ def _first(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> str:
     what = f"all {count} key characteristics are" if count > 1 else f"{rows[0]['measurement']} is"
     limits = "their limits" if count > 1 else "its limits"
     share, low, high = (percent(float(x), 1) for x in (good.value, good.low, good.high))
-    said = f"In {share} of the assemblies ({low} to {high}) {what} within {limits}"
+    sure = f" ({low} to {high})" if good.low == good.low else ""
+    said = f"In {share} of the assemblies{sure} {what} within {limits}"
     worst = rows[0]
     if count > 1 and np.isfinite(worst["cpk"]):
         outside = f", {percent(worst['share_outside'], 1)} outside" if worst["share_outside"] > 0 else ""

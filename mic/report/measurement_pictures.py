@@ -37,7 +37,7 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
         for law, x in values.items():
             ax.hist(x, bins=edges, histtype="stepfilled", color=LAWS[law].colour, alpha=0.14, lw=0)
             ax.hist(x, bins=edges, histtype="step", color=LAWS[law].colour, lw=1.2)
-        for limit in (item.lower, item.upper):
+        for limit in (item.upper,) if item.one_sided else (item.lower, item.upper):
             ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
         width = item.upper - item.lower
         ax.set_xlim(min(low, item.lower) - 0.04 * width, max(high, item.upper) + 0.04 * width)
@@ -57,9 +57,14 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     if rows["cpk"].notna().any():
         least = rows.iloc[int(rows["cpk"].argmin())]
         text += (
-            f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])} "
-            f"(95 %: {number(least['cpk_low'])} to {number(least['cpk_high'])}), "
-            f"{percent(least['share_outside'], 1)} of the samples outside "
-            f"(95 %: {percent(least['share_outside_low'], 1)} to {percent(least['share_outside_high'], 1)})."
+            f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])}"
+            f"{_interval(least, 'cpk', number)}, {percent(least['share_outside'], 1)} of the samples outside"
+            f"{_interval(least, 'share_outside', lambda share: percent(share, 1))}."
         )
     return svg(fig, "Key characteristics against their limits", text)
+
+
+def _interval(row, name: str, words) -> str:
+    """The 95 % interval of a figure, in brackets; nothing where there is none."""
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    return f" (95 %: {words(low)} to {words(high)})" if low == low and high == high else ""

@@ -8,7 +8,7 @@ the process.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,10 +54,14 @@ class Source:
 
 
 def whole_yield(outcome: Outcome, law: str) -> Estimate:
-    """Share of the assemblies whose key characteristics are all within their limits, with its interval."""
+    """Share of the assemblies whose key characteristics are all within their limits.
+
+    Its interval is that of independent samples; of a design that makes several together none is told.
+    """
     digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
     beyond = int(digest.counts["any outside",]) if samples else 0
-    return statistics.share(samples - beyond, samples)
+    found = statistics.share(samples - beyond, samples)
+    return found if outcome.together == 1 else replace(found, low=np.array(np.nan), high=np.array(np.nan))
 
 
 def error_budget(outcome: Outcome, law: str) -> list[Source]:

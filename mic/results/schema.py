@@ -35,6 +35,8 @@ __all__ = [
     "MEASUREMENTS",
     "MEASUREMENT_STATISTICS",
     "ORDERS",
+    "PROFILES",
+    "PROFILE_STATISTICS",
     "PATH",
     "PATH_ERRORS",
     "RARE",
@@ -317,6 +319,17 @@ MEASUREMENTS = _dataset(
     ),
     "Key characteristics.",
 )
+PROFILES = _dataset(
+    "profiles",
+    "one sample, measurement over many points, and point",
+    (
+        _SAMPLE,
+        Column("measurement", "category", "", "name of the key characteristic"),
+        Column("point", "int32", "", "number of the point, from 0, in the order of the scene's `points`"),
+        Column("value", "float64", "mm", "deviation from nominal there, after a best fit if one is asked for"),
+    ),
+    "What parallelisms and profiles read at each of their points. No rows where the scene has none.",
+)
 CONTACTS = _dataset(
     "contacts",
     "one sample, stage and contact pair",
@@ -360,7 +373,7 @@ LIMITS = _dataset(
     "the scene has none.",
 )
 #: The Parquet datasets; :data:`SAMPLES` stands last, as it is written last.
-DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, CONTACTS, LIMITS, SAMPLES)
+DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, PROFILES, CONTACTS, LIMITS, SAMPLES)
 
 FORCES = Table(
     "forces",
@@ -480,12 +493,30 @@ MEASUREMENT_STATISTICS = _statistic(
         *_hanging("six_sigma", "mm", "six standard deviations"),
         *_estimate("min", "mm", "smallest sample; nothing bounds the population from below"),
         *_estimate("max", "mm", "largest sample; nothing bounds the population from above"),
-        *_estimate("cp", "1", "Cp = (upper - lower) / 6σ"),
-        *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ"),
+        *_estimate(
+            "cp", "1", "Cp = (upper - lower) / 6σ; NaN of what is never negative, which has an upper limit only"
+        ),
+        *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ, of these (upper - mean) / 3σ"),
         *_estimate("share_outside", "1", "share of the samples outside the limits"),
     ),
     "Key characteristics against their limits.",
     version=2,
+)
+PROFILE_STATISTICS = _statistic(
+    "profiles",
+    "one law, measurement over many points, and point",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("point", "int64", "", "number of the point, from 0"),
+        Column("x", "float64", "mm", "where"),
+        Column("y", "float64", "mm", "where"),
+        Column("z", "float64", "mm", "where"),
+        _USED,
+        *_estimate("mean", "mm", "mean deviation from nominal there"),
+        *_estimate("six_sigma", "mm", "six standard deviations"),
+    ),
+    "Maps of deviation: what parallelisms and profiles read at each of their points.",
 )
 LIMIT_STATISTICS = _statistic(
     "limits",
@@ -685,6 +716,7 @@ STATISTICS = (
     ZONE_STATISTICS,
     CONTACT_STATISTICS,
     MEASUREMENT_STATISTICS,
+    PROFILE_STATISTICS,
     LIMIT_STATISTICS,
     PATH,
     PATH_ERRORS,
