@@ -37,17 +37,18 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.words import opening, sentences
 from mic.proposal import write_scene
+from mic.rare import rare as rare_events
 from mic.results.folder import RunFolder
 from mic.results.forecast import forecast
 from mic.results.identity import identity
-from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS
+from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
 from mic.store import replacing
 
-__all__ = ["check", "contributors", "friction", "init", "order", "report", "run"]
+__all__ = ["check", "contributors", "friction", "init", "order", "rare", "report", "run"]
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
@@ -681,6 +682,39 @@ def _print_friction(console, found):
         console.print(table)
     for sentence in friction_words(found, rubbing.friction_needed(found)):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+
+@_on_first
+def rare(source, measurement, samples, seed, law):
+    """``mic rare``, with the values of its options (:mod:`mic.options`)."""
+    from mic.report.style import number  # drawing libraries are slow to import
+
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked, names = model.scene, _law_of(model, law), measurement or []
+    known = [item.name for item in scene.measurements]
+    unknown = [name for name in names if name not in known]
+    if unknown or not known:
+        what = (
+            f"no measurement {unknown[0]!r}; it has: {', '.join(known)}" if known else "no measurements; give it some"
+        )
+        raise SceneError(f"scene {scene.name!r} has {what}")
+    if not scene.deviations or scene.monte_carlo.values is not None:
+        why = "its samples stand in a table; take monte_carlo.table out" if scene.deviations else "nothing varies"
+        raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
+    with _counting(console, f"evaluations under {asked}", None) as advance:
+        found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), _threads(), advance)
+    for row in found.to_dict("records"):
+        what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
+        share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
+        how = "a plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
+        console.print(
+            f"{plain(what)} in {share} of a million ({low} to {high}): {how}, {row['evaluations']} evaluations"
+            + f", {row['failed']} of which failed and do not count" * bool(row["failed"]),
+            highlight=False,
+            soft_wrap=True,
+        )
+    _keep_studies(console, folder, {RARE: found})
 
 
 def _holds(folder, assembly) -> bool:

@@ -252,6 +252,25 @@ def friction(
 
 
 @app.command()
+def rare(
+    source: SourceArgument,
+    measurement: Annotated[
+        list[str] | None,
+        typer.Option(help="Key characteristic to look at by itself as well; may be repeated.", show_default=False),
+    ] = None,
+    samples: Annotated[int, typer.Option(min=100, help="Samples of each level, a multiple of 10.")] = 1000,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+):
+    """Say how often limits are missed where that is rare, below a thousand in a million.
+
+    Subset simulation on the reduced model itself: no distribution is fitted, nothing is extrapolated. Each tenth of the
+    probability takes about as many evaluations as there are samples.
+    """
+    _commands().rare(source, measurement, samples, seed, law)
+
+
+@app.command()
 def init(
     meshes: Annotated[
         list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)
