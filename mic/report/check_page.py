@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -19,7 +20,7 @@ from mic.model.assembly import Contacts
 from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
 from mic.report.style import MARK_COLOURS, number
-from mic.report.viewer import as_json, drawable, view
+from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
 from mic.scene.schema import ClampDeviation, LocatorDeviation
 from mic.store import write_text
@@ -83,8 +84,8 @@ def write_check(
             (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
         ],
         verdict=verdict(warnings, errors),
-        viewer=as_json(_view(bodies, scene, warnings, contacts)) if bodies else None,
-        plotly=get_plotlyjs() if bodies else None,
+        viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
+        plotly=packed(get_plotlyjs()) if bodies else None,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
