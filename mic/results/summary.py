@@ -22,6 +22,7 @@ from mic.results.schema import (
     MEASUREMENT_STATISTICS,
     PATH,
     PATH_ERRORS,
+    PROFILE_STATISTICS,
     SLIPS,
     ZONE_STATISTICS,
     Table,
@@ -36,6 +37,7 @@ __all__ = [
     "contact_statistics",
     "limit_statistics",
     "measurement_statistics",
+    "profile_statistics",
     "summary",
     "write_path_study",
     "write_summary",
@@ -140,8 +142,8 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
                 statistics.six_sigma(x),
                 statistics.minimum(x),
                 statistics.maximum(x),
-                capability.capability(x, item.lower, item.upper),
-                capability.centred_capability(x, item.lower, item.upper),
+                capability.capability(x, math.nan if item.one_sided else item.lower, item.upper),
+                capability.centred_capability(x, *item.bounds),
                 statistics.share(digest.counts["outside",][k], x.n),
             )
             if outcome.together > 1:
@@ -161,13 +163,32 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
     return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
 
 
+def profile_statistics(outcome: Outcome) -> pd.DataFrame:
+    """Maps of deviation, :data:`mic.results.schema.PROFILE_STATISTICS`."""
+    frames = []
+    for law in outcome.laws:
+        for item in outcome.model.scene.measurements:
+            if item.points is None:
+                continue
+            x = outcome.digests[law].moments["profiles", item.name]
+            columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
+            columns |= dict(zip("xyz", np.array(item.points).T))
+            mean, six_sigma = statistics.mean(x), statistics.six_sigma(x)
+            if outcome.together > 1:  # samples that belong together tell no interval from moments
+                none = np.full(len(item.points), np.nan)
+                mean, six_sigma = (replace(each, low=none, high=none) for each in (mean, six_sigma))
+            columns |= {"samples": mean.used} | _spread("mean", mean) | _spread("six_sigma", six_sigma)
+            frames.append(pd.DataFrame(columns))
+    return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
+
+
 def _by_groups(outcome: Outcome, law: str, item, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
     """The estimates with the intervals of samples that a design makes in groups; in :data:`_MEASURED`'s order."""
     x, group = outcome.measured(law, item.name), outcome.sample_numbers(law) // outcome.together % GROUPS
     mean, sigma, six_sigma, least, most = estimates[:5]
 
     def cpk(values):
-        return capability.centred_capability(values, item.lower, item.upper).value
+        return capability.centred_capability(values, *item.bounds).value
 
     def share(values):
         return float(capability.outside(values, item.lower, item.upper) / max(np.isfinite(values).sum(), 1))
@@ -309,6 +330,7 @@ def write_tables(outcome: Outcome) -> None:
     _write(outcome.folder, ZONE_STATISTICS, outcome.zone_statistics)
     _write(outcome.folder, CONTACT_STATISTICS, outcome.contact_statistics)
     _write(outcome.folder, MEASUREMENT_STATISTICS, outcome.measurement_statistics)
+    _write(outcome.folder, PROFILE_STATISTICS, outcome.profile_statistics)
     _write(outcome.folder, LIMIT_STATISTICS, outcome.limit_statistics)
     _write(outcome.folder, FRICTION, study_friction(outcome))
 
