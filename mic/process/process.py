@@ -12,7 +12,7 @@ from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
-from mic.process.drive import drive
+from mic.process.drive import Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
 from mic.process.plan import Step, plan_stages, yielding
@@ -214,12 +214,7 @@ class Process:
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
-        model = self.model
-        asked = drive(
-            model, deviations, {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
-        )
-        rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
-        state = ProcessState.start(len(deviations), len(model.contacts), model.contacts.dimension, rows)
+        asked, state = self.asked(deviations), self.start(len(deviations))
         resolutions, read = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
             state, resolution = stage.advance(state, asked)
@@ -233,6 +228,17 @@ class Process:
         if short.size:
             self._tell_needs(found, short)
         return found
+
+    def asked(self, deviations: np.ndarray) -> Drive:
+        """What deviations (n, p) ask of the assembly, affine in them."""
+        shapes = {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
+        return drive(self.model, deviations, shapes)
+
+    def start(self, n: int) -> ProcessState:
+        """The state of n assemblies before anything happens."""
+        model = self.model
+        rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
+        return ProcessState.start(n, len(model.contacts), model.contacts.dimension, rows)
 
     def _tell_needs(self, found: Evaluation, short: np.ndarray) -> None:
         """What the forces of these samples would be if none had a limit, into ``needed``; NaN where that fails."""
