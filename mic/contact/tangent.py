@@ -216,8 +216,8 @@ class _Walk:
             k = np.arange(self.m)
             S[k, 1, k, 1] += series[own]
             S[k, 2, k, 2] += series[own]
-        self.S4 = np.ascontiguousarray(S.transpose(0, 2, 1, 3))
-        self.S = S.reshape(self.m * self.size, -1)
+        self.S = S.reshape(self.m * self.size, self.m * self.size)
+        self.rows_of_S = self.S.reshape(self.m, self.size, self.m * self.size)
         self.diagonal = self.S.diagonal().reshape(self.m, self.size)
         self.length = np.maximum(self.diagonal.max(axis=1), 1e-300)  # mm/N
         self.μ, self.parameters = friction.coefficient, law.parameters(friction)
@@ -409,7 +409,9 @@ class _Walk:
         i = np.arange(a)[:, None]
         value, J = _derivative(residual, f[i, idx], w[i, idx], f0[i, idx], self.μ[idx])
         P, Q, F0, M = J[..., :size], J[..., size : 2 * size], J[..., 2 * size : 3 * size], J[..., -1]
-        matrix = np.einsum("akij,akljc->akilc", Q, self.S4[idx[:, :, None], idx[:, None, :]], optimize=True)
+        matrix = np.matmul(Q, self.rows_of_S[idx]).reshape(a, K, size, m, size)
+        matrix = matrix[i[:, :, None], np.arange(K)[:, None], :, idx[:, None, :]].transpose(0, 1, 3, 2, 4)
+        matrix = np.ascontiguousarray(matrix)
         matrix[:, np.arange(K), :, np.arange(K)] += P.transpose(1, 0, 2, 3)
         right = np.zeros((a, K, size, 1 + p))
         right[..., 0] = -value
