@@ -17,6 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mic import cache_folder, density, examples
+from mic import contributors as driving
+from mic import friction as rubbing
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.console import plain
@@ -34,14 +36,17 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.words import opening, sentences
 from mic.proposal import write_scene
+from mic.results.folder import RunFolder
 from mic.results.forecast import forecast
+from mic.results.identity import identity
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
 from mic.store import replacing
 
-__all__ = ["check", "init", "order", "report", "run"]
+__all__ = ["check", "contributors", "friction", "init", "order", "report", "run"]
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
@@ -575,6 +580,142 @@ def _print_orders(console, others, found):
         if other.name.startswith("random"):
             groups = [f"{stage.name}: order = {json.dumps(stage.order)}" for stage in other.scene.stages if stage.order]
             console.print(f"{other.name}: {plain('; '.join(groups))}", highlight=False, soft_wrap=True)
+
+
+@_on_first
+def contributors(source, samples, seed, law):
+    """``mic contributors``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    if not scene.measurements or not scene.deviations:
+        what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
+        raise SceneError(f"scene {scene.name!r} has no {what}; give it some")
+    count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
+    with _counting(console, f"evaluations under {asked}", count) as advance:
+        found = driving.contributors(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
+    _print_contributors(console, scene, found)
+    _keep_studies(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
+
+
+def _print_contributors(console, scene, found):
+    """By characteristic, what makes its variance; what hurts most overall; where a linear analysis misleads."""
+    from mic.report.drivers import linear_words, named  # drawing libraries are slow to import
+    from mic.report.style import number, percent
+
+    table = Table(
+        "characteristic", "σ, µm", "driven by (share of the variance, with interactions)", "linear analysis", "R²",
+        title="What drives the key characteristics",
+    )  # fmt: skip
+    for row in found.linearity.to_dict("records"):
+        own = found.table[found.table["measurement"] == row["measurement"]].sort_values("total", ascending=False)
+        linear = own.sort_values("regression", ascending=False)
+        driven = "\n".join(
+            f"{plain(each['contributor'])} {percent(each['total'])} "
+            f"({percent(each['total_low'])} … {percent(each['total_high'])})"
+            for each in own.head(3).to_dict("records")
+        )
+        said = "\n".join(
+            f"{plain(each['contributor'])} {percent(each['regression'])}" for each in linear.head(3).to_dict("records")
+        )
+        table.add_row(plain(row["measurement"]), number(1e3 * row["sigma"]), driven, said, number(row["r_squared"]))
+    console.print(table)
+    console.print(f"Over all key characteristics: {plain(named(driving.joint_ranking(found, scene), 'total'))}")
+    for sentence in linear_words(found.table, found.linearity):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+    one = found.linearity.iloc[0]
+    console.print(
+        f"{one['evaluations']} evaluations, {one['failed']} of {one['samples'] + one['failed']} samples left out"
+    )
+
+
+@_on_first
+def friction(source, samples, seed, law):
+    """``mic friction``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    if not (
+        scene.measurements and LAWS[asked].frictional and model.contacts.dimension == 3 and model.contacts.frictional
+    ):
+        why = "nothing is measured" if not scene.measurements else "nothing has friction, or the law has none"
+        raise SceneError(f"scene {scene.name!r}: there is no friction to ask for: {why}")
+    zones = sum(zone.frictional for zone in scene.zones)
+    count = samples * (1 + len(rubbing.FACTORS) + (zones > 1) * 2 * zones)
+    with _counting(console, f"evaluations under {asked}", count) as advance:
+        found = rubbing.friction_effects(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
+    _print_friction(console, found)
+    _keep_studies(console, folder, {FRICTION_EFFECTS: found})
+
+
+def _print_friction(console, found):
+    from mic.report.drivers import friction_words  # drawing libraries are slow to import
+    from mic.report.style import number
+
+    factors = list(found.loc[found["zone"] == "", "factor"].unique())
+    for figure, word in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
+        table = Table(
+            "characteristic", "6σ, µm", *(f"µ × {factor:g}" for factor in factors), title=f"Change of {word}, µm"
+        )
+        for name, own in found[found["zone"] == ""].groupby("measurement", sort=False):
+            cells = [
+                f"{number(1e3 * row[figure], 2)} ({number(1e3 * row[f'{figure}_low'], 2)} … "
+                f"{number(1e3 * row[f'{figure}_high'], 2)})"
+                for row in own.to_dict("records")
+            ]
+            table.add_row(plain(name), number(1e3 * own["six_sigma"].iloc[0]), *cells)
+        console.print(table)
+    for sentence in friction_words(found, rubbing.friction_needed(found)):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+
+def _studied(console, source):
+    """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
+    if not (source / "run.json").is_file():
+        return _model(console, source), None
+    record, path = RunFolder(source).record(), source / "model.npz"
+    if not path.is_file():
+        raise RunError(f"{path}: is missing; run the scene again into this folder")
+    model = ReducedModel.load(path)
+    if identity(model, record["seed"]) != record["identity"]:
+        raise RunError(f"{path}: belongs to another run; run the scene again into this folder")
+    return model, source
+
+
+def _law_of(model, law):
+    """The law asked for; else the scene's first with friction, else its first."""
+    laws = model.scene.report.laws
+    return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
+
+
+def _seed_of(scene, seed):
+    return scene.monte_carlo.seed if seed is None else seed
+
+
+def _threads():
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def _counting(console, what, count):
+    """A bar; what it gives is called with the number of evaluations done."""
+    with Progress(console=console) as progress:
+        bar = progress.add_task(what, total=count)
+        yield lambda done: progress.advance(bar, done)
+
+
+def _keep_studies(console, folder, tables):
+    """Tables into the results folder that they belong to, and its page drawn anew."""
+    if folder is None:
+        return
+    from mic.report.page import write_report  # drawing libraries are slow to import
+
+    with hold(folder, _Listener(console)):
+        for table, frame in tables.items():
+            table.write(folder, frame)
+        page = write_report(folder)
+    where = ", ".join(str(folder / table.place) for table in tables)
+    console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(where)}", soft_wrap=True)
 
 
 @_on_first

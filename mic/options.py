@@ -209,6 +209,56 @@ def order(
     _commands().order(source, samples, seed, law, permutations, variants, table)
 
 
+SourceArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENE|FOLDER",
+        help="Scene file, or a folder that holds scene.toml; a saved model (.npz); or the results folder of a run, "
+        "which then keeps what is found, and shows it in its report.",
+        show_default=False,
+    ),
+]
+StudyLaw = Annotated[
+    Law | None,
+    typer.Option(help="Contact law. Default: the scene's first with friction, or its first.", show_default=False),
+]
+StudySeed = Annotated[
+    int | None,
+    typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
+]
+
+
+@app.command()
+def contributors(
+    source: SourceArgument,
+    samples: Annotated[
+        int, typer.Option(min=8, help="Samples N; N (g + 2) evaluations are made of g contributors.")
+    ] = 128,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+):
+    """Say what drives each key characteristic, and whether a linear analysis would have found it.
+
+    Sobol's indices on the reduced model itself, with their intervals: which share of the variance each deviation makes
+    alone, and which with its interactions. Beside them what a linear analysis says, and a warning where it misleads.
+    """
+    _commands().contributors(source, samples, seed, law)
+
+
+@app.command()
+def friction(
+    source: SourceArgument,
+    samples: Annotated[int, typer.Option(min=3, help="Samples, the same for every coefficient of friction.")] = 60,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+):
+    """Say whether friction matters: what no, half and twice the friction change of each key characteristic.
+
+    All zones together and each alone, with the same samples; and how well each zone's coefficient must be known.
+    """
+    _commands().friction(source, samples, seed, law)
+
+
 @app.command()
 def init(
     meshes: Annotated[

@@ -94,9 +94,12 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(lap_scene, cache, folder):
+    ends = [item.point for item in lap_scene.measurements]
+    tip = {"name": "tip", "kind": "profile", "part": "upper", "points": ends, "upper": 2.0}
     scene = _changed(
         lap_scene,
         description="Two <b>strips</b> & a weld",
+        measurements=[*lap_scene.model_dump()["measurements"], tip],
         report={"laws": ["coulomb", "associated", "frictionless"], "fields": True},
     )
     return _results(scene, cache, folder, samples=40)

@@ -22,6 +22,7 @@ from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
+from mic.model.characteristics import Characteristics
 from mic.model.shape import controlling_forces, datum_rows, known_shapes
 from mic.model.sources import sources
 from mic.process.drive import drive
@@ -200,7 +201,8 @@ class FullModel:
             if resolution is not None:
                 resolutions[plan.name] = resolution
             if plan.reads:
-                read = mesh.rows["measurement"] @ state.solution.u + asked.measured[0]
+                readings = mesh.rows["measurement"] @ state.solution.u + asked.measured[0]
+                read = Characteristics.of(assembly.scene).values(readings[None])[0]
         return FullEvaluation(law, deviations, resolutions, read, tuple(history), freedoms, mesh)
 
     def _driven(self, deviations):

@@ -264,12 +264,18 @@ def _turned(turn: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
-def spread(surface: Surface, spacing: float) -> np.ndarray:
+def spread(surface: Surface, spacing: float, box=None) -> np.ndarray:
     """(c,) vertices of a surface spread over it evenly: none is farther than `spacing` from one that is chosen.
 
-    Each is the one farthest from those chosen before; the first the one farthest from the middle.
+    Each is the one farthest from those chosen before; the first the one farthest from the middle. With a `box` (2, 3)
+    of its lower and upper corner only vertices within it; there may be none.
     """
     used = np.unique(surface.triangles)
+    if box is not None:
+        low, high = np.array(box)
+        used = used[((surface.points[used] >= low) & (surface.points[used] <= high)).all(axis=1)]
+    if not len(used):
+        return used
     x = surface.points[used]
     chosen = [int(np.argmax(np.linalg.norm(x - surface.centroid, axis=1)))]
     away = np.linalg.norm(x - x[chosen[0]], axis=1)

@@ -147,7 +147,7 @@ def limits_aside(scene) -> Iterator[Seen]:
     for item in scene.measurements:
         if not item.lower <= 0 <= item.upper:
             said = f"limits {item.lower:g} to {item.upper:g} mm leave out the nominal 0"
-            yield of("measurements", item), said, item.point
+            yield of("measurements", item), said, _where(item)
 
 
 def tolerance_odd(scene) -> Iterator[Seen]:
@@ -155,7 +155,7 @@ def tolerance_odd(scene) -> Iterator[Seen]:
     for item in scene.measurements:
         width = item.upper - item.lower
         if not TOLERANCE[0] <= width <= TOLERANCE[1]:
-            yield of("measurements", item), f"the tolerance is {width:g} mm wide", item.point
+            yield of("measurements", item), f"the tolerance is {width:g} mm wide", _where(item)
 
 
 TOLERANCE = (0.02, 30.0)  # mm
@@ -171,7 +171,7 @@ def measured_at_a_locator(scene) -> Iterator[Seen]:
             kept &= set(stage.keep)
         kept |= {locator.name for locator in scene.locators if locator.stage == stage.name}
     for item in scene.measurements:
-        for locator in scene.locators:
+        for locator in scene.locators if item.kind == "point" and item.best_fit is None else ():
             along = abs(_cosine(item, locator)) > PARALLEL
             if along and locator.name in kept and item.part == locator.part and _apart(item, locator) < PINNED:
                 yield of("measurements", item), f"reads where locator {locator.name} holds the part", item.point
@@ -180,8 +180,12 @@ def measured_at_a_locator(scene) -> Iterator[Seen]:
 def measured_twice(scene) -> Iterator[Seen]:
     """Two measurements of one place and direction."""
     for a, b in itertools.combinations(scene.measurements, 2):
-        if a.part == b.part and _apart(a, b) < 1e-6 and abs(_cosine(a, b)) > 1 - 1e-6:
-            yield of("measurements", b), f"reads what measurement {a.name} reads", b.point
+        if a.kind != b.kind or a.best_fit != b.best_fit or a.part != b.part:
+            continue
+        along = a.kind == "profile" or abs(_cosine(a, b)) > 1 - 1e-6
+        apart = _apart(a, b) if a.kind == "point" else 0.0 if a.places == b.places else np.inf
+        if along and apart < 1e-6:
+            yield of("measurements", b), f"reads what measurement {a.name} reads", _where(b)
 
 
 def nothing_read(scene) -> Iterator[Seen]:
@@ -297,6 +301,11 @@ def _together(scene, a, b) -> bool:
     return of_stage[a.stage] == of_stage[b.stage]
 
 
+def _where(item):
+    """The first point of a measurement; None while it is not placed."""
+    return item.places[0][1] if item.places else None
+
+
 def _apart(a, b) -> float:
     """Distance between two items, mm; infinite while one is not placed."""
     placed = a.point is not None and b.point is not None
@@ -305,7 +314,7 @@ def _apart(a, b) -> float:
 
 def _cosine(a, b) -> float:
     """Cosine of the angle between two items' directions; 0 while one is not placed."""
-    placed = not isinstance(a.direction, str) and not isinstance(b.direction, str)
+    placed = not any(item.direction is None or isinstance(item.direction, str) for item in (a, b))
     return float(np.dot(a.direction, b.direction)) if placed else 0.0
 
 

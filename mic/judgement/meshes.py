@@ -41,7 +41,7 @@ def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
     parts = {part.name: part for part in assembly.parts}
     for table in PADS:
         for item in getattr(assembly.scene, table):
-            if getattr(item, "hole", None) is not None or not hasattr(item, "point"):
+            if getattr(item, "hole", None) is not None or getattr(item, "point", None) is None:
                 continue
             names = item.parts if table == "welds" else [item.part] if hasattr(item, "part") else []
             for name in names:

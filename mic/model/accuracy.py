@@ -46,6 +46,7 @@ from mic.store import Format, fingerprint
 
 if TYPE_CHECKING:
     from mic.model.assembly import Assembly
+from mic.model.characteristics import Characteristics
 
 __all__ = ["Accuracy", "Estimate", "Mesh", "estimate_accuracy"]
 
@@ -269,7 +270,8 @@ class _Question:
             "locators": vstack([locators, datum[rests]], format="csr") if len(rests) else locators,
         }
         used = np.unique(np.concatenate([table.indices for table in tables.values()]))
-        labels = [assembly.labels["measurement"][i] for i in touches["measurement"]]
+        count = np.diff(Characteristics.of(assembly.scene).start)
+        labels = np.repeat([item.name for item in assembly.scene.measurements], count)[touches["measurement"]].tolist()
         own_rows = {name: table[:, used].tocsr() for name, table in tables.items()}
         return cls(part=_restricted(part, used), labels=labels, **own_rows)
 
@@ -346,9 +348,12 @@ def _estimate(question: _Question, surface: Surface) -> Accuracy:
     errors: dict[str, list[float]] = {}
     for held in (question.datum, question.locators):
         before, after = (_supported(question, blocks, held) for blocks in (coarse, fine))
+        most: dict[str, float] = {}  # of a characteristic, over the points that it reads
         for label, a, b in zip([COMPLIANCE, *question.labels], before, after):
             size = float(np.linalg.norm(b))
-            errors.setdefault(label, []).append(factor * float(np.linalg.norm(a - b)) / size if size else 0.0)
+            most[label] = max(most.get(label, 0.0), factor * float(np.linalg.norm(a - b)) / size if size else 0.0)
+        for label, error in most.items():
+            errors.setdefault(label, []).append(error)
     return Accuracy(part.name, mesh, finer_mesh, tuple(Estimate(label, *pair) for label, pair in errors.items()))
 
 

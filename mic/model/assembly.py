@@ -29,6 +29,7 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
+from mic.model import characteristics
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.modes import write_modes
@@ -286,9 +287,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for source in sources(scene):
         with problems:
             source.retain(rows)
-    for i, measurement in enumerate(scene.measurements):
-        with problems:
-            rows.point("measurement", f"measurements[{i}]", measurement)
+    characteristics.retain(rows, scene, problems)
     bodies_elsewhere = {}
     for one in loaded:
         with problems:
@@ -369,7 +368,7 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
     turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
     """
     for name in weld.parts:
-        rows.on_part(key, weld, name)
+        rows.on_part(key, weld.name, weld.point, name)
     try:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:

@@ -131,7 +131,8 @@ def _graded(scene: Scene, part: str, size: float) -> GradedSize:
     forces = [item for item in scene.deviations if isinstance(item, ForceDeviation)]
     items: list[Any] = [item for item in scene.welds if part in item.parts]
     items += [item for item in scene.clamps if part in item.owners]
-    items += [item for table in (scene.locators, forces, scene.measurements) for item in table if item.part == part]
+    measured: list[Any] = [*scene.measurements, *(item.to for item in scene.measurements if item.to is not None)]
+    items += [item for table in (scene.locators, forces, measured) for item in table if item.part == part]
     discs = [(_near(item), item.radius) for item in items if _near(item) is not None]
     places, radii = zip(*[(point, radius) for point, radius in discs if radius > 0] or [((0.0, 0.0, 0.0), size)])
     return GradedSize(size, places, radii)

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from mic.errors import SceneError
+from mic.geometry.cloud import spread
 from mic.geometry.deck import Deck
 from mic.geometry.holes import Hole, find_holes
 from mic.geometry.pairing import Side, pair_at
@@ -30,11 +31,12 @@ from mic.geometry.surface import Surface
 from mic.model.rows import REACH
 from mic.scene import Scene
 from mic.scene.checks import problems
-from mic.scene.schema import ClampDeviation
+from mic.scene.schema import NORMAL, ClampDeviation, Measurement
 
 __all__ = ["place"]
 
 ALONG = 0.1  # of an axis that is laid into a sheet, at least so much must lie in it
+APART = 0.1  # mm: between the two points of a characteristic whose direction is that of the line between them
 TOGETHER = 0.5  # cosine between a tong's direction and the normal from its first part to its second, at least
 LONGEST = 60  # letters of a name
 
@@ -101,6 +103,12 @@ class _Placing:
 
     def item(self, key: str, item: Any) -> list[Any]:
         """What an item becomes: itself, itself with point and direction, or the two jaws of a tong."""
+        if isinstance(item, Measurement) and item.kind != "point":
+            try:
+                return [self._characteristic(f"{key} ({item.name})", item)]
+            except _Misplaced as error:
+                self.problems.append(str(error))
+                return [item]
         if not hasattr(item, "point"):
             return [item]
         tong = getattr(item, "parts", None) is not None and hasattr(item, "force")
@@ -253,6 +261,50 @@ class _Placing:
                 f"{key}.direction: {axis} stands across the sheet there, whose normal is {_words(n)}; give {others}"
             )
         return _vector(sign * along / length)
+
+    def _characteristic(self, key: str, item: Measurement) -> Measurement:
+        """A measurement of more than one point, with points and direction."""
+        if item.kind in item.OVER:
+            return self._over(key, item)
+        assert item.to is not None  # as the schema demands of these kinds
+        none = {"node": None, "set": None}
+        (point, rim), (far, far_rim) = self._point(key, item), self._point(f"{key}.to", item.to)
+        along = item.direction
+        if item.kind == "distance" or (item.kind == "gap" and along == NORMAL):
+            line = np.subtract(far, point)
+            if item.kind == "gap":
+                n = rim.normal if rim is not None else _normal(self.surfaces[item.part], point)
+                line = line - (line @ n) * n
+            length = float(np.linalg.norm(line))
+            if length < APART:
+                raise _Misplaced(
+                    f"{key}.to: along the {'sheet' if item.kind == 'gap' else 'line between them'}, {_words(far)} and "
+                    f"{_words(point)} are {length:.2g} mm apart, which tells no direction; give a gap with a direction"
+                )
+            along = _vector(line / length)
+        elif isinstance(along, str):
+            along = self._direction(key, item, point, rim)
+        to = item.to.model_copy(update=none | {"point": far} | ({"hole": far} if far_rim is not None else {}))
+        found = none | {"point": point, "to": to, "direction": along}
+        return item.model_copy(update=found | ({"hole": point} if rim is not None else {}))
+
+    def _over(self, key: str, item: Measurement) -> Measurement:
+        """A measurement over many points, with all of them."""
+        surface, points = self.surfaces[item.part], item.points
+        if item.spacing is not None:
+            spread_over = surface.points[spread(surface, item.spacing, item.box)]
+            if len(spread_over) < 2:
+                raise _Misplaced(
+                    f"{key}.{'spacing' if item.box is None else 'box'}: {len(spread_over)} points of part "
+                    f"{item.part!r} lie there, {item.spacing:g} mm apart; give a smaller spacing or a larger box"
+                )
+            points = [_vector(point) for point in spread_over]
+            self.sentences.append(f"{key}: {len(points)} points on {item.part}")
+        assert points is not None  # as the schema demands of these kinds
+        found: dict[str, Any] = {"points": points, "spacing": None, "box": None}
+        if item.kind == "parallelism" and isinstance(item.direction, str):
+            found["direction"] = self._direction(key, item, np.mean(points, axis=0), None)
+        return item.model_copy(update=found)
 
     def _tong(self, key, item, point) -> list[Any]:
         """The jaws of a tong, on each of its parts."""

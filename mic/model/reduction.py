@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,6 +19,7 @@ from mic import store
 from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.model.assembly import Assembly, Between, Contacts
+from mic.model.characteristics import Characteristics
 from mic.model.shape import shape_readings
 from mic.product import one_thread
 from mic.scene import Scene
@@ -102,6 +104,11 @@ class Reduction:
     def parameters(self) -> list[str]:
         """Names of the scene's deviations, the columns of every array of deviations."""
         return [deviation.name for deviation in self.scene.deviations]
+
+    @cached_property
+    def characteristics(self) -> Characteristics:
+        """What the scene's measurements make of their readings."""
+        return Characteristics.of(self.scene)
 
     def deviations(self, values: Any) -> np.ndarray:
         """(n, p) array of deviations from a dict by name (the rest at their means), one vector or an array.

@@ -95,23 +95,34 @@ class Rows:
         SceneError
             If the point lies off the part.
         """
-        surface = self.surfaces[item.part]
-        if item.hole is not None:
-            patch = self.patch(item.part, _rim(surface, item.hole))
-        else:
-            self.on_part(key, item, item.part)
-            patch = self.patch(item.part, surface.patch(item.point, item.radius))
-        functional = self.functional(item.part, patch, item.direction, f"{kind} {item.name}")
+        functional = self.functional(item.part, self.place(key, item.name, item), item.direction, f"{kind} {item.name}")
         self.add(kind, item.name, (item.part, functional, 1.0))
 
-    def on_part(self, key: str, item, part: str) -> None:
+    def place(self, key: str, name: str, item) -> int:
+        """Retain the patch where an item of this name reads its part; arguments and errors as :meth:`point`."""
+        surface = self.surfaces[item.part]
+        if item.hole is not None:
+            return self.patch(item.part, _rim(surface, item.hole))
+        self.on_part(key, name, item.point, item.part)
+        return self.disc(item.part, item.point, item.radius)
+
+    def disc(self, part: str, point, radius: float) -> int:
+        """Retain the patch of a part within a radius of a point; returns its number."""
+        return self.patch(part, self.surfaces[part].patch(point, radius))
+
+    def middle(self, part: str, patch: int) -> np.ndarray:
+        """(3,) the mean point of a retained patch, mm."""
+        own = self._retained[part].patches[patch]
+        return own.weight @ self.surfaces[part].at(own.triangle, own.barycentric)
+
+    def on_part(self, key: str, name: str, point, part: str) -> None:
         """Raise :class:`SceneError` for an item whose point lies farther than `REACH` from a part."""
-        foot = self.surfaces[part].project(item.point)
+        foot = self.surfaces[part].project(point)
         distance = float(foot.distance[0])
         if distance > REACH:
             nearest = ", ".join(f"{x:.6g}" for x in foot.point[0])
             raise SceneError(
-                f"{key}.point ({item.name}): {list(item.point)} lies {distance:.3g} mm off part {part!r} (at most "
+                f"{key}.point ({name}): {list(point)} lies {distance:.3g} mm off part {part!r} (at most "
                 f"{REACH} mm is allowed), its nearest point is [{nearest}]; correct the coordinates or the part"
             )
 

@@ -95,6 +95,8 @@ class Evaluation:
         By stage, for the stages that resolve contact.
     measurements : (n, k) array
         Key characteristics in the scene's order, mm from nominal; empty where nothing reads them.
+    readings : (n, r) array
+        The readings that they are made of (`mic.model.characteristics`), mm; empty likewise.
     failed : (n,) bool array
         Samples whose contact missed its tolerance in some stage.
     functional_force : (n, F) array
@@ -107,6 +109,7 @@ class Evaluation:
     deviations: np.ndarray
     resolutions: dict[str, Resolution]
     measurements: np.ndarray
+    readings: np.ndarray
     failed: np.ndarray
     functional_force: np.ndarray
     motion: np.ndarray

@@ -215,15 +215,16 @@ class Process:
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
         asked, state = self.asked(deviations), self.start(len(deviations))
-        resolutions, read = {}, np.zeros((len(deviations), 0))
+        resolutions, readings = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
             state, resolution = stage.advance(state, asked)
             if resolution is not None:
                 resolutions[stage.plan.name] = resolution
             if stage.plan.reads:
-                read = state.reading["measurement"] + asked.measured
+                readings = state.reading["measurement"] + asked.measured
         force, motion = self._equilibrium(state, deviations)
-        found = Evaluation(self.law, deviations, resolutions, read, state.failed, force, motion)
+        read = self.model.characteristics.values(readings) if readings.size else readings
+        found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, force, motion)
         short = np.flatnonzero(~found.built)
         if short.size:
             self._tell_needs(found, short)
@@ -306,6 +307,7 @@ class Process:
             deviations=deviations,
             resolutions=resolutions,
             measurements=nan(len(model.scene.measurements) if self.stages[-1].plan.reads else 0),
+            readings=nan(model.rows["measurement"].shape[0] if self.stages[-1].plan.reads else 0),
             failed=np.ones(n, bool),
             functional_force=nan(model.compliance.size),
             motion=nan(6 * len(model.compliance)),

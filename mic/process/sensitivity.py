@@ -229,13 +229,17 @@ class _Sensitivity:
                     state.reading["measurement"] + self.drive.measured,
                     slope.reading["measurement"] + self.slope_drive.measured,
                 )
-        jacobian = self._columns(read[1])
+        values, jacobian = read[0], self._columns(read[1])
+        if values.size:
+            characteristics = self.process.model.characteristics
+            jacobian = np.matmul(characteristics.tangent(values), jacobian)
+            values = characteristics.values(values)
         jacobian[state.failed] = np.nan
         return Sensitivities(
             self.process.law,
             self.names,
             self.sigma,
-            read[0],
+            values,
             jacobian,
             contacts,
             self.reach,

@@ -18,7 +18,7 @@ from mic.report.law_pictures import friction_picture, law_cost_picture
 from mic.report.measurement_pictures import measurement_picture
 from mic.report.path_pictures import friction_work_picture, path_error_picture, path_state_picture
 from mic.report.picture import Picture
-from mic.report.space_pictures import assembly_picture, field_picture, overview_picture
+from mic.report.space_pictures import assembly_picture, deviation_map_picture, field_picture, overview_picture
 from mic.report.style import RC
 from mic.results.outcome import Outcome
 
@@ -66,6 +66,7 @@ PICTURES = (
     Entry("law-cost", "laws", law_cost_picture),
     Entry("friction", "laws", friction_picture),
     Entry("measurements", "characteristics", measurement_picture),
+    Entry("deviation-maps", "characteristics", deviation_map_picture),
     Entry("overview", "still", overview_picture),
     Entry("displacement-fields", "fields", field_picture),
 )

@@ -37,7 +37,7 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
         for law, x in values.items():
             ax.hist(x, bins=edges, histtype="stepfilled", color=LAWS[law].colour, alpha=0.14, lw=0)
             ax.hist(x, bins=edges, histtype="step", color=LAWS[law].colour, lw=1.2)
-        for limit in (item.lower, item.upper):
+        for limit in (item.upper,) if item.one_sided else (item.lower, item.upper):
             ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
         width = item.upper - item.lower
         ax.set_xlim(min(low, item.lower) - 0.04 * width, max(high, item.upper) + 0.04 * width)

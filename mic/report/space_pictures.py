@@ -19,7 +19,7 @@ from mic.geometry.normals import Rule
 from mic.geometry.surface import Surface
 from mic.model.assembly import Contacts
 from mic.report.context import Context
-from mic.report.picture import MOST_PANELS, Picture, png
+from mic.report.picture import MOST_PANELS, Picture, panels, png
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
 from mic.results.outcome import Outcome
 
@@ -117,14 +117,14 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
             handles.append(Line2D([], [], marker=">", ls="-", ms=5, color=MARK_COLOURS[kind], label=label))
     for kind, points, mark, ms, mew in (
         ("weld", [weld.point for weld in scene.welds], "o", 9, 1.2),
-        ("measurement", [measurement.point for measurement in scene.measurements], "D", 5, 1.0),
+        ("measurement", [point for measurement in scene.measurements for _, point in measurement.places], "D", 5, 1.0),
     ):
         if points:
             x, y = view.flat(np.array(points)).T
             label = f"{kind} ({len(points)})"
             handles += ax.plot(x, y, mark, ms=ms, color=MARK_COLOURS[kind], mec=INK, mew=mew, label=label)
     for measurement in scene.measurements[:MOST_PANELS]:
-        place = view.flat(np.array([measurement.point]))[0]
+        place = view.flat(np.array([measurement.places[0][1]]))[0]
         ax.annotate(measurement.name, place, xytext=(5, 4), textcoords="offset points", fontsize=8)
     fig.legend(handles=handles, loc="outside right upper", fontsize=9)
     kinds = {
@@ -132,7 +132,7 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
         "clamp": len(scene.clamps),
         "weld": len(scene.welds),
         "contact pair": len(contacts),
-        "measurement point": len(scene.measurements),
+        "measurement point": sum(len(measurement.places) for measurement in scene.measurements),
     }
     text = (
         f"{len(surfaces)} {'part' if len(surfaces) == 1 else 'parts'} with "
@@ -265,3 +265,30 @@ def _arrow(ax, view, item, length, colour):
         ax.annotate("", head, tail, arrowprops=shape)
     else:
         ax.plot(*head, "x", color=colour, ms=5)
+
+
+def deviation_map_picture(outcome: Outcome, context: Context) -> Picture | None:
+    """What parallelisms and profiles read at each point: mean and 6σ, under the first law."""
+    items = [item for item in outcome.model.scene.measurements if item.points is not None][: MOST_PANELS // 2]
+    if not items or not outcome.laws or not context.surfaces:
+        return None
+    law, table = outcome.laws[0], outcome.profile_statistics
+    table = table[table["law"] == law]
+    fig, axes = panels(2 * len(items), 2, (5.2, 3.4))
+    worst = []
+    for i, item in enumerate(items):
+        own = table[table["measurement"] == item.name]
+        view = _View([context.surfaces[item.part]])
+        x, y = view.flat(own[["x", "y", "z"]].to_numpy()).T
+        most = float(own["mean"].abs().max()) or 1.0
+        shown = ("mean", "RdBu_r", (-most, most)), ("six_sigma", "YlOrRd", (0.0, float(own["six_sigma"].max()) or 1.0))
+        for ax, (column, colours, ends) in zip(axes[2 * i : 2 * i + 2], shown):
+            view.draw(ax, [np.array(to_rgb(part_colour(0)))], 0.25)
+            dots = ax.scatter(x, y, c=own[column], cmap=colours, vmin=ends[0], vmax=ends[1], s=26, lw=0.4, ec=INK)
+            fig.colorbar(dots, ax=ax, shrink=0.75, label="mean (mm)" if column == "mean" else "6σ (mm)")
+            ax.set_title(f"{item.name} ({item.kind}, at most {item.upper:g} mm)")
+        at = own.iloc[int(own["six_sigma"].fillna(0.0).argmax())]
+        place = ", ".join(f"{at[axis]:.0f}" for axis in "xyz")
+        spread = f"6σ = {number(at['six_sigma'])} mm about {number(at['mean'])} mm"
+        worst.append(f"{item.name} varies most at ({place}), by {spread}")
+    return png(fig, "Maps of deviation", f"Under {law}, at the points that are read. {'; '.join(worst)}.", 110)

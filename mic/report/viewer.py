@@ -123,17 +123,18 @@ def _zones(scene, contacts):
 
 def _marks(scene):
     """Welds and measurement points."""
+    welds = [(item.name, item.point) for item in scene.welds if item.point is not None]
+    measured = [(item.name, point) for item in scene.measurements for _, point in item.places]
     return [
         {
             "name": f"{kind}s",
             "colour": MARK_COLOURS[kind],
             "size": 5,
-            "points": [item.point for item in items],
-            "labels": [item.name for item in items],
+            "points": [point for _, point in marks],
+            "labels": [name for name, _ in marks],
         }
-        for kind in ("weld", "measurement")
-        for items in [[item for item in getattr(scene, f"{kind}s") if item.point is not None]]
-        if items
+        for kind, marks in (("weld", welds), ("measurement", measured))
+        if marks
     ]
 
 

@@ -9,7 +9,6 @@ import pandas as pd
 
 from mic.model.accuracy import Accuracy
 from mic.results.schema import ACCURACY
-from mic.store import replacing
 
 __all__ = ["accuracy_table", "read_accuracy", "write_accuracy"]
 
@@ -37,10 +36,7 @@ def accuracy_table(found: Sequence[Accuracy]) -> pd.DataFrame:
 
 def write_accuracy(folder: Path, found: Sequence[Accuracy]) -> None:
     """Write ``tables/accuracy.csv`` into a run folder."""
-    path, frame = Path(folder) / ACCURACY.place, accuracy_table(found)
-    ACCURACY.check(frame, path, "this is a fault of the program")
-    with replacing(path) as temporary:
-        frame.to_csv(temporary, index=False, float_format="%.9g")
+    ACCURACY.write(Path(folder), accuracy_table(found))
 
 
 def read_accuracy(folder: Path) -> pd.DataFrame | None:

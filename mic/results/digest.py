@@ -93,6 +93,12 @@ class BlockSamples:
             values = values.cat.set_categories(STATES).cat.codes
         return values.to_numpy().reshape(len(self.valid), self.contacts)[self.valid]
 
+    def profile(self, measurement: str) -> np.ndarray:
+        """(n, q) what a measurement over many points reads at each of them, mm."""
+        frame = self.tables["profiles"]
+        values = frame["value"].to_numpy()[(frame["measurement"] == measurement).to_numpy()]
+        return values.reshape(-1, len(self.valid)).T[self.valid]
+
     @property
     def unbuilt(self) -> np.ndarray:
         """Numbers of the valid samples that are not built."""
@@ -123,7 +129,8 @@ class Digest:
         Deepest penetration between the pairs, mm, the stage at whose end, the sample, and the model's point between the
         pairs; of the first where several are as deep, point −1 where there is none.
     moments : dict of tuple to Moments
-        Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("slips", stage, column)``, one
+        Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("profiles", name)``, one per
+        point of a measurement over many; ``("slips", stage, column)``, one
         per zone with the columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage, column)``, (m,) with the
         columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, one per zone: the sum of the normal
         forces of ``"all"`` pairs, and of those ``"clear"`` of every weld by three nugget radii; ``("resolutions",
@@ -181,6 +188,9 @@ class Digest:
             self._join(("measurements",), x)
             limits = np.array([(item.lower, item.upper) for item in items])
             self._count(("outside",), outside(x, *limits.T))
+        for item in items:
+            if item.points is not None:
+                self._join(("profiles", item.name), block.profile(item.name))
         tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
         rescued = np.zeros(len(block.numbers), dtype=bool)
         contacts = model.contacts

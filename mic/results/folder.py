@@ -41,7 +41,7 @@ from mic.errors import FormatError, RunError
 from mic.geometry.surface import Patch, Surface
 from mic.results.identity import differences
 from mic.results.parquet import read_identity, read_table, write_table
-from mic.results.schema import ACCURACY, DATASETS, FORCES, SAMPLES, STATISTICS, Table
+from mic.results.schema import ACCURACY, DATASETS, FORCES, SAMPLES, STATISTICS, STUDIES, Table
 from mic.store import (
     DAMAGED,
     Format,
@@ -65,7 +65,7 @@ _AGAIN = "run the scene again into this folder"
 _REPLACE = "name another folder with --out, or remove the old results with --replace"
 _RUN = Format("record of a run", 4, _AGAIN)
 _SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", PUBLISHED)
-_TABLES = tuple(table.place for table in (*STATISTICS, ACCURACY))
+_TABLES = tuple(table.place for table in (*STATISTICS, ACCURACY, *STUDIES))
 _FIELDS = "fields/fields.npz"
 _PARTS = Format("set of parts", 2, _AGAIN)
 _FORCES = Format("block of forces", 1, _AGAIN)

@@ -233,6 +233,11 @@ class Outcome:
         return summary.measurement_statistics(self)
 
     @cached_property
+    def profile_statistics(self) -> pd.DataFrame:
+        """Maps of deviation: :data:`mic.results.schema.PROFILE_STATISTICS`."""
+        return summary.profile_statistics(self)
+
+    @cached_property
     def limit_statistics(self) -> pd.DataFrame:
         """Clamps and guns of limited force: :data:`mic.results.schema.LIMIT_STATISTICS`."""
         return summary.limit_statistics(self)

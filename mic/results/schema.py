@@ -15,26 +15,34 @@ import pandas as pd
 from pandas.api import types
 
 from mic.errors import FormatError
+from mic.store import replacing
 
 __all__ = [
     "ACCURACY",
     "CONTACTS",
     "CONTACT_STATISTICS",
+    "CONTRIBUTORS",
     "DATASETS",
     "DEVIATIONS",
     "FIELDS",
     "FORCES",
     "FRICTION",
+    "FRICTION_EFFECTS",
     "LIMITS",
     "LIMIT_STATISTICS",
+    "LINEARITY",
     "MEASUREMENTS",
     "MEASUREMENT_STATISTICS",
+    "PROFILES",
+    "PROFILE_STATISTICS",
     "PATH",
     "PATH_ERRORS",
+    "RARE",
     "RESOLUTIONS",
     "SAMPLES",
     "SLIPS",
     "STATISTICS",
+    "STUDIES",
     "ZONE_STATISTICS",
     "Column",
     "Table",
@@ -168,6 +176,19 @@ class Table:
         self.check(frame, path, remedy)
         return frame
 
+    def write(self, folder: Path, frame: pd.DataFrame) -> None:
+        """Write the CSV file of it into a run folder, to nine digits.
+
+        Raises
+        ------
+        FormatError
+            If the frame is not as declared.
+        """
+        path = folder / self.place
+        self.check(frame, path, "this is a fault of the program")
+        with replacing(path) as temporary:
+            frame.to_csv(temporary, index=False, float_format="%.9g")
+
     def empty(self) -> pd.DataFrame:
         """A frame of no rows, without the optional columns."""
         dtypes = {column.name: "object" if column.dtype == "str" else column.dtype for column in self.columns}
@@ -296,6 +317,17 @@ MEASUREMENTS = _dataset(
     ),
     "Key characteristics.",
 )
+PROFILES = _dataset(
+    "profiles",
+    "one sample, measurement over many points, and point",
+    (
+        _SAMPLE,
+        Column("measurement", "category", "", "name of the key characteristic"),
+        Column("point", "int32", "", "number of the point, from 0, in the order of the scene's `points`"),
+        Column("value", "float64", "mm", "deviation from nominal there, after a best fit if one is asked for"),
+    ),
+    "What parallelisms and profiles read at each of their points. No rows where the scene has none.",
+)
 CONTACTS = _dataset(
     "contacts",
     "one sample, stage and contact pair",
@@ -339,7 +371,7 @@ LIMITS = _dataset(
     "the scene has none.",
 )
 #: The Parquet datasets; :data:`SAMPLES` stands last, as it is written last.
-DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, CONTACTS, LIMITS, SAMPLES)
+DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, PROFILES, CONTACTS, LIMITS, SAMPLES)
 
 FORCES = Table(
     "forces",
@@ -459,12 +491,30 @@ MEASUREMENT_STATISTICS = _statistic(
         *_hanging("six_sigma", "mm", "six standard deviations"),
         *_estimate("min", "mm", "smallest sample; nothing bounds the population from below"),
         *_estimate("max", "mm", "largest sample; nothing bounds the population from above"),
-        *_estimate("cp", "1", "Cp = (upper - lower) / 6σ"),
-        *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ"),
+        *_estimate(
+            "cp", "1", "Cp = (upper - lower) / 6σ; NaN of what is never negative, which has an upper limit only"
+        ),
+        *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ, of these (upper - mean) / 3σ"),
         *_estimate("share_outside", "1", "share of the samples outside the limits"),
     ),
     "Key characteristics against their limits.",
     version=2,
+)
+PROFILE_STATISTICS = _statistic(
+    "profiles",
+    "one law, measurement over many points, and point",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("point", "int64", "", "number of the point, from 0"),
+        Column("x", "float64", "mm", "where"),
+        Column("y", "float64", "mm", "where"),
+        Column("z", "float64", "mm", "where"),
+        _USED,
+        *_estimate("mean", "mm", "mean deviation from nominal there"),
+        *_estimate("six_sigma", "mm", "six standard deviations"),
+    ),
+    "Maps of deviation: what parallelisms and profiles read at each of their points.",
 )
 LIMIT_STATISTICS = _statistic(
     "limits",
@@ -560,11 +610,78 @@ ACCURACY = _statistic(
     ),
     "What meshes leave (`mic.model.accuracy`). Only where the report asks for `accuracy`; written by the run.",
 )
+CONTRIBUTORS = _statistic(
+    "contributors",
+    "one law, key characteristic and contributor",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("contributor", "str", "", "a deviation, or deviations that belong together, such as a part's modes"),
+        *_estimate("first", "1", "share of the variance that it makes alone, S"),
+        *_estimate("total", "1", "share with all interactions that it has a part in, T"),
+        Column("regression", "float64", "1", "share by a linear regression on the deviations"),
+        Column(
+            "tangent", "float64", "1", "share by the differences at the mean, as a linear chain of tolerances has it"
+        ),
+    ),
+    "What makes the variance of the key characteristics: Sobol's indices on the reduced model itself, beside what a "
+    "linear analysis says. Estimates are not cut to 0 … 1: what lies outside is noise. Empty where a characteristic "
+    "does not vary.",
+)
+LINEARITY = _statistic(
+    "linearity",
+    "one law and key characteristic",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        _USED,
+        Column("failed", "int64", "", "samples left out, since one of their evaluations failed"),
+        Column("evaluations", "int64", "", "evaluations of the reduced model, for all key characteristics together"),
+        *_estimate("sigma", "mm", "standard deviation"),
+        Column("r_squared", "float64", "1", "R² of the linear regression, corrected for its number of inputs"),
+        *_estimate("interaction", "1", "largest T - S"),
+        Column("tangent_sigma", "float64", "mm", "standard deviation by the differences at the mean"),
+        Column("linear", "bool", "", "whether a linear analysis can be believed"),
+    ),
+    "How far a linear analysis holds: not where R² is below 0.95, an interaction makes more than 0.05 of the variance, "
+    "or the tangent's standard deviation is off by more than a tenth.",
+)
+FRICTION_EFFECTS = _statistic(
+    "friction_effects",
+    "one law, zone, factor and key characteristic",
+    (
+        _LAW,
+        Column("zone", "str", "", "the zone whose friction is scaled; empty for all of them"),
+        Column("factor", "float64", "1", "by which its coefficient is multiplied"),
+        Column("measurement", "str", "", "name of the key characteristic"),
+        _USED,
+        *_estimate("mean_change", "mm", "what that changes of the mean"),
+        *_estimate("six_sigma_change", "mm", "what that changes of 6σ"),
+        Column("six_sigma", "float64", "mm", "6σ of these samples with the friction of the scene"),
+    ),
+    "Does friction matter: the same samples with all friction scaled, and with that of one zone.",
+)
+RARE = _statistic(
+    "rare",
+    "one law and key characteristic, or all of them together",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic; empty for any of them"),
+        *_estimate("outside", "1", "probability of a value outside its limits"),
+        Column("levels", "int64", "", "levels of the subset simulation; 1 is a plain Monte Carlo"),
+        Column("evaluations", "int64", "", "evaluations of the reduced model"),
+        Column("failed", "int64", "", "of these, such that failed; none counts as outside"),
+    ),
+    "How often limits are missed where that is rare, by subset simulation on the reduced model.",
+)
+#: The CSV tables that a command of its own adds to the folder of a run.
+STUDIES = (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS, RARE)
 #: The CSV tables of statistics.
 STATISTICS = (
     ZONE_STATISTICS,
     CONTACT_STATISTICS,
     MEASUREMENT_STATISTICS,
+    PROFILE_STATISTICS,
     LIMIT_STATISTICS,
     PATH,
     PATH_ERRORS,
@@ -589,7 +706,7 @@ def reference() -> str:
         "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
     ]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*_samples_first(DATASETS), FORCES, FIELDS)]
-    lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY)]
+    lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY, *STUDIES)]
     lines += [
         "",
         "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
@@ -602,6 +719,7 @@ def reference() -> str:
     for title, tables in (
         ("Datasets", _samples_first(DATASETS)),
         ("Statistics", (*STATISTICS, ACCURACY)),
+        ("Studies", STUDIES),
         ("Fields", (FORCES, FIELDS)),
     ):
         lines += ["", f"## {title}"]

@@ -21,6 +21,7 @@ from mic.results.schema import (
     MEASUREMENT_STATISTICS,
     PATH,
     PATH_ERRORS,
+    PROFILE_STATISTICS,
     SLIPS,
     ZONE_STATISTICS,
     Table,
@@ -35,6 +36,7 @@ __all__ = [
     "contact_statistics",
     "limit_statistics",
     "measurement_statistics",
+    "profile_statistics",
     "summary",
     "write_path_study",
     "write_summary",
@@ -136,8 +138,8 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
                 statistics.six_sigma(x),
                 statistics.minimum(x),
                 statistics.maximum(x),
-                capability.capability(x, item.lower, item.upper),
-                capability.centred_capability(x, item.lower, item.upper),
+                capability.capability(x, math.nan if item.one_sided else item.lower, item.upper),
+                capability.centred_capability(x, -math.inf if item.one_sided else item.lower, item.upper),
                 statistics.share(digest.counts["outside",][k], x.n),
             )
             row = {
@@ -153,6 +155,22 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
                 row |= _spread(name, estimate) | (_change(name, effects[name]) if name in effects else {})
             rows.append(row)
     return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
+
+
+def profile_statistics(outcome: Outcome) -> pd.DataFrame:
+    """Maps of deviation, :data:`mic.results.schema.PROFILE_STATISTICS`."""
+    frames = []
+    for law in outcome.laws:
+        for item in outcome.model.scene.measurements:
+            if item.points is None:
+                continue
+            x = outcome.digests[law].moments["profiles", item.name]
+            columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
+            columns |= dict(zip("xyz", np.array(item.points).T))
+            columns |= {"samples": statistics.mean(x).used}
+            columns |= _spread("mean", statistics.mean(x)) | _spread("six_sigma", statistics.six_sigma(x))
+            frames.append(pd.DataFrame(columns))
+    return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
 
 
 def limit_statistics(outcome: Outcome) -> pd.DataFrame:
@@ -280,6 +298,7 @@ def write_tables(outcome: Outcome) -> None:
     _write(outcome.folder, ZONE_STATISTICS, outcome.zone_statistics)
     _write(outcome.folder, CONTACT_STATISTICS, outcome.contact_statistics)
     _write(outcome.folder, MEASUREMENT_STATISTICS, outcome.measurement_statistics)
+    _write(outcome.folder, PROFILE_STATISTICS, outcome.profile_statistics)
     _write(outcome.folder, LIMIT_STATISTICS, outcome.limit_statistics)
     _write(outcome.folder, FRICTION, study_friction(outcome))
 

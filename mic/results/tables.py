@@ -9,7 +9,7 @@ from mic.contact.laws import LAWS
 from mic.contact.states import OPEN, SLIP, STATES, STICK
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import plan_stages
-from mic.results.schema import CONTACTS, DEVIATIONS, LIMITS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
+from mic.results.schema import CONTACTS, DEVIATIONS, LIMITS, MEASUREMENTS, PROFILES, RESOLUTIONS, SAMPLES, SLIPS
 
 __all__ = ["tables"]
 
@@ -77,8 +77,24 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
         },
         CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
     }
+    found[PROFILES] = _profiles(model, evaluation.readings, number)
     found[LIMITS] = _limits(model, resolutions, number, stages)
     return {table.name: pd.DataFrame(columns) for table, columns in found.items()}
+
+
+def _profiles(model, readings: np.ndarray, number: np.ndarray):
+    """What measurements over many points read at each of them."""
+    over = [k for k, item in enumerate(model.scene.measurements) if item.points is not None and readings.size]
+    own = [np.arange(*model.characteristics.start[k : k + 2]) for k in over]
+    names = [model.scene.measurements[k].name for k in over]
+    columns = np.concatenate([np.zeros(0, dtype=int), *own])
+    point = np.concatenate([np.zeros(0, dtype=int), *(each - each[0] for each in own)])
+    return {
+        "sample": np.tile(number, len(columns)),
+        "measurement": _named(np.repeat(np.arange(len(over)), [len(each) * len(number) for each in own]), names),
+        "point": np.repeat(point, len(number)).astype(np.int32),
+        "value": readings[:, columns].T.ravel(),
+    }
 
 
 def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: list[str]):

@@ -78,6 +78,12 @@ def check_references(scene) -> None:
                 found.append(f"{at}: a part cannot be joined to itself, name two different parts")
             elif set(item.parts) <= every - bodies:
                 found.append(f"{at}: at least one of the two must be a part, not a fixture")
+    measured = {item.name for item in scene.measurements}
+    for i, item in enumerate(scene.measurements):
+        if getattr(item, "to", None) is not None:
+            found += told(known, entry("measurements", i, item, "to.part"), item.to.part, bodies, "part")
+        for name in getattr(item, "best_fit", None) or ():
+            found += told(known, entry("measurements", i, item, "best_fit"), name, measured, "measurement")
     for i, item in enumerate(scene.deviations):
         if getattr(item, "moves", None) is not None:
             targets = {target.name for target in getattr(scene, item.moves)}

@@ -1,0 +1,148 @@
+"""Does friction matter here: the key characteristics of the same samples with other coefficients of friction.
+
+All zones' coefficients are scaled together, by 0, 0.5 and 2, and each zone's alone. The same samples each time, so that
+what differs is friction's doing and no scatter comes between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from mic.errors import SceneError
+from mic.process.model import ReducedModel
+from mic.results import statistics
+from mic.results.schema import FRICTION_EFFECTS
+from mic.results.statistics import LEVEL
+from mic.sampling.draw import draw
+
+__all__ = ["FACTORS", "HOLDS", "friction_effects", "friction_needed", "scaled"]
+
+SAMPLES = 60
+FACTORS = (0.0, 0.5, 2.0)  #: by which coefficients are multiplied
+HOLDS = 0.1  #: of 6σ: by less than that an answer may change and still hold
+RESAMPLES = 1000  # of the bootstrap
+
+
+def friction_effects(
+    model: ReducedModel,
+    law: str,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    threads: int = 1,
+    progress: Callable[[int], None] = lambda count: None,
+) -> pd.DataFrame:
+    """What scaling friction changes of the key characteristics.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    law : str
+        With friction.
+    samples, seed : int
+    threads : int
+    progress : callable, optional
+        Called with the number of evaluations after each variant.
+
+    Returns
+    -------
+    DataFrame
+        As :data:`mic.results.schema.FRICTION_EFFECTS` declares it. A factor 0 that leaves a part without hold has no
+        rows.
+
+    Raises
+    ------
+    ValueError
+        If nothing is measured or nothing has friction.
+    """
+    scene, contacts = model.scene, model.contacts
+    if not scene.measurements or contacts.dimension == 1 or not contacts.frictional:
+        raise ValueError(f"scene {scene.name!r} has no {'friction' if scene.measurements else 'measurements'}")
+    deviations = draw(scene, seed, 0, samples)
+
+    def measured(own: ReducedModel) -> np.ndarray:
+        found = own.process(law, threads=threads).attempt(deviations)
+        progress(samples)
+        return np.where(found.failed[:, None], np.nan, found.measurements)
+
+    base, frames = measured(model), []
+    rubbing = [z for z, zone in enumerate(scene.zones) if zone.frictional]
+    every = np.arange(len(scene.zones))
+    variants = [("", every, factor) for factor in FACTORS]
+    variants += [(scene.zones[z].name, np.array([z]), f) for z in rubbing for f in FACTORS if len(rubbing) > 1 and f]
+    for name, zones, factor in variants:
+        try:
+            other = measured(scaled(model, zones, factor))
+        except SceneError:  # friction alone holds a part
+            if factor > 0:
+                raise
+            continue
+        frames.append(_changes(scene, base, other).assign(law=law, zone=name, factor=factor))
+    return pd.concat(frames, ignore_index=True)[FRICTION_EFFECTS.names]
+
+
+def scaled(model: ReducedModel, zones: np.ndarray, factor: float) -> ReducedModel:
+    """A model with the friction of some zones, by number, multiplied."""
+    contacts = model.contacts
+    own = np.isin(contacts.zone, zones)
+    by = np.where(own, factor, 1.0)
+    pressure = contacts.pressure.copy()
+    pressure[own, :, 1:4] *= factor  # α, β and γ of μ(p)
+    return replace(model, contacts=replace(contacts, friction=contacts.friction * by, pressure=pressure))
+
+
+def _changes(scene, base: np.ndarray, other: np.ndarray) -> pd.DataFrame:
+    known = np.isfinite(base).all(axis=1) & np.isfinite(other).all(axis=1)
+    a, b, n = base[known], other[known], int(known.sum())
+    mean = statistics.mean(b - a)
+    even = np.full((1, n), 1 / max(n, 1))
+    stream = np.random.Generator(np.random.Philox(key=n))
+    weights = stream.multinomial(n, even[0], size=RESAMPLES) / max(n, 1)
+    spread, spreads = (_six_sigma(b, w) - _six_sigma(a, w) for w in (even, weights))
+    low, high = np.quantile(spreads, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    columns = {
+        "measurement": [item.name for item in scene.measurements],
+        "samples": n,
+        "mean_change": mean.value,
+        "mean_change_low": mean.low,
+        "mean_change_high": mean.high,
+        "six_sigma_change": spread[0],
+        "six_sigma_change_low": low,
+        "six_sigma_change_high": high,
+        "six_sigma": _six_sigma(a, even)[0],
+    }
+    return pd.DataFrame(columns)
+
+
+def _six_sigma(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(r, k) 6σ of samples (n, k) under each of r weightings (r, n)."""
+    n = len(x)
+    off = x - x.mean(axis=0)
+    return 6 * np.sqrt(np.maximum(weights @ off**2 - (weights @ off) ** 2, 0.0) * n / max(n - 1, 1))
+
+
+def friction_needed(effects: pd.DataFrame) -> pd.DataFrame:
+    """How well friction must be known for the answer to hold: neither mean nor 6σ to move by a tenth of 6σ.
+
+    Between the factors of the study the changes are taken as linear in the factor's logarithm.
+
+    Returns
+    -------
+    DataFrame
+        ``law``, ``zone``, ``measurement``; ``change``, the larger of the changes of mean and 6σ at half and at twice
+        the friction, as a share of 6σ; ``low`` and ``high``, the factors within which the answer holds: 0.5 and 2 where
+        it holds in all of that, at least.
+    """
+    rows = []
+    for (law, zone, measurement), own in effects.groupby(["law", "zone", "measurement"], sort=False):
+        share = own.set_index("factor")[["mean_change", "six_sigma_change"]].abs().max(axis=1)
+        share = share / own["six_sigma"].iloc[0]
+        ends = {}
+        for factor in (0.5, 2.0):
+            reach = min(1.0, HOLDS / share[factor]) if share[factor] > 0 else 1.0
+            ends[factor] = factor**reach
+        rows.append((law, zone, measurement, float(share[[0.5, 2.0]].max()), ends[0.5], ends[2.0]))
+    return pd.DataFrame(rows, columns=["law", "zone", "measurement", "change", "low", "high"])

@@ -1,0 +1,92 @@
+"""What drives the key characteristics, and whether friction matters, in sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from mic.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
+from mic.friction import HOLDS
+from mic.report.style import number, percent
+
+__all__ = ["friction_words", "linear_words", "named"]
+
+TOLD = 3  # contributors that a sentence names
+LITTLE = 0.01  # of the variance: contributors of less are not named
+
+
+def named(rows: pd.DataFrame, share: str) -> str:
+    """The largest contributors with their shares: ``F1 88 %, F3 8 %``."""
+    first = rows.sort_values(share, ascending=False, kind="stable").head(TOLD).to_dict("records")
+    return ", ".join(f"{row['contributor']} {percent(row[share])}" for row in first if row[share] > LITTLE)
+
+
+def linear_words(table: pd.DataFrame, linearity: pd.DataFrame) -> list[str]:
+    """Whether a linear analysis can be believed: one sentence if it can, else one for each characteristic where not."""
+    said = []
+    for row in linearity.to_dict("records"):
+        name = row["measurement"]
+        if not row["sigma"] > SMALLEST:
+            said.append(f"{name} hardly varies (σ {number(1e3 * row['sigma'], 2)} µm): nothing drives it.")
+        elif not row["linear"]:
+            own = table[(table["law"] == row["law"]) & (table["measurement"] == name)].to_dict("records")
+            said.append(f"Warning: {name}: a linear analysis misleads: {'; '.join(_reasons(row, own))}.")
+    if linearity["linear"].all() and linearity["r_squared"].notna().any():
+        least = number(linearity["r_squared"].min())
+        said.append(f"All key characteristics are nearly linear (R² {least} and more): a linear analysis ranks alike.")
+    return said
+
+
+def _reasons(row: dict[Any, Any], own: list[dict[Any, Any]]) -> list[str]:
+    found = []
+    if not row["r_squared"] >= R_SQUARED:
+        found.append(f"R² is {number(row['r_squared'], 2)}")
+    if row["interaction"] > INTERACTION:
+        most = max(own, key=lambda each: each["total"] - each["first"])
+        found.append(
+            f"{most['contributor']} makes {percent(max(most['first'], 0.0))} of the variance alone, and "
+            f"{percent(most['total'])} with others"
+        )
+    if abs(row["tangent_sigma"] - row["sigma"]) > SIGMA * row["sigma"]:
+        found.append(
+            f"by the differences at the mean σ would be {number(1e3 * row['tangent_sigma'])} µm, and it is "
+            f"{number(1e3 * row['sigma'])} µm"
+        )
+    drives = max(own, key=lambda each: each["total"])["contributor"]
+    for key, word in (("regression", "the regression"), ("tangent", "the differences at the mean")):
+        known = [each for each in own if each[key] == each[key]]
+        if known and (other := max(known, key=lambda each: each[key])["contributor"]) != drives:
+            found.append(f"{drives} drives it, and {word} would have named {other}")
+    return found
+
+
+def friction_words(effects: pd.DataFrame, needed: pd.DataFrame) -> list[str]:
+    """Whether friction matters, which zone's decides, and how well it must be known."""
+    said = []
+    none = effects[(effects["zone"] == "") & (effects["factor"] == 0.0)].to_dict("records")
+    for row in none:
+        for figure, word in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
+            change, low, high = (row[f"{figure}{end}"] for end in ("", "_low", "_high"))
+            if abs(change) > HOLDS * row["six_sigma"] and low * high > 0:
+                said.append(
+                    f"{row['measurement']}: without friction its {word} would be {number(abs(1e3 * change), 2)} µm "
+                    f"{'more' if change > 0 else 'less'}, {percent(abs(change) / row['six_sigma'])} of its 6σ."
+                )
+    if not none:
+        said.append("Without friction this assembly does not hold.")
+    elif not said:
+        said.append("Friction hardly matters here: without it no mean and no 6σ would move by a tenth of 6σ.")
+    zones = needed[needed["zone"] != ""]
+    held = needed[needed["zone"] == ""].to_dict("records")
+    for row in held:
+        if row["change"] > HOLDS:
+            own = zones[zones["measurement"] == row["measurement"]].to_dict("records")
+            decides = f"; {max(own, key=lambda each: each['change'])['zone']} decides" if own else ""
+            said.append(
+                f"{row['measurement']} holds to a tenth of its 6σ while friction is {number(row['low'], 2)} to "
+                f"{number(row['high'], 2)} times what the scene says{decides}."
+            )
+    if not any(row["change"] > HOLDS for row in held):
+        said.append("The answer holds to a tenth of 6σ for half to twice the friction that the scene says.")
+    return said
