@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FormatError",
     "FreeMotion",
+    "ImpossibleSample",
     "MicError",
     "MissingProvider",
     "Problems",
@@ -28,6 +29,10 @@ class MicError(Exception):
 
 class SceneError(MicError, ValueError):
     """A scene that cannot be run; the message names the file, the key and the remedy."""
+
+
+class ImpossibleSample(MicError, ArithmeticError):
+    """A sample whose deviations nothing can be built with; it is counted as failed, and the message says why."""
 
 
 class Problems:

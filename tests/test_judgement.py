@@ -484,6 +484,8 @@ def test_there_are_a_hundred_and_fifty_of_them_and_every_rule_has_one():
         "overlap-closed",
         "overlap-kept",
         "parts-cross",
+        "samples-twice",
+        "samples-narrow",
     }
     assert len({rule.name for rule in RULES}) == len(RULES)
 

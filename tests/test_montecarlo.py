@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mic.sampling.distributions import DISTRIBUTIONS
+from mic.results import statistics
 from mic.sampling.draw import draw
 from mic.sampling.montecarlo import BLOCK, ROOM, SIZES, blocks, monte_carlo
+from mic.scene import Scene
+from mic.scene.samples import DESIGNS
 
 LAWS = ["coulomb", "frictionless"]
 
@@ -27,22 +29,116 @@ def test_samples_depend_on_seed_and_number_only(lap_scene):
     assert len(np.unique(whole)) == whole.size
 
 
-#: Each of mean 0 and standard deviation 1.
-REFERENCES = {"normal": stats.norm(), "uniform": stats.uniform(-np.sqrt(3), 2 * np.sqrt(3))}
+#: Name and parameters in a scene, and the distribution of SciPy that it is to be, but for mean and scale.
+REFERENCES = {
+    "normal": ({}, stats.norm()),
+    "uniform": ({}, stats.uniform()),
+    "gumbel_r": ({}, stats.gumbel_r()),
+    "skewnorm": ({"a": 4.0}, stats.skewnorm(4.0)),
+    "triang": ({"c": 0.25}, stats.triang(0.25)),
+    "beta": ({"a": 2.0, "b": 5.0}, stats.beta(2.0, 5.0)),
+}
 
 
-@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_deviations_follow_the_stated_distribution(lap_scene, distribution):
-    deviations = [d.model_copy(update={"distribution": distribution}) for d in lap_scene.deviations]
-    scene = lap_scene.model_copy(update={"deviations": deviations})
+def having(scene, correlations=(), design="independent", **keys):
+    """The scene with keys of all its deviations, a design and correlations, read anew."""
+    table = scene.model_dump(mode="json")
+    table["deviations"] = [item | keys for item in table["deviations"]]
+    table["monte_carlo"] |= {"design": design}
+    return Scene(**table | {"correlations": list(correlations)})
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("distribution", REFERENCES)
+def test_deviations_follow_the_stated_distribution(lap_scene, distribution, design):
+    parameters, reference = REFERENCES[distribution]
+    scene = having(lap_scene, design=design, distribution=distribution, parameters=parameters)
     values = draw(scene, 8, 0, 4000)
-    for j, deviation in enumerate(deviations):
+    for j, deviation in enumerate(scene.deviations):
         standard = (values[:, j] - deviation.mean) / deviation.sigma
-        reference = REFERENCES[distribution]
-        assert (reference.mean(), reference.std()) == pytest.approx((0.0, 1.0))
-        assert stats.kstest(standard, reference.cdf).pvalue > 1e-3
-    correlation = np.corrcoef(values.T) - np.eye(len(deviations))
+        assert stats.kstest(reference.mean() + reference.std() * standard, reference.cdf).pvalue > 1e-3
+        assert (standard.mean(), standard.std()) == pytest.approx((0.0, 1.0), abs=0.06)
+    correlation = np.corrcoef(values.T) - np.eye(len(scene.deviations))
     assert np.abs(correlation).max() < 4 / np.sqrt(4000)
+
+
+def test_a_truncated_deviation_is_the_same_one_cut_off(lap_scene):
+    scene = having(lap_scene, mean=2.0, sigma=0.5, truncated=[1.6, 3.5])
+    values = draw(scene, 8, 0, 4000)
+    assert values.min() >= 1.6 and values.max() <= 3.5
+    for column in values.T:
+        assert stats.kstest(column, stats.truncnorm(-0.8, 3.0, 2.0, 0.5).cdf).pvalue > 1e-3
+
+
+R = [[1.0, 0.7, -0.4], [0.7, 1.0, 0.1], [-0.4, 0.1, 1.0]]
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("distribution", ["normal", "uniform", "expon"])
+def test_correlated_deviations_have_the_copulas_rank_correlation_and_their_own_distribution(
+    lap_scene, distribution, design
+):
+    """Spearman's of a Gaussian copula is 6/π arcsin(ρ/2)."""
+    names = [item.name for item in lap_scene.deviations]
+    scene = having(lap_scene, [{"deviations": names[:3], "matrix": R}], design, distribution=distribution)
+    values = draw(scene, 3, 0, 8000)[:, :3]
+    expected = 6 / np.pi * np.arcsin(np.array(R) / 2)
+    assert np.abs(stats.spearmanr(values).correlation - expected).max() < 0.03
+    if distribution == "normal":
+        assert np.abs(np.corrcoef(values.T) - R).max() < 0.03
+    frozen = REFERENCES.get(distribution, ({}, stats.expon()))[1]
+    for j, item in enumerate(scene.deviations[:3]):
+        standard = (values[:, j] - item.mean) / item.sigma
+        assert stats.kstest(frozen.mean() + frozen.std() * standard, frozen.cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize("design", DESIGNS)
+def test_samples_of_a_design_do_not_depend_on_how_they_are_batched(lap_scene, design, correlated):
+    names = [item.name for item in lap_scene.deviations]
+    together = [{"deviations": names[:3], "matrix": R}] if correlated else []
+    scene = having(lap_scene, together, design, distribution="skewnorm", parameters={"a": 2.0})
+    whole = draw(scene, 4, 0, 200)
+    for first, count in ((17, 5), (63, 2), (49, 2), (0, 1), (130, 70)):
+        np.testing.assert_array_equal(draw(scene, 4, first, count), whole[first : first + count])
+    assert (draw(scene, 5, 0, 200) != whole).all() and len(np.unique(whole)) == whole.size
+
+
+def test_opposite_samples_mirror_and_hypercubes_fill_every_layer_once(lap_scene):
+    pairs = draw(having(lap_scene, design="antithetic"), 4, 0, 100)
+    mean = np.array([item.mean for item in lap_scene.deviations])
+    assert np.abs(pairs[::2] + pairs[1::2] - 2 * mean).max() < 1e-9
+    cube = draw(having(lap_scene, design="latin-hypercube"), 4, 50, 50)
+    sigma = np.array([item.sigma for item in lap_scene.deviations])
+    layers = np.sort((50 * stats.norm.cdf((cube - mean) / sigma)).astype(int), axis=0)
+    assert (layers == np.arange(50)[:, None]).all()
+
+
+def output(values):
+    """A key characteristic with a curved and a mixed part."""
+    a, b, c = values.T
+    return a + 0.5 * b - 0.3 * c + 0.2 * a**2 + 0.2 * b * c
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_intervals_of_a_design_cover_and_designs_tell_more(lap_scene, design):
+    """Over 160 repetitions of 640 or 600 samples; of the mean and of σ."""
+    scene = having(lap_scene, design=design, mean=0.0, sigma=1.0)
+    n = 600 if design == "latin-hypercube" else 640
+    group = np.arange(n) // DESIGNS[design] % 100
+    found = []
+    for seed in range(160):
+        y = output(draw(scene, seed, 0, n))
+        mean = statistics.grouped(y, group, np.mean)
+        sigma = statistics.grouped(y, group, lambda x: np.std(x, ddof=1), size=True)
+        found.append((mean.value, sigma.value, mean.low, mean.high, sigma.low, sigma.high))
+    truth = 0.2, np.sqrt(1 + 0.25 + 0.09 + 2 * 0.04 + 0.04)
+    value = np.array(found)
+    for k in range(2):
+        covers = (value[:, 2 + 2 * k] <= truth[k]) & (truth[k] <= value[:, 3 + 2 * k])
+        assert 0.91 <= covers.mean() <= 0.985
+    most = {"independent": 1.2, "antithetic": 0.5, "latin-hypercube": 0.3, "sobol": 0.2}[design]
+    assert value[:, 0].std() < most * truth[1] / np.sqrt(n)
 
 
 def test_every_sample_reaches_the_sink_once(lap_model):

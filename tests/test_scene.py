@@ -15,9 +15,9 @@ from mic.model.assembly import assemble
 from mic.model.modes import MODES
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
-from mic.sampling.distributions import DISTRIBUTIONS
 from mic.scene import SETTINGS, schema
 from mic.scene.reference import reference
+from mic.scene.samples import DESIGNS
 from mic.scene.settings import FOLLOWING
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
@@ -390,7 +390,7 @@ def test_the_words_of_the_schema_are_those_of_the_registries():
     kinds = [words(table, "kind") for table in get_args(get_args(schema.Deviation)[0])]
     assert set().union(*kinds) == {*SOURCES, *MODES}
     assert words(schema.Stage, "kind") == set(SUGAR)
-    assert words(schema.ForceDeviation, "distribution") == set(DISTRIBUTIONS)
+    assert words(schema.MonteCarlo, "design") == set(DESIGNS)
     settings = {word for option in words(schema.Scene, "setting") for word in get_args(option)}
     assert settings == set(SETTINGS)
 

@@ -15,7 +15,7 @@ from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
 from mic.process.stage import PreparedStage
 from mic.sampling.draw import draw
-from mic.scene.schema import ClampDeviation, LocatorDeviation
+from mic.scene.schema import ClampDeviation, FrictionDeviation, LocatorDeviation
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic
 STEP = 1e-5  # standard deviations
@@ -253,3 +253,20 @@ def test_a_part_that_rests_is_refused(lap_model):
     process.stages[1].steps[0] = replace(step, rest=rest)
     with pytest.raises(SceneError, match="part 'upper' rests by contact alone there"):
         sensitivities(process, draw(model.scene, 1, 0, 1))
+
+
+def test_friction_that_deviates_has_the_slope_of_its_zone(lap_model):
+    scene, name = lap_model.scene, lap_model.scene.zones[0].name
+    rough = FrictionDeviation(name="rough", kind="friction", target=name, sigma=0.02)
+    wide = ((0, 0), (0, 1))
+    model = replace(
+        lap_model,
+        scene=scene.model_copy(update={"deviations": [*scene.deviations, rough]}),
+        shape=np.pad(lap_model.shape, wide),
+        shape_forces=np.pad(lap_model.shape_forces, wide),
+    )
+    samples = np.column_stack([draw(scene, 1, 0, 3), [0.0, 0.01, -0.02]])
+    found = model.sensitivities(samples, "coulomb", ["rough", f"zones.{name}.friction"])
+    np.testing.assert_allclose(found.jacobian[:, :, 0], found.jacobian[:, :, 1], rtol=1e-12)
+    assert np.abs(found.jacobian).max() > 1e-5 and found.sigma.tolist() == [0.02, 0.0]
+    np.testing.assert_allclose(found.measurements, model.evaluate(samples, "coulomb").measurements, rtol=0, atol=1e-4)

@@ -219,7 +219,8 @@ def scene_of(folder, **keys):
     kind = {"measured": mic.scene.schema.MeasuredDeviation, "field": mic.scene.schema.FieldDeviation}[keys["kind"]]
     items = [kind(**base | keys)]
     part = SimpleNamespace(name="a", thickness=1.5)
-    scene = SimpleNamespace(folder=folder, deviations=items, parts=[part])
+    scene = SimpleNamespace(folder=folder, deviations=items, parts=[part], correlations=[])
+    scene.monte_carlo = mic.scene.schema.MonteCarlo()
     scene.model_copy = lambda update: SimpleNamespace(**{**scene.__dict__, **update})
     return scene
 
@@ -371,7 +372,8 @@ BAD_KEYS = [
     ({"kind": "measured", "files": "a.csv", "skin": 2}, "skin"),
     ({"kind": "measured", "files": "a.csv", "unit": "miles"}, "unit"),
     ({"kind": "measured", "files": "a.csv", "within": 0}, "within"),
-    ({"kind": "measured", "files": "a.csv", "distribution": "gamma"}, "distribution"),
+    ({"kind": "measured", "files": "a.csv", "distribution": "gama"}, "did you mean 'gamma'"),
+    ({"kind": "measured", "files": "a.csv", "truncated": [-1, 1]}, "truncated: it stands for several modes"),
     ({"kind": "measured"}, "files"),
     ({"kind": "field", "sigma": 0, "length": 9}, "sigma"),
     ({"kind": "field", "sigma": 1}, "length"),

@@ -9,7 +9,8 @@ of all parts, shapes are found by finite elements, and each increment of each st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,7 +25,7 @@ from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, 
 from mic.contact import laws
 from mic.model.characteristics import Characteristics
 from mic.model.shape import controlling_forces, datum_rows, known_shapes
-from mic.model.sources import sources
+from mic.model.sources import changed, sources
 from mic.process.drive import drive
 from mic.process.plan import plan_assembly
 
@@ -139,7 +140,8 @@ class FullModel:
         loads = [source.load(assembly.labels, assembly.rows) for source in sources(assembly.scene)]
         known = list(known_shapes(assembly))
         shape = np.zeros((mesh.parts.offsets[-1], len(loads)))
-        if all(load is None for load in loads) and not known:
+        grown = [source.expansion() for source in sources(assembly.scene)]
+        if all(load is None for load in loads) and not known and not any(grown):
             return shape
         support = block_diag([datum_rows(assembly, p, G) for p, G in enumerate(mesh.rigid.G)], format="csr")
         held = Equilibrium(mesh.parts, (support @ mesh.readings).tocsr(), csr_matrix((0, len(shape))), 1)
@@ -151,6 +153,9 @@ class FullModel:
         for j, load in enumerate(loads):
             if load is not None:
                 shape[:, j] = shaped(load)
+        for j, strains in enumerate(grown):
+            if strains:
+                shape[:, j] = self._grown(strains, support)
         G = block_diag(mesh.rigid.G, format="csr")
         for columns, controls in known:
             R = controls[0].rows
@@ -161,6 +166,18 @@ class FullModel:
             f = controlling_forces((R @ mesh.readings) @ unit, rigid[:, own : own + 6], controls, name)
             shape[:, columns] = unit @ f
         return shape
+
+    def _grown(self, strains: Mapping[str, float], support: csr_matrix) -> np.ndarray:
+        """(N,) freedoms of parts that have grown by strains in all directions, set down on their datum rows."""
+        mesh = self.nominal
+        u = np.zeros(mesh.parts.offsets[-1])
+        for part, shell, lo in zip(self.assembly.parts, mesh.parts.shells, mesh.parts.offsets):
+            moves = shell.dof_component < 3
+            place = shell.dof_position[np.arange(shell.ndof), np.minimum(shell.dof_component, 2)]
+            u[lo : lo + shell.ndof] = np.where(moves, strains.get(part.name, 0.0) * place, 0.0)
+        modes = block_diag([shell.rigid_modes for shell in mesh.parts.shells], format="csr")
+        read = (support @ mesh.readings).tocsr()
+        return u - modes @ np.linalg.solve((read @ modes).toarray(), read @ u)
 
     def shape_fields(self, deviations) -> dict[str, np.ndarray]:
         """Displacements and rotations (n_points, 6) that the deviations of shape give each part's vertices, mm, rad."""
@@ -188,11 +205,12 @@ class FullModel:
             raise ValueError(f"law {law!r}: the full solve knows {' and '.join(LAWS)}")
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
+        rubbing = replace(assembly, contacts=changed(assembly.scene, contacts, deviations))
         mesh, asked = self._driven(deviations)
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
-            friction = friction_of(assembly, laws.find(law), plan.name)
+            friction = friction_of(rubbing, laws.find(law), plan.name)
             state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
                 state, asked
             )

@@ -91,8 +91,8 @@ def moves_much(scene) -> Iterator[Seen]:
     """Deviations of position that no fixture has, and forces that shape no sheet."""
     strokes = {clamp.name for clamp in scene.clamps if clamp.stroke is not None}
     for item in scene.deviations:
-        if item.kind == "measured":
-            continue  # what was measured is told with the mesh
+        if item.kind in ("measured", "gravity", "temperature", "friction"):
+            continue  # what was measured is told with the mesh; the others have neither mm nor N
         position = item.kind not in ("force", "clamp") or (item.kind == "clamp" and strokes & {*_targets(item)})
         high, unit = (MOVED, "mm") if position else (SHAPED, "N")
         for key in ("mean", "sigma"):

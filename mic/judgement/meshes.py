@@ -254,6 +254,30 @@ def zone_small(assembly) -> Iterator[Seen]:
             yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
 
 
+def samples_twice(assembly) -> Iterator[Seen]:
+    """Rows of a table of samples that stand there more than once."""
+    values = assembly.scene.monte_carlo.values or []
+    seen: dict[tuple[float, ...], int] = {}
+    twice = [(i, seen[row]) for i, row in enumerate(map(tuple, values)) if seen.setdefault(row, i) != i]
+    if twice:
+        i, first = twice[0]
+        yield "monte_carlo", f"sample {i} is sample {first} again ({len(twice)} of {len(values)} are another's)", None
+
+
+def samples_narrow(assembly) -> Iterator[Seen]:
+    """Columns of a table of samples that vary far less than their sigma says."""
+    values = np.array(assembly.scene.monte_carlo.values or [])
+    if len(values) < ENOUGH:
+        return
+    for item, column in zip(assembly.scene.deviations, values.T):
+        spread = float(column.std())
+        if 0.0 < spread < NARROW * item.sigma:
+            yield of("deviations", item), f"varies by {spread:.3g} in the samples, and sigma = {item.sigma:g}", None
+
+
+ENOUGH, NARROW = 8, 0.02  # samples that tell a spread, and the least share of sigma that it is
+
+
 def overlap_closed(assembly) -> Iterator[Seen]:
     """Overlap that is closed by default, and deeper than drawing explains."""
     return _overlaps(assembly, "close", 0.25, "closes")

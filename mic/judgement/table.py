@@ -430,6 +430,20 @@ MESHES: tuple[Rule, ...] = (
         meshes.zone_small,
     ),
     Rule(
+        "samples-twice",
+        "one row for each assembly",
+        "what stands there twice counts twice",
+        "take the row out",
+        meshes.samples_twice,
+    ),
+    Rule(
+        "samples-narrow",
+        f"{meshes.NARROW:g} sigma and more",
+        "a column in m where mm are meant varies by a thousandth",
+        "give the column in the deviation's unit, or correct sigma",
+        meshes.samples_narrow,
+    ),
+    Rule(
         "overlap-closed",
         "at most a quarter of the thinner sheet",
         "chords across bends and rounded thicknesses explain no more",

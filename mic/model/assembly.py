@@ -40,6 +40,7 @@ from mic.model.sources import sources
 from mic.product import one_thread
 from mic.scene import Scene
 from mic.scene.checks import entry
+from mic.scene.samples import take_samples
 from mic.store import fingerprint
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
@@ -260,7 +261,9 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     decks = {one.part.name: one.deck for one in loaded}
     scene, placed = place(scene, surfaces, decks)
     written = write_modes(scene, surfaces, decks)
-    scene, placed, inputs = written.scene, placed + written.sentences, inputs | written.inputs
+    scene, placed = written.scene, placed + written.sentences
+    scene, given = take_samples(scene)
+    inputs |= written.inputs | given
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     pads = [pad for pad in scene.fixtures if pad.mesh is None]  # some of which the parts' meshes have placed

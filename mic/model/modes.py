@@ -125,7 +125,7 @@ def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeD
     Φ = item.sigma * modes_of(correlation(surface, vertices, item.length), item.share)
     points = _rounded(surface.points[vertices])
     common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": points, "loose": True, "batch": item.name}
-    common |= {"distribution": item.distribution, "sigma": 1.0}
+    common |= {"distribution": item.distribution, "parameters": item.parameters, "sigma": 1.0}
     made = [ShapeDeviation(name=f"{item.name}.{k + 1}", values=_rounded(φ), **common) for k, φ in enumerate(Φ.T)]
     return made, f"{at}: {len(made)} modes at {len(points)} points keep {100 * item.share:g} % of the variance at each"
 
@@ -168,7 +168,8 @@ def _measured(
     modes = {"sigma": item.sigma, "noise": _noise(noise / np.sqrt(n - 1))}
     made = [ShapeDeviation(name=f"{item.name}.mean", **common, **middle)] if item.mean else []
     for k in range(kept if item.sigma else 0):
-        how = {"scores": _rounded(scores[:, k])} if item.pieces else {"distribution": item.distribution}
+        drawn = {"distribution": item.distribution, "parameters": item.parameters}
+        how = {"scores": _rounded(scores[:, k])} if item.pieces else drawn
         name, own = f"{item.name}.{k + 1}", _rounded(Σ[k] * U[:, k])
         made.append(ShapeDeviation(name=name, values=own, **common, **modes, **how))
     said += f"; {kept} modes keep {100 * variance[kept - 1] / variance[-1]:.3g} % of the variance"

@@ -17,6 +17,9 @@ smoothing spline of the sheet's own stiffness, so that nothing is carried across
 λ is the one of least expected error, by its unbiased estimate ``Σ_i (v − A_λ v)_i²/σ_i² + 2 tr A_λ`` (Craven, Wahba),
 summed over all shapes that share the rows.
 
+A part that has grown by the strain ε in all directions, as a warmer one has, is free of stress, too: ``y⁰`` reads the
+displacement ``ε x``, less the rigid motion that the datum rows would read of it, and f⁰ = 0.
+
 References
 ----------
 G. Wahba: Spline models for observational data. SIAM (1990): smoothing splines, chapters 1 and 4.
@@ -160,6 +163,11 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
             own = compliance.functionals[p]
             reading, force = take(load, p)
             shape[own, j], forces[own, j] = reading[:, 0], force[:, 0]
+        for name, strain in source.expansion().items():
+            p = [part.name for part in assembly.parts].index(name)
+            own, G = compliance.functionals[p], compliance.G[p]
+            grown, datum = strain * dilation(assembly.parts[p]), datum_rows(assembly, p, G)
+            shape[own, j] += grown - G @ np.linalg.solve(datum @ G, datum @ grown)
     for columns, controls in known_shapes(assembly):
         (p,), R = _parts(controls[0].rows, compliance), controls[0].rows
         own = compliance.functionals[p]
@@ -169,6 +177,18 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
         shape[np.arange(F)[own, None], columns] = reading @ f
         forces[np.arange(F)[own, None], columns] = force @ f
     return shape, forces
+
+
+def dilation(part) -> np.ndarray:
+    """(F_p,) what a part's functionals read of the displacement ``u = x``, mm; the thickness stays as it is.
+
+    Parameters
+    ----------
+    part : mic.compliance.part.Part
+    """
+    f, surface = part.functionals, part.surface
+    at = np.array([one.weight @ surface.at(one.triangle, one.barycentric) for one in f.patches]).reshape(-1, 3)
+    return np.where(f.rotation, 0.0, np.einsum("id,id->i", f.direction, at[f.patch]))
 
 
 def _parts(load: csr_matrix, compliance: Blocks) -> np.ndarray:

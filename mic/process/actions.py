@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mic.scene.stages import moves_assembly
+from mic.scene.stages import moves_assembly, set_down_in
 
 __all__ = [
     "SUGAR",
@@ -54,7 +54,7 @@ class Fixture:
     strokes : tuple of int
         Clamp rows that hold a position.
     forces : tuple of int
-        Clamp rows that push with a force.
+        Clamp rows that push with a force; the weights of the parts that are there among them.
     limited : tuple of int
         Clamp rows that push towards a position, with a limited force.
     guns : tuple of int
@@ -87,9 +87,10 @@ class SetDown:
     """Set the parts down on locators, one by one: they touch nothing yet, and whatever overlaps then settles later."""
 
     locators: tuple[int, ...]
+    weights: tuple[int, ...] = ()
 
     def apply(self, fixture):
-        return replace(fixture, locators=fixture.locators + self.locators)
+        return replace(fixture, locators=fixture.locators + self.locators, forces=fixture.forces + self.weights)
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,12 @@ class Arrive:
     """Set down parts that were waiting, beside the others, which stay as they are; they touch nothing yet."""
 
     locators: tuple[int, ...]
+    weights: tuple[int, ...] = ()
 
     def apply(self, fixture):
         waiting = tuple(i for i in fixture.waiting if i not in self.locators)
-        return replace(fixture, locators=fixture.locators + self.locators, waiting=waiting)
+        forces = fixture.forces + self.weights
+        return replace(fixture, locators=fixture.locators + self.locators, forces=forces, waiting=waiting)
 
 
 @dataclass(frozen=True)
@@ -111,10 +114,11 @@ class Transfer:
     """
 
     locators: tuple[int, ...]
+    weights: tuple[int, ...] = ()
 
     def apply(self, fixture):
         waiting = tuple(i for i in fixture.waiting if i not in self.locators)
-        return Fixture(locators=self.locators, welds=fixture.welds, waiting=waiting)
+        return Fixture(locators=self.locators, forces=self.weights, welds=fixture.welds, waiting=waiting)
 
 
 @dataclass(frozen=True)
@@ -260,8 +264,35 @@ def _locate(scene, stage, before) -> list[Move]:
     """The first sets the parts down; a later one sets further ones down, or is another station."""
     own = _of_stage(scene.locators, stage)
     if not before:
-        return [(SetDown(own),)]
-    return [(Transfer(own) if moves_assembly(scene, stage) else Arrive(own),)]
+        return [(SetDown(own, _weights(scene, stage.name, [stage.name])),)]
+    if moves_assembly(scene, stage):
+        return [(_transfer(scene, stage, own),)]
+    stations = [one.name for one in _before(scene, stage) if one is scene.stages[0] or moves_assembly(scene, one)]
+    return [(Arrive(own, _weights(scene, stations[-1], [stage.name])),)]
+
+
+def _before(scene, stage) -> list[Any]:
+    """The stages up to one, it among them."""
+    return scene.stages[: 1 + next(i for i, one in enumerate(scene.stages) if one is stage)]
+
+
+def _transfer(scene, stage, locators) -> Transfer:
+    return Transfer(locators, _weights(scene, stage.name, [one.name for one in _before(scene, stage)]))
+
+
+def _weights(scene, station: str, stages: Sequence[str]) -> tuple[int, ...]:
+    """Rows of the weights, in a station, of the parts that these stages set down.
+
+    They lie behind the clamps' rows, those of each deviation of kind gravity together.
+    """
+    there, first = set_down_in(scene), scene.stages[0].name
+    gravity = [item for item in scene.deviations if item.kind == "gravity"]
+    return tuple(
+        len(scene.clamps) + g * len(scene.parts) + p
+        for g, item in enumerate(gravity)
+        for p, part in enumerate(scene.parts)
+        if (item.stage or first) == station and there[part.name] in stages
+    )
 
 
 def _clamp(scene, stage, before) -> list[Move]:
@@ -388,7 +419,7 @@ def together(moves: Sequence[Move]) -> list[Move]:
 def _measure(scene, stage, before) -> list[Move]:
     """Read, on locators of its own if any name it."""
     own = _of_stage(scene.locators, stage)
-    return [(Transfer(own), Read()) if own else (Read(),)]
+    return [(_transfer(scene, stage, own), Read()) if own else (Read(),)]
 
 
 #: Kind of a scene's stage → ``moves(scene, stage, before)``, with the moves of the stages before.

@@ -66,8 +66,10 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray]) -> 
     """
     scene, labels = assembly.scene, assembly.labels
     target = {kind: -shape[kind] for kind in ("locator", "clamp", "rest") if kind in shape}
-    target["clamp"] = target["clamp"] + np.array([clamp.stroke or 0.0 for clamp in scene.clamps])
-    push = np.tile(np.array([clamp.force or 0.0 for clamp in scene.clamps]), (len(deviations), 1))
+    clamps = range(len(scene.clamps))  # behind them lie the parts' weights
+    push = np.zeros((len(deviations), len(labels["clamp"])))
+    push[:, clamps] = [clamp.force or 0.0 for clamp in scene.clamps]
+    target["clamp"][:, clamps] += np.array([clamp.stroke or 0.0 for clamp in scene.clamps])
     for amplitude, source in zip(deviations.T, sources(scene)):
         for (kind, row), share in source.target(labels).items():
             target[kind][:, row] += share * amplitude

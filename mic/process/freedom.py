@@ -166,7 +166,13 @@ def _loads(scene, bodies, joints: Joints, step):
     that at most; a gun is not told from the weld that it presses."""
     varied = {name for one in scene.deviations if one.kind == "clamp" for name in np.atleast_1d(one.target)}
     rows, least, most = [], [], []
+    weights = [one.mean for one in scene.deviations if one.kind == "gravity" for _ in scene.parts]
     for i in step.loads:
+        if i >= len(scene.clamps):
+            rows.append(("clamp", i))
+            least.append(weights[i - len(scene.clamps)])
+            most.append(least[-1])
+            continue
         clamp = scene.clamps[i]
         any_force = clamp.name in varied and not clamp.force  # a nominal force of zero, of either sign in a sample
         rows.append(("clamp", i))

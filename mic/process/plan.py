@@ -73,7 +73,7 @@ class Step:
     bilateral : tuple of (str, int)
         Rows held: kind (``"locator"``, ``"clamp"`` with a stroke, ``"weld"``) and row number.
     loads : tuple of int
-        Clamp rows that push with a force.
+        Clamp rows that push with a force; the parts' weights lie behind the clamps'.
     released : tuple of (str, int)
         Rows held before that this step lets go.
     dropped_loads : tuple of int

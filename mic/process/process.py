@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
+from mic.errors import ImpossibleSample, SceneError
+from mic.model.sources import changed, sources
 from mic.process.drive import Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
@@ -30,6 +34,8 @@ TOLERANCE = 1e-10
 AHEAD = 8
 #: Spacings between two candidates that join a working set together.
 APART = 2.0
+#: Processes that are kept whose deviations have changed the contacts.
+KEPT = 8
 
 
 def contact_solver(
@@ -142,6 +148,10 @@ class Process:
         self._plans = plan_stages(model.scene, model.weld_size, limited)
         check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
+        rubs = obeyed.frictional
+        self._changing = [j for j, source in enumerate(sources(model.scene)) if source.changes and rubs]
+        self._changed_by, self._limited = np.zeros(len(self._changing)), limited
+        self._varied: dict[bytes, Process] = {}
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
         self._starts, self._guessing = model.likely if starts is None else starts, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
@@ -181,6 +191,7 @@ class Process:
         mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
         draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
         draws[0] = 0.0
+        draws[:, ahead._changing] = 0.0
         ahead.stages, ahead._guessing = ahead._prepared([Increments(1)] * len(ahead.stages)), True
         ahead.attempt(mean + sigma * draws)
         return ahead.carried
@@ -214,6 +225,9 @@ class Process:
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
+        own = self.parted(deviations)
+        if any(process is not self for _, process in own):
+            return Evaluation.join([process.evaluate(deviations[part]) for part, process in own])
         asked, state = self.asked(deviations), self.start(len(deviations))
         resolutions, readings = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
@@ -240,6 +254,38 @@ class Process:
         model = self.model
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
         return ProcessState.start(n, len(model.contacts), model.contacts.dimension, rows)
+
+    def parted(self, deviations: np.ndarray) -> list[tuple[slice, Process]]:
+        """Samples in runs (slices of them) whose deviations change the contacts alike, and the process of each: this
+        one where nothing changes them."""
+        own = deviations[:, self._changing]
+        edges = [0, *(np.flatnonzero((own[1:] != own[:-1]).any(axis=1)) + 1).tolist(), len(own)]
+        return [
+            (slice(a, b), self if (own[a:b] == self._changed_by).all() else self._changed(own[a]))
+            for a, b in zip(edges, edges[1:])
+        ]
+
+    def _changed(self, amplitudes: np.ndarray) -> Process:
+        """The process with contacts as these deviations change them; rows and compliance stay as they are."""
+        key = amplitudes.tobytes()
+        if key not in self._varied:
+            deviations = np.zeros(len(self.model.scene.deviations))
+            deviations[self._changing] = amplitudes
+            model = replace(self.model, contacts=changed(self.model.scene, self.model.contacts, deviations))
+            kept = {name: getattr(self.model, name) for name in ("eliminations", "likely", "rest")}
+            vars(model).update(kept)
+            backend = "native" if self._settings["backend"] == "native" else "paper"
+            how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
+            how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
+            try:
+                process = Process(model, self.law, backend=backend, **how)
+            except SceneError as problem:  # what rests under the scene's friction may not under the sample's
+                raise ImpossibleSample(str(problem)) from problem
+            process._changed_by = amplitudes
+            if len(self._varied) >= KEPT:
+                self._varied.clear()
+            self._varied[key] = process
+        return self._varied[key]
 
     def _tell_needs(self, found: Evaluation, short: np.ndarray) -> None:
         """What the forces of these samples would be if none had a limit, into ``needed``; NaN where that fails."""

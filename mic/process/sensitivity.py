@@ -24,6 +24,7 @@ from mic.contact.friction import Friction
 from mic.contact.path import Path
 from mic.contact.tangent import Contact, End, Varied, retrace
 from mic.errors import SceneError
+from mic.model.sources import sources
 from mic.process.drive import Drive
 from mic.process.plan import Step
 from mic.process.stage import EliminatedStep, PreparedStage
@@ -195,10 +196,11 @@ def sensitivities(
     size = sum(rows.shape[0] for rows in model.rows.values()) * (len(names) + 1)
     block = max(1, AT_ONCE // max(size, 1))
     pieces = []
-    for first in range(0, max(len(deviations), 1), block):
-        own = slice(first, first + block)
-        frozen = None if steps is None else {key: trail[own] for key, trail in steps.items()}
-        pieces.append(_Sensitivity(process, deviations[own], names, sigma, frozen).found())
+    for own, each in process.parted(deviations):
+        for first in range(own.start, own.stop, block):
+            some = slice(first, min(first + block, own.stop))
+            frozen = None if steps is None else {key: trail[some] for key, trail in steps.items()}
+            pieces.append(_Sensitivity(each, deviations[some], names, sigma, frozen).found())
     return Sensitivities.join(pieces)
 
 
@@ -286,6 +288,10 @@ class _Sensitivity:
             for j, one in enumerate(scene.zones):
                 if name == f"zones.{one.name}.friction" and name not in model.parameters:
                     found[zone == j, i] = 1.0
+        contacts = model.contacts
+        for name, source in zip(model.parameters, sources(scene)):
+            if source.changes and name in self.names:
+                found[:, self.names.index(name)] = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
         return found
 
     def _columns(self, slope: np.ndarray) -> np.ndarray:

@@ -85,6 +85,8 @@ def _clauses(scene, action: Action) -> Iterable[str]:
             own = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
             if own:
                 yield f"{part.name} is set down on {_listed(own)}"
+        if action.weights:
+            yield "gravity acts"
         if isinstance(action, SetDown):
             for part in scene.parts:
                 if all(one.part != part.name for one in scene.locators):

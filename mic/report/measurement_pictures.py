@@ -57,9 +57,14 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     if rows["cpk"].notna().any():
         least = rows.iloc[int(rows["cpk"].argmin())]
         text += (
-            f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])} "
-            f"(95 %: {number(least['cpk_low'])} to {number(least['cpk_high'])}), "
-            f"{percent(least['share_outside'], 1)} of the samples outside "
-            f"(95 %: {percent(least['share_outside_low'], 1)} to {percent(least['share_outside_high'], 1)})."
+            f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])}"
+            f"{_interval(least, 'cpk', number)}, {percent(least['share_outside'], 1)} of the samples outside"
+            f"{_interval(least, 'share_outside', lambda share: percent(share, 1))}."
         )
     return svg(fig, "Key characteristics against their limits", text)
+
+
+def _interval(row, name: str, words) -> str:
+    """The 95 % interval of a figure, in brackets; nothing where there is none."""
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    return f" (95 %: {words(low)} to {words(high)})" if low == low and high == high else ""

@@ -1,9 +1,10 @@
 """The identity of a run: one hash over all inputs that its numbers depend on, and over nothing that was computed.
 
 Inputs are the scene with its defaults filled in, the content of every file that its meshes were made from, the seed,
-who solves the contacts and how exactly, how exactly paths are followed, the version of the program and the formats of
-its files. How many samples there are and under which laws is left out: a block says that of itself. So are names,
-descriptions and what is drawn. Nothing computed enters, for its last digits may change with the number of threads.
+how samples are drawn or what they are, who solves the contacts and how exactly, how exactly paths are followed, the
+version of the program and the formats of its files. How many samples there are and under which laws is left out: a
+block says that of itself. So are names, descriptions and what is drawn. Nothing computed enters, for its last digits
+may change with the number of threads.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ _CAPTIONS = {"name", "description", "setting", "monte_carlo", "report"}  # what 
 _OF_THE_PROGRAM = ("program", "format")
 _WORDS = {
     "program": "version of the program",
+    "design": "design of the samples, or the samples themselves",
     "dimension": "contact rows per pair",
     "path_floor": "error of a path that is not judged",
 }
@@ -39,10 +41,12 @@ def inputs(model, seed: int) -> dict[str, Any]:
     """
     scene = model.scene
     tables = json.loads(scene.model_dump_json(exclude=_CAPTIONS))
+    given = scene.monte_carlo.values
     return {
         "program": program_version(),
         "format": FORMAT,
         "seed": seed,
+        "design": scene.monte_carlo.design if given is None else fingerprint(given),
         "backend": scene.monte_carlo.backend,
         "tolerance": TOLERANCE,
         "path_floor": FLOOR,

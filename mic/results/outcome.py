@@ -30,6 +30,7 @@ from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.path_study import PathStudy, read_path_study
 from mic.results.schema import DATASETS
+from mic.scene.samples import DESIGNS
 
 __all__ = ["Outcome", "read_outcome"]
 
@@ -108,6 +109,11 @@ class Outcome:
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
         return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
+
+    @property
+    def together(self) -> int:
+        """Samples that the design makes together: those of one group are not independent; 1 where all are."""
+        return DESIGNS[self.model.scene.monte_carlo.design]
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

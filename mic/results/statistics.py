@@ -16,10 +16,12 @@ References
        Data Anal. 50 (2006) 775-782.
 .. [6] P. Pébay: Formulas for robust, one-pass parallel computation of covariances and arbitrary-order statistical
        moments, Sandia report SAND2008-6212, 2008.
+.. [7] J. Shao, D. Tu: The Jackknife and Bootstrap, 1995, section 2.3 (grouped jackknife).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -32,6 +34,7 @@ __all__ = [
     "Moments",
     "covered_share",
     "density",
+    "grouped",
     "maximum",
     "mean",
     "minimum",
@@ -237,6 +240,35 @@ def share(count, n, level: float = LEVEL) -> Estimate:
         _plain(n.astype(int)),
         _plain(nothing),
     )
+
+
+def grouped(x, group, figure: Callable, size: bool = False, level: float = LEVEL) -> Estimate:
+    """A figure of samples that are independent only from group to group, as those of a Latin hypercube are.
+
+    Its interval comes from the figure without each of the R groups in turn, the grouped jackknife [7]_:
+    ``s² = (R − 1)/R Σ (θ_(r) − θ̄)²``, with Student's t of R − 1 degrees of freedom. NaN where the groups do not differ.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Values that are not finite are left out.
+    group : (n,) int array
+    figure : callable
+        Of samples (n,); returns a float.
+    size : bool
+        Whether the figure is a positive size, such as a standard deviation, whose logarithm is judged.
+    """
+    x, group = np.asarray(x, dtype=float), np.asarray(group)
+    value, every = figure(x), np.unique(group[np.isfinite(x)])
+    scale, back = (np.log, np.exp) if size else (np.asarray, np.asarray)
+    R, half = len(every), np.nan
+    if R > 1 and np.isfinite(value) and (value > 0 or not size):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            without = np.array([scale(figure(x[group != r])) for r in every])
+            spread = np.sqrt((R - 1) / R * np.sum((without - without.mean()) ** 2))
+        half = float(stdtrit(R - 1, 0.5 + level / 2)) * spread if np.isfinite(spread) and spread > 0 else np.nan
+    centre = scale(value) if np.isfinite(half) else np.nan
+    return Estimate.of(x, value, back(centre - half), back(centre + half))
 
 
 def density(x, points) -> np.ndarray:

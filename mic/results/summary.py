@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,7 @@ __all__ = [
 ]
 
 SUMMARY = Format("summary of a run", 2, "call `mic report` on the run folder")
+GROUPS = 100  # of samples that are left out in turn: more tell the spread no better
 _MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
 _HANGING = ("mean", "six_sigma")  # what a path study is asked for
 _MOTIONS = ("rms_tangential", "rms_slip")
@@ -86,7 +88,7 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                     row |= _spread(f"mean_{name}", statistics.mean(force))
                     row |= _spread(f"six_sigma_{name}", statistics.six_sigma(force))
                 rows.append(row | {state: statistics.mean(own[state]).value for state in STATES})
-    return _frame(ZONE_STATISTICS, pd.DataFrame(rows))
+    return _frame(ZONE_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
 
 
 def _coefficient(zone, law, stage: str) -> float:
@@ -122,7 +124,9 @@ def contact_statistics(outcome: Outcome) -> pd.DataFrame:
                 )
                 columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
             frames.append(pd.DataFrame(columns, index=np.arange(m)))
-    return _frame(CONTACT_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
+    return _frame(
+        CONTACT_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(), outcome.together == 1
+    )
 
 
 def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
@@ -132,16 +136,18 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
         digest = outcome.digests[law]
         for k, item in enumerate(outcome.model.scene.measurements):
             x = digest.moments["measurements",].at(k)
-            estimates = (
+            estimates: tuple[Estimate, ...] = (
                 statistics.mean(x),
                 statistics.sigma(x),
                 statistics.six_sigma(x),
                 statistics.minimum(x),
                 statistics.maximum(x),
                 capability.capability(x, math.nan if item.one_sided else item.lower, item.upper),
-                capability.centred_capability(x, -math.inf if item.one_sided else item.lower, item.upper),
+                capability.centred_capability(x, *item.bounds),
                 statistics.share(digest.counts["outside",][k], x.n),
             )
+            if outcome.together > 1:
+                estimates = _by_groups(outcome, law, item, estimates)
             row = {
                 "law": law,
                 "measurement": item.name,
@@ -167,10 +173,34 @@ def profile_statistics(outcome: Outcome) -> pd.DataFrame:
             x = outcome.digests[law].moments["profiles", item.name]
             columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
             columns |= dict(zip("xyz", np.array(item.points).T))
-            columns |= {"samples": statistics.mean(x).used}
-            columns |= _spread("mean", statistics.mean(x)) | _spread("six_sigma", statistics.six_sigma(x))
+            mean, six_sigma = statistics.mean(x), statistics.six_sigma(x)
+            if outcome.together > 1:  # samples that belong together tell no interval from moments
+                none = np.full(len(item.points), np.nan)
+                mean, six_sigma = (replace(each, low=none, high=none) for each in (mean, six_sigma))
+            columns |= {"samples": mean.used} | _spread("mean", mean) | _spread("six_sigma", six_sigma)
             frames.append(pd.DataFrame(columns))
     return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
+
+
+def _by_groups(outcome: Outcome, law: str, item, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+    """The estimates with the intervals of samples that a design makes in groups; in :data:`_MEASURED`'s order."""
+    x, group = outcome.measured(law, item.name), outcome.sample_numbers(law) // outcome.together % GROUPS
+    mean, sigma, six_sigma, least, most = estimates[:5]
+
+    def cpk(values):
+        return capability.centred_capability(values, *item.bounds).value
+
+    def share(values):
+        return float(capability.outside(values, item.lower, item.upper) / max(np.isfinite(values).sum(), 1))
+
+    mean = statistics.grouped(x, group, lambda values: statistics.mean(values).value)
+    sigma = statistics.grouped(x, group, lambda values: statistics.sigma(values).value, size=True)
+    six_sigma = replace(six_sigma, low=6 * sigma.low, high=6 * sigma.high)
+    cp = replace(estimates[5], low=estimates[5].value * sigma.value / sigma.high,
+                 high=estimates[5].value * sigma.value / sigma.low)  # fmt: skip
+    outside = statistics.grouped(x, group, share)
+    outside = replace(outside, low=np.maximum(outside.low, 0.0), high=np.minimum(outside.high, 1.0))
+    return mean, sigma, six_sigma, least, most, cp, statistics.grouped(x, group, cpk), outside
 
 
 def limit_statistics(outcome: Outcome) -> pd.DataFrame:
@@ -190,7 +220,7 @@ def limit_statistics(outcome: Outcome) -> pd.DataFrame:
             row |= _spread("mean_pushed", statistics.mean(pushed))
             most = float(needed.high) if needed.n > 0 else math.nan
             rows.append(row | {"max_left": float(left.high), "max_needed": most})
-    return _frame(LIMIT_STATISTICS, pd.DataFrame(rows))
+    return _frame(LIMIT_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
@@ -198,8 +228,9 @@ def summary(outcome: Outcome) -> dict[str, Any]:
 
     The zone figures of each law are those of the first stage that resolves contact, clamping in the default process;
     every stage stands under ``"stages"``. Intervals ``…_ci`` are at 95 %; what a tighter path changes of a figure is
-    ``…_path`` in mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). What does not exist is None, as slip under
-    load without friction.
+    ``…_path`` in mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). Where a design makes samples in groups,
+    only key characteristics have intervals (:func:`mic.results.statistics.grouped`). What does not exist is None, as
+    slip under load without friction.
     """
     study = outcome.path_study
     laws = {}
@@ -238,6 +269,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "description": outcome.model.scene.description,
             "samples": outcome.record["samples"],
             "seed": outcome.record["seed"],
+            "design": outcome.model.scene.monte_carlo.design,
             "failed_samples": outcome.failed,
             "not_built_samples": outcome.unbuilt,
             "rescued_samples": outcome.rescued,
@@ -322,7 +354,11 @@ def write_summary(outcome: Outcome) -> Path:
     return path
 
 
-def _frame(table: Table, frame: pd.DataFrame) -> pd.DataFrame:
+def _frame(table: Table, frame: pd.DataFrame, independent: bool = True) -> pd.DataFrame:
+    """The table; of samples that are not independent, without the intervals that hold of independent ones."""
+    if not independent:
+        bounds = [name for name in frame.columns if name.endswith(("_low", "_high"))]
+        frame = frame.assign(**dict.fromkeys(bounds, math.nan))
     return frame if len(frame) else table.empty()
 
 

@@ -1,20 +1,27 @@
-"""Random deviations of the scene, one independent stream per sample."""
+"""Random deviations of the scene, one independent stream per sample, or per group of samples that a design makes."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
-from mic.sampling.distributions import DISTRIBUTIONS
+from mic.scene.distribution import quantile
+from mic.scene.samples import DESIGNS
 
 __all__ = ["draw"]
 
+EDGE = 1e-16  # probabilities are kept this far within (0, 1)
+GROUPS = 1  # word of the counter that tells the streams of groups from those of samples
+
 
 def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
-    """Deviations of samples ``first … first + count - 1``.
+    """Deviations of samples ``first … first + count - 1``: those that the scene gives, or drawn ones.
 
     Each sample has its own counter-based stream, keyed by the seed and the sample's number, so its values depend
     neither on how samples are batched nor on the order in which they are drawn. Deviations with scores take those of
-    one measured piece, the same for a whole batch, drawn after the distributions.
+    one measured piece, the same for a whole batch, drawn after the distributions. A design that makes several samples
+    together has one stream for each such group, keyed by the seed and the group's number.
 
     Parameters
     ----------
@@ -25,21 +32,71 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
     Returns
     -------
     (count, p) array
-        In the units of the scene's deviations.
+        In the units of the scene's deviations; of given samples, as many as there are.
     """
-    mean = np.array([deviation.mean for deviation in scene.deviations])
-    sigma = np.array([deviation.sigma for deviation in scene.deviations])
-    chosen = np.array([list(DISTRIBUTIONS).index(item.distribution) for item in scene.deviations], dtype=int)
+    if scene.monte_carlo.values is not None:
+        return np.array(scene.monte_carlo.values[first : first + count]).reshape(-1, len(scene.deviations))
     pieces = _pieces(scene)
-    values = np.empty((count, len(mean)))
-    for i in range(count):
-        stream = np.random.Generator(np.random.Philox(key=np.array([seed, first + i], dtype=np.uint64)))
-        standard = np.array([distribution(stream, len(mean)) for distribution in DISTRIBUTIONS.values()])
-        amplitude = standard[chosen, np.arange(len(mean))]
-        for own, scores in pieces:
-            amplitude[own] = scores[:, stream.integers(scores.shape[1])]
-        values[i] = mean + sigma * amplitude
+    p = len(scene.deviations)
+    normal, flat, which = np.empty((count, p)), np.empty((count, p)), np.empty((count, len(pieces)), dtype=int)
+    lengths = [scores.shape[1] for _, scores in pieces]
+    if scene.monte_carlo.design == "independent":
+        for i in range(count):
+            stream = np.random.Generator(np.random.Philox(key=np.array([seed, first + i], dtype=np.uint64)))
+            normal[i], flat[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
+            which[i] = [stream.integers(length) for length in lengths]
+    else:
+        u = _designed(scene.monte_carlo.design, seed, first, count, p + len(pieces))
+        normal, flat = ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1)
+        which = np.minimum(u[:, p:] * lengths, np.array(lengths) - 1).astype(int)
+    together = _correlated(scene, normal)
+    values = np.empty((count, p))
+    for j, item in enumerate(scene.deviations):
+        plain = item.truncated is None
+        if plain and item.distribution == "normal":
+            values[:, j] = item.mean + item.sigma * normal[:, j]
+        elif plain and item.distribution == "uniform" and j not in together:
+            values[:, j] = item.mean + item.sigma * flat[:, j]
+        else:
+            values[:, j] = quantile(item, ndtr(normal[:, j]))
+    for k, (own, scores) in enumerate(pieces):
+        for j, each in zip(own, scores):
+            values[:, j] = scene.deviations[j].mean + scene.deviations[j].sigma * each[which[:, k]]
     return values
+
+
+def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndarray:
+    """(count, d) probabilities of samples of a design."""
+    size, found = DESIGNS[design], []
+    for group in range(first // size, -(-(first + count) // size)):
+        key, counter = np.array([seed, group], dtype=np.uint64), [0, 0, 0, GROUPS]
+        stream = np.random.Generator(np.random.Philox(key=key, counter=counter))
+        if design == "antithetic":
+            u = stream.random((1, d))
+            points = np.concatenate([u, 1 - u])
+        elif design == "sobol":
+            points = qmc.Sobol(d, scramble=True, seed=stream).random(size) if d else np.empty((size, 0))
+        else:
+            points = qmc.LatinHypercube(d, seed=stream).random(size) if d else np.empty((size, 0))
+        found.append(points)
+    start = first % size
+    u = np.concatenate([np.empty((0, d)), *found])[start : start + count]
+    return np.clip(u, EDGE, 1 - EDGE)
+
+
+def _correlated(scene, normal: np.ndarray) -> set[int]:
+    """Correlate the standard normals (n, p) of deviations that vary together; returns which these are.
+
+    ``z = L ε`` is summed term by term: a sample's bits do not hang on those beside it.
+    """
+    names, together = [item.name for item in scene.deviations], set()
+    for table in scene.correlations:
+        own = [names.index(name) for name in table.deviations]
+        independent = normal[:, own].copy()
+        for j, row in zip(own, table.factor):
+            normal[:, j] = sum(share * column for share, column in zip(row, independent.T))
+        together |= {*own}
+    return together
 
 
 def _pieces(scene) -> list[tuple[list[int], np.ndarray]]:

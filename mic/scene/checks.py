@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from mic.contact.laws import LAWS
-from mic.scene.stages import check_stages, known, set_down_in, told
+from mic.scene.stages import check_stages, known, moves_assembly, set_down_in, told
 
 __all__ = ["entry", "problems"]
 
@@ -31,7 +31,15 @@ def problems(scene, whole: bool = True) -> list[str]:
         One line a problem, with the key, the name of the item and the remedy.
     """
     found: list[str] = []
-    for check in (check_names, check_references, check_stages, check_friction, *(check_held,) * whole):
+    for check in (
+        check_names,
+        check_references,
+        check_stages,
+        check_friction,
+        check_correlations,
+        check_stations,
+        *(check_held,) * whole,
+    ):
         try:
             found += told(check, scene)
         except (AttributeError, KeyError, TypeError, IndexError):  # of items that lack keys, or have others
@@ -112,6 +120,36 @@ def check_friction(scene) -> None:
                 f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; give it in a "
                 'zone, or ask for "coulomb"'
             )
+    _raise(found)
+
+
+def check_stations(scene) -> None:
+    """Gravity acts where something is set down."""
+    stations = [str(stage.name) for stage in scene.stages if stage is scene.stages[0] or moves_assembly(scene, stage)]
+    found = []
+    for i, item in enumerate(scene.deviations):
+        if item.kind == "gravity" and item.stage is not None and item.stage not in stations:
+            found.append(
+                f"{entry('deviations', i, item, 'stage')}: in {item.stage!r} nothing is set down anew; name one of "
+                f"{', '.join(stations)}"
+            )
+    _raise(found)
+
+
+def check_correlations(scene) -> None:
+    """Deviations that vary together exist, are drawn one by one, and stand in one table of correlations."""
+    kinds = {item.name: item for item in scene.deviations}
+    found, seen = [], set()
+    for i, table in enumerate(scene.correlations):
+        for name in table.deviations:
+            at = f"correlations[{i}].deviations"
+            found += told(known, at, name, kinds, "deviation")
+            item = kinds.get(name)
+            if item is not None and (item.several or getattr(item, "scores", None) is not None):
+                found.append(f"{at}: {name!r} stands for several modes, which are uncorrelated; take it out")
+            if name in seen:
+                found.append(f"{at}: {name!r} stands there twice; put all that varies with it into one matrix, once")
+            seen.add(name)
     _raise(found)
 
 

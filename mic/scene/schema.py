@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -25,17 +26,21 @@ from pydantic import (
 from mic.contact.laws import LAWS, pressure_dependent
 from mic.contact.path import Followed
 from mic.scene.checks import problems
+from mic.scene.distribution import check_distribution
 from mic.scene.settings import fill_in
 from mic.scene.tables import written_out
 
 __all__ = [
     "Clamp",
     "ClampDeviation",
+    "Correlation",
     "Deviation",
     "Fixture",
+    "FrictionDeviation",
     "FollowedPath",
     "FieldDeviation",
     "ForceDeviation",
+    "GravityDeviation",
     "Locator",
     "LocatorDeviation",
     "MeasuredDeviation",
@@ -46,6 +51,7 @@ __all__ = [
     "Scene",
     "ShapeDeviation",
     "Stage",
+    "TemperatureDeviation",
     "Weld",
     "Zone",
 ]
@@ -193,6 +199,10 @@ class Part(_Table):
     )
     poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
         None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
+    )
+    density: Positive | None = Field(None, description="kg/m³, such as 7850; needed where gravity acts")
+    expansion: Positive | None = Field(
+        None, description="coefficient of thermal expansion, 1/K, such as 1.2e-5; needed where temperature deviates"
     )
     rests: Flag = Field(
         False,
@@ -620,10 +630,30 @@ class _Deviation(_Table):
     name: Name = Field(description="names the deviation in results and in `model.evaluate`")
     mean: FiniteFloat = Field(0.0, description="N or mm")
     sigma: NonNegative = Field(description="standard deviation, N or mm")
-    distribution: Literal["normal", "uniform"] = Field("normal", description="with this mean and this sigma")
+    distribution: Annotated[str, Field(min_length=1)] = Field(
+        "normal",
+        description="with this mean and this sigma: `normal`, `uniform`, or the name of any continuous distribution of "
+        "`scipy.stats` that has both",
+    )
+    parameters: dict[str, FiniteFloat] = Field(
+        {}, description="its shape parameters by SciPy's names, such as `{ a = 4 }` with `skewnorm`"
+    )
+    truncated: tuple[FiniteFloat, FiniteFloat] | None = Field(
+        None, description="smallest and largest value, N or mm: cut off there; mean and sigma are those before"
+    )
 
     #: The scene's table in which `target` stands, where the deviation moves something.
     moves: ClassVar[str | None] = None
+
+    #: Whether it becomes several, each with the distribution.
+    several: ClassVar[bool] = False
+
+    @model_validator(mode="after")
+    def _distributed(self):
+        if self.several and self.truncated is not None:
+            raise ValueError("truncated: it stands for several modes, which have no limits of their own; remove it")
+        check_distribution(self)
+        return self
 
 
 class ForceDeviation(_OnPart, _Deviation):
@@ -640,11 +670,26 @@ class ForceDeviation(_OnPart, _Deviation):
 
 
 class LocatorDeviation(_Deviation):
-    """``kind = "locator"``: moves a locator along its direction, mm."""
+    """``kind = "locator"``: moves a locator along its direction, mm; or a pin or hole that several read."""
 
     kind: Literal["locator"] = Field(description='`"locator"`')
-    target: Name = Field(description="the locator that moves")
+    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
+        description="the locator that moves; or those of one pin, with its `direction`"
+    )
+    direction: Annotated[Vector | None, AfterValidator(_unit)] = Field(
+        None,
+        description="in which the pin moves: each locator by what of it lies along its own; left out, the locator's",
+    )
+    where: Literal["fixture", "part"] = Field(
+        "fixture", description="whether the pin is out of place in its fixture, or the hole in its part"
+    )
     moves: ClassVar[str | None] = "locators"
+
+    @model_validator(mode="after")
+    def _one_way(self):
+        if not isinstance(self.target, str) and self.direction is None:
+            raise ValueError("several locators move as one pin: give its direction = [x, y, z]")
+        return self
 
 
 class ClampDeviation(_Deviation):
@@ -655,6 +700,51 @@ class ClampDeviation(_Deviation):
         description="the clamp that moves, a tong with both its jaws; or several that move alike"
     )
     moves: ClassVar[str | None] = "clamps"
+
+
+class GravityDeviation(_Deviation):
+    """``kind = "gravity"``: the weight of all parts, from when they are set down in a station until they leave it.
+
+    Nothing of it is left where the assembly is set down elsewhere; there it may hang another way, by a deviation of its
+    own.
+    """
+
+    kind: Literal["gravity"] = Field(description='`"gravity"`')
+    direction: Annotated[Vector, AfterValidator(_unit)] = Field(
+        (0.0, 0.0, -1.0), description="in which weight pulls, as the parts are drawn"
+    )
+    mean: FiniteFloat = Field(1.0, description="multiples of the earth's gravity, 9.80665 m/s²")
+    sigma: NonNegative = Field(0.0, description="standard deviation, in the same multiples")
+    stage: Name | None = Field(
+        None, description="the locate or measure stage in whose station it acts; left out, the first"
+    )
+
+
+class TemperatureDeviation(_Deviation):
+    """``kind = "temperature"``: a part is uniformly warmer than it was drawn, from before it is set down to the end.
+
+    It is measured warm. Fixtures do not grow; neither does its thickness.
+    """
+
+    kind: Literal["temperature"] = Field(description='`"temperature"`')
+    part: Name | None = Field(None, description="which part; left out, all of them")
+    mean: FiniteFloat = Field(0.0, description="K")
+    sigma: NonNegative = Field(description="standard deviation, K")
+
+
+class FrictionDeviation(_Deviation):
+    """``kind = "friction"``: what the coefficient of friction of zones is higher by, in all stages.
+
+    Its samples are solved one by one. One whose coefficient would be negative is counted as failed: give `truncated`.
+    """
+
+    kind: Literal["friction"] = Field(description='`"friction"`')
+    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
+        description="the zone, or several that vary alike; each with a constant `friction`"
+    )
+    mean: FiniteFloat = Field(0.0, description="added to the coefficient")
+    sigma: NonNegative = Field(description="standard deviation of the coefficient")
+    moves: ClassVar[str | None] = "zones"
 
 
 class ShapeDeviation(_Deviation):
@@ -713,6 +803,7 @@ class MeasuredDeviation(_Deviation):
     """
 
     kind: Literal["measured"] = Field(description='`"measured"`')
+    several: ClassVar[bool] = True
     part: Name = Field(description="the part that was measured")
     files: str = Field(
         description="a file for each piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with a header "
@@ -754,6 +845,7 @@ class FieldDeviation(_Deviation):
     """
 
     kind: Literal["field"] = Field(description='`"field"`')
+    several: ClassVar[bool] = True
     part: Name = Field(description="the part whose shape varies")
     mean: Annotated[FiniteFloat, Field(ge=0, le=0)] = Field(0.0, description="0: give a mean shape as `shape`")
     sigma: Positive = Field(description="standard deviation at every point, mm, before the part is set down")
@@ -764,7 +856,15 @@ class FieldDeviation(_Deviation):
 
 
 Deviation = Annotated[
-    ForceDeviation | LocatorDeviation | ClampDeviation | ShapeDeviation | MeasuredDeviation | FieldDeviation,
+    ForceDeviation
+    | LocatorDeviation
+    | ClampDeviation
+    | ShapeDeviation
+    | MeasuredDeviation
+    | FieldDeviation
+    | GravityDeviation
+    | TemperatureDeviation
+    | FrictionDeviation,
     Field(discriminator="kind"),
 ]
 
@@ -895,6 +995,11 @@ class Measurement(_OnPart):
         return self.kind in self.OVER
 
     @property
+    def bounds(self) -> tuple[float, float]:
+        """Limits that its spread may cross, mm."""
+        return (-np.inf if self.one_sided else self.lower), self.upper
+
+    @property
     def places(self) -> list[tuple[str, Vector]]:
         """Parts and points where it is read, of those that are placed."""
         found = [(self.part, point) for point in self.points or [self.point]]
@@ -935,9 +1040,73 @@ class MonteCarlo(_Table):
 
     samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
     seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
+    design: Literal["independent", "antithetic", "latin-hypercube", "sobol"] = Field(
+        "independent",
+        description="how the distributions are sampled: each sample for itself; in pairs of opposite deviations; in "
+        "Latin hypercubes of 50 samples; in scrambled Sobol' sequences of 64. The number of samples is a multiple of "
+        "these",
+    )
+    table: Annotated[str, Field(min_length=1)] | None = Field(
+        None,
+        description="file of samples, CSV or Parquet, in place of all drawing: a row for each assembly, a column for "
+        "each deviation under its name, N or mm as it has them (modes as `NAME.1` …); left out, `samples` is all of it",
+    )
+    values: list[list[FiniteFloat]] | None = Field(
+        None, description="or these samples themselves, each with the deviations in their order"
+    )
     backend: Literal["native", "paper"] = Field(
         "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as the paper did"
     )
+
+    @model_validator(mode="after")
+    def _drawn_or_given(self):
+        given = "table" if self.table is not None else "values"
+        if (self.table is not None or self.values is not None) and self.design != "independent":
+            raise ValueError(f"design says how samples are drawn, and {given} gives them: remove one of them")
+        return self
+
+
+class Correlation(_Table):
+    """Deviations that vary together: a Gaussian copula, which leaves each its own distribution.
+
+    Sample by sample the copula draws correlated standard normals ``z = L ε`` with ``L Lᵀ`` the matrix; each deviation
+    is the quantile of its distribution at ``Φ(z)``. Of normal deviations the matrix is their own correlation.
+    """
+
+    deviations: Annotated[list[Name], Field(min_length=2)] = Field(
+        description="their names; a deviation may stand in one such table, and not be of kind `measured` or `field`, "
+        "whose modes are uncorrelated"
+    )
+    matrix: list[list[FiniteFloat]] = Field(
+        description="correlations between them, symmetric, 1 on the diagonal, no eigenvalue below 0"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_correlation(self):
+        n = len(self.deviations)
+        if [len(row) for row in self.matrix] != [n] * n:
+            raise ValueError(f"matrix: {n} deviations need {n} rows of {n} numbers")
+        R = np.array(self.matrix)
+        if np.abs(R - R.T).max() > 1e-12:
+            i, j = np.argwhere(np.abs(R - R.T) > 1e-12)[0]
+            raise ValueError(f"matrix is not symmetric: {R[i, j]:g} above the diagonal and {R[j, i]:g} below; mend it")
+        if np.abs(np.diag(R) - 1).max() > 1e-12:
+            raise ValueError("matrix needs 1 all along its diagonal: give correlations, not covariances")
+        if np.abs(R).max() > 1:
+            raise ValueError(f"matrix: a correlation lies between -1 and 1; got {R.flat[np.abs(R).argmax()]:g}")
+        least = float(np.linalg.eigvalsh(R)[0])
+        if least < -1e-9:
+            raise ValueError(
+                f"matrix: no deviations can vary like that: its smallest eigenvalue is {least:.3g} and must not be "
+                "negative; correct the correlations"
+            )
+        return self
+
+    @property
+    def factor(self) -> np.ndarray:
+        """(k, k) L with ``L Lᵀ`` the matrix, which may be singular."""
+        value, vector = np.linalg.eigh(np.array(self.matrix))
+        return vector * np.sqrt(value.clip(0.0))
 
 
 class FollowedPath(_Table):
@@ -973,6 +1142,7 @@ class Scene(_Table):
     zones: list[Zone] = []
     stages: Annotated[list[Stage], Field(min_length=1)]
     deviations: list[Deviation] = []
+    correlations: list[Correlation] = []
     measurements: list[Measurement] = []
     path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()

@@ -48,5 +48,5 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
         | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
         | each("stages", lambda stage: filled(stage, "increments", ("path",), follows(stage)))
         | {"path": filled(table.get("path", {}), "tolerance")}
-        | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples")}
+        | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples", ("table", "values"))}
     )

@@ -18,9 +18,10 @@ from pydantic import BaseModel, ValidationError
 
 from mic.errors import SceneError
 
-__all__ = ["read_rows", "written_out"]
+__all__ = ["DECIMAL", "read_cells", "read_rows", "written_out"]
 
 AXES = ("x", "y", "z")
+#: A comma that stands for the point of a number.
 DECIMAL = re.compile(r"(?<=\d),(?=\d)")
 
 
@@ -137,6 +138,51 @@ def _column(location: tuple[Any, ...], row: dict[str, Any]) -> str:
     return str(location[0])
 
 
+def read_cells(path: Path) -> tuple[pd.DataFrame, str]:
+    """The cells of a CSV file as text, its first row their columns, and what separates them.
+
+    Row i of the frame is row i + 2 of the file, empty ones included.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be read as a table, or names a column twice.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: cannot be read as text ({error}); save it as CSV in UTF-8") from None
+    header = text.partition("\n")[0]
+    separator = max(",;\t", key=header.count)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells too many are no warning, but lost
+            frame = pd.read_csv(
+                path,
+                sep=separator,
+                header=None,  # for pandas gives columns of one name others
+                dtype=str,
+                keep_default_na=False,
+                skipinitialspace=True,
+                skip_blank_lines=False,
+                encoding="utf-8-sig",
+                index_col=False,
+            ).fillna("")
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
+        raise SceneError(
+            f"{path}: this is no table: {' '.join(str(error).split())}; give each row as many cells"
+        ) from None
+    columns = frame.iloc[0].str.strip()
+    twice = columns[columns.duplicated()]
+    if len(twice):
+        raise SceneError(f"{path}: row 1: column {twice.iloc[0]!r} stands there twice; remove one of them")
+    frame = frame.iloc[1:].reset_index(drop=True)
+    frame.columns = pd.Index(columns)
+    return frame, separator
+
+
 def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, Any]]]:
     """Rows of a CSV file as a table of the scene has them, by their number in the file; the header is row 1.
 
@@ -153,32 +199,7 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
     SceneError
         If the file cannot be read as a table, or has other columns.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: cannot be read as text ({error}); save it as CSV in UTF-8") from None
-    header = text.partition("\n")[0]
-    separator = max(",;\t", key=header.count)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells too many are no warning, but lost
-            frame = pd.read_csv(
-                path,
-                sep=separator,
-                dtype=str,
-                keep_default_na=False,
-                skipinitialspace=True,
-                skip_blank_lines=False,
-                encoding="utf-8-sig",
-                index_col=False,
-            ).fillna("")
-    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        raise SceneError(
-            f"{path}: this is no table: {' '.join(str(error).split())}; give each row as many cells"
-        ) from None
-    frame.columns = frame.columns.str.strip()
+    frame, separator = read_cells(path)
     known = [name for name in kind.model_fields if name != "point"]
     strange = [name for name in frame.columns if name not in (*known, *AXES)]
     if strange:

@@ -48,10 +48,15 @@ class Source:
         The scene's table.
     key : str
         Where it stands in the scene, for messages.
+    scene : mic.scene.Scene
+        What it is a deviation of.
     """
 
-    def __init__(self, deviation: Any, key: str):
-        self.deviation, self.key = deviation, key
+    #: Whether it changes the contacts themselves, so that each of its values has contact problems of its own.
+    changes = False
+
+    def __init__(self, deviation: Any, key: str, scene: Any):
+        self.deviation, self.key, self.scene = deviation, key, scene
 
     def retain(self, rows: Any) -> None:
         """Add the rows that the source needs to :class:`mic.model.rows.Rows`."""
@@ -66,6 +71,19 @@ class Source:
     def control(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> Control | None:
         """The shape of a part where it is known, per unit amplitude, in place of a force that makes it, or None."""
         return None
+
+    def expansion(self) -> Mapping[str, float]:
+        """By how much parts grow in all directions per unit amplitude, free of stress, mm/mm, by name."""
+        return {}
+
+    def change(self, contacts: Any, amplitude: float) -> Any:
+        """:class:`mic.model.assembly.Contacts` as they are at an amplitude, where the source changes them.
+
+        Raises
+        ------
+        ImpossibleSample
+        """
+        return contacts
 
     def target(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
         """By how much bilateral rows are moved per unit amplitude, mm along the row."""

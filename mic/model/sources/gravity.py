@@ -1,0 +1,49 @@
+"""The parts' own weight."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mic.errors import SceneError
+from mic.geometry.surface import Patch, Surface
+from mic.model.sources.source import Source
+
+__all__ = ["Gravity"]
+
+EARTH = 9806.65  # mm/s²
+TONNES = 1e-12  # t/mm³ of a kg/m³
+#: Three points of a triangle, which integrate what is quadratic on it exactly.
+INNER = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
+
+
+class Gravity(Source):
+    """The weight of every part while it stands in a station, as multiples of the earth's gravity.
+
+    A row for each part reads ``ρ t g ∫ d·u dA``, N mm, and a load of 1 along it is the part's weight, spread over its
+    middle surface. The rows lie behind those of the clamps, whose forces last as these do.
+    """
+
+    def retain(self, rows):
+        direction = np.array(self.deviation.direction)
+        for part in self.scene.parts:
+            if part.density is None:
+                raise SceneError(
+                    f"{self.key} ({self.deviation.name}): part {part.name!r} needs density, kg/m³, such as 7850: add it"
+                )
+            surface, thickness = rows.surfaces[part.name], part.sheet[0]
+            patch = rows.patch(part.name, _whole(surface))
+            label = f"{self.deviation.name} of {part.name}"
+            functional = rows.functional(part.name, patch, direction, label)
+            weight = TONNES * part.density * thickness * float(surface.areas.sum()) * EARTH
+            rows.add("clamp", label, (part.name, functional, weight))
+
+    def push(self, labels):
+        names = [f"{self.deviation.name} of {part.name}" for part in self.scene.parts]
+        return {("clamp", labels["clamp"].index(name)): 1.0 for name in names}
+
+
+def _whole(surface: Surface) -> Patch:
+    """All of a surface."""
+    count = len(surface.triangles)
+    weight = np.repeat(surface.areas / (3 * surface.areas.sum()), 3)
+    return Patch(np.repeat(np.arange(count), 3), np.tile(INNER, (count, 1)), weight)

@@ -1,0 +1,103 @@
+"""Distributions of deviations: those of SciPy by name, moved and scaled to the deviation's mean and sigma.
+
+With the quantile function ``F⁻¹`` of the distribution, its mean m and its standard deviation s, a deviation of mean μ
+and standard deviation σ is
+
+    x(u) = μ + σ (F⁻¹(u) − m)/s,        u uniform in (0, 1).                                            (1)
+
+Truncated to [a, b], ``u`` is taken between ``F(m + s (a − μ)/σ)`` and the same of b.
+"""
+
+from __future__ import annotations
+
+import difflib
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+__all__ = ["check_distribution", "quantile"]
+
+WORDS = {"normal": "norm"}  # what a scene calls differently
+LEAST = 1e-6  # share of a distribution that a truncated one must keep
+EDGE = 1e-16  # probabilities are kept this far within (0, 1), where every quantile is finite
+
+
+@lru_cache(maxsize=256)
+def _standard(name: str, parameters: tuple[tuple[str, float], ...]) -> tuple[Any, float, float]:
+    """A distribution of SciPy with its shape parameters, its mean and its standard deviation.
+
+    Raises
+    ------
+    ValueError
+        If there is none of the name, for other parameters, without mean or standard deviation.
+    """
+    family = getattr(stats, WORDS.get(name, name), None)
+    if not isinstance(family, stats.rv_continuous):
+        every = [*WORDS, *(key for key in vars(stats) if isinstance(getattr(stats, key), stats.rv_continuous))]
+        near = difflib.get_close_matches(name, every, 1)
+        raise ValueError(
+            f"distribution: scipy.stats has no continuous distribution {name!r}"
+            + (f"; did you mean {near[0]!r}?" if near else "; normal, uniform, triang, lognorm, … are some")
+        )
+    shapes, given = [word.strip() for word in (family.shapes or "").split(",") if word.strip()], dict(parameters)
+    if {"loc", "scale"} & given.keys():
+        raise ValueError("parameters: loc and scale follow from mean and sigma: remove them")
+    if set(shapes) != set(given):
+        asked = f"the parameters {', '.join(shapes)}" if shapes else "no parameters"
+        raise ValueError(f"parameters: {name!r} has {asked}, given are {', '.join(given) or 'none'}; correct them")
+    frozen = family(**given)
+    mean, deviation = (float(value) for value in (frozen.mean(), frozen.std()))
+    if not np.isfinite(frozen.ppf(0.5)):
+        told = ", ".join(f"{key} = {value:g}" for key, value in given.items())
+        raise ValueError(f"parameters: there is no {name!r} with {told}; correct them")
+    if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
+        raise ValueError(f"distribution: {name!r} has no standard deviation, which sigma would be; take another")
+    return frozen, mean, deviation
+
+
+def _of(item) -> tuple[Any, float, float]:
+    return _standard(item.distribution, tuple(item.parameters.items()))
+
+
+def _kept(item) -> tuple[float, float]:
+    """Between which probabilities a deviation lies."""
+    if item.truncated is None:
+        return 0.0, 1.0
+    frozen, mean, deviation = _of(item)
+    ends = mean + deviation * (np.array(item.truncated) - item.mean) / item.sigma
+    low, high = frozen.cdf(ends)
+    return float(low), float(high)
+
+
+def check_distribution(item) -> None:
+    """Raise ValueError with the remedy where a deviation's distribution does not exist."""
+    _of(item)
+    if item.truncated is None:
+        return
+    low, high = item.truncated
+    if item.sigma == 0.0:
+        raise ValueError("truncated: sigma is 0, so there is nothing to cut off; remove it")
+    if low >= high:
+        raise ValueError(f"truncated: the smallest value {low:g} must lie below the largest {high:g}; correct them")
+    first, last = _kept(item)
+    if last - first < LEAST:
+        raise ValueError(
+            f"truncated: less than {LEAST:g} of the distribution lies between {low:g} and {high:g}; correct them, or "
+            "mean and sigma"
+        )
+
+
+def quantile(item, u: np.ndarray) -> np.ndarray:
+    """(n,) values of a deviation at probabilities u, equation (1).
+
+    Parameters
+    ----------
+    item
+        The scene's deviation.
+    u : (n,) array
+    """
+    frozen, mean, deviation = _of(item)
+    low, high = _kept(item)
+    return item.mean + item.sigma * (frozen.ppf(np.clip(low + u * (high - low), EDGE, 1 - EDGE)) - mean) / deviation

@@ -1,0 +1,151 @@
+"""Samples that a scene gives in a file, a row for each assembly, a column for each deviation under its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mic.errors import SceneError
+from mic.scene.checks import entry
+from mic.scene.schema import Scene
+from mic.scene.stages import known
+from mic.scene.tables import DECIMAL, read_cells
+from mic.store import fingerprint
+
+__all__ = ["DESIGNS", "take_samples"]
+
+FAR = 100.0  # σ: no part is that far off, but one whose unit is another
+#: Designs, and how many samples each makes together, which are independent of the next.
+DESIGNS = {"independent": 1, "antithetic": 2, "latin-hypercube": 50, "sobol": 64}
+
+
+def take_samples(scene: Scene) -> tuple[Scene, dict[str, str | None]]:
+    """The scene with the samples that its table gives, and the table's hash by name.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its measured shapes and fields written out (:mod:`mic.model.modes`): their modes are columns, too.
+
+    Raises
+    ------
+    SceneError
+        For a file that is no such table, a line for each column and cell at fault; for a number of samples that its
+        design or its table does not have.
+    """
+    asked = scene.monte_carlo
+    size = DESIGNS[asked.design]
+    if asked.samples % size:
+        raise SceneError(
+            f"monte_carlo.samples: {asked.samples} is no multiple of {size}, the samples that design = "
+            f'"{asked.design}" makes together; give {size * max(1, round(asked.samples / size))}'
+        )
+    if asked.table is None and asked.values is None:
+        return scene, {}
+    inputs: dict[str, str | None] = {}
+    if asked.table is not None:
+        path = scene.folder / asked.table
+        at, where = f"monte_carlo.table: {path}", str(path)
+        try:
+            values = _parquet(path, scene) if path.suffix == ".parquet" else _text(path, scene)
+        except SceneError as error:
+            raise SceneError("\n".join(f"monte_carlo.table: {line}" for line in str(error).splitlines())) from None
+        inputs[asked.table] = fingerprint(path.read_bytes())
+    else:
+        at = where = "monte_carlo.values"
+        if {len(row) for row in asked.values or []} != {len(scene.deviations)}:
+            raise SceneError(f"{at}: there are {len(scene.deviations)} deviations; give each sample as many values")
+        values = np.array(asked.values)
+    _judge(at, scene, values)
+    count = asked.samples if "samples" in asked.model_fields_set else len(values)
+    if count > len(values):
+        raise SceneError(
+            f"monte_carlo.samples: {count} are asked for, and {where} has {len(values)} rows; ask for fewer, or leave "
+            "samples out"
+        )
+    taken = asked.model_copy(update={"samples": count, "values": values.tolist()})
+    return scene.model_copy(update={"monte_carlo": taken}), inputs
+
+
+def _columns(path: Path, given, scene: Scene) -> list[str]:
+    """The names of the deviations, which the columns are; refused where they are others."""
+    names, found = [item.name for item in scene.deviations], []
+    for column in given:
+        if column not in names:
+            found += _unknown(f"{path}: row 1", str(column), names)
+    found += [f"{path}: row 1: there is no column {name!r}; add it, with a value in each row" for name in names
+              if name not in given]  # fmt: skip
+    if found:
+        raise SceneError("\n".join(found))
+    return names
+
+
+def _unknown(at: str, column: str, names: list[str]) -> list[str]:
+    try:
+        known(at, column, names, "deviation")
+    except ValueError as error:
+        return str(error).splitlines()
+    return []
+
+
+def _text(path: Path, scene: Scene) -> np.ndarray:
+    """(n, p) values of a CSV file."""
+    cells, separator = read_cells(path)
+    names = _columns(path, cells.columns, scene)
+    cells = cells[names].apply(lambda column: column.str.strip())
+    if separator != ",":
+        cells = cells.apply(lambda column: column.str.replace(DECIMAL, ".", regex=True))
+    cells = cells[(cells != "").any(axis=1)]
+    values = np.array([[_number(cell) for cell in row] for row in cells.to_numpy()]).reshape(len(cells), len(names))
+    for row, column in np.argwhere(~np.isfinite(values)):
+        raise SceneError(
+            f"{path}: row {cells.index[row] + 2}, column {names[column]}: {cells.iloc[row, column]!r} is no finite "
+            "number; fill it in, or take the row out"
+        )
+    return _some(path, values)
+
+
+def _number(cell: str) -> float:
+    """As exactly as it was written; NaN for what is none."""
+    try:
+        return float(cell) if "_" not in cell else np.nan
+    except ValueError:
+        return np.nan
+
+
+def _parquet(path: Path, scene: Scene) -> np.ndarray:
+    """(n, p) values of a Parquet file."""
+    try:
+        frame = pd.read_parquet(path)
+    except FileNotFoundError:
+        raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path}: cannot be read as Parquet ({error}); write it anew, or give CSV") from None
+    names = _columns(path, frame.columns, scene)
+    values = frame[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    for row, column in np.argwhere(~np.isfinite(values)):
+        raise SceneError(f"{path}: row {row}, column {names[column]}: is no finite number; take the row out")
+    return _some(path, values)
+
+
+def _some(path: Path, values: np.ndarray) -> np.ndarray:
+    if not len(values):
+        raise SceneError(f"{path}: there is no row below the header; fill it in, or take the table out")
+    return values
+
+
+def _judge(at: str, scene: Scene, values: np.ndarray) -> None:
+    """Refuse values that cannot be of the deviations' units: their spread is told by sigma."""
+    items = scene.deviations
+    mean, sigma = np.array([[item.mean, item.sigma] for item in items]).reshape(-1, 2).T
+    off = np.sqrt(((values - mean) ** 2).mean(axis=0))
+    found = [
+        f"{at}: column {item.name}: it is off its mean by {off[j]:.3g}, and sigma is {item.sigma:g}; give "
+        f"{entry('deviations', j, item)} and the column in the same unit"
+        for j, item in enumerate(items)
+        if item.sigma > 0 and off[j] > FAR * item.sigma
+    ]
+    if found:
+        raise SceneError("\n".join(found))

@@ -1,0 +1,227 @@
+"""Samples that a scene gives in a file: they run as they are; what cannot be meant is refused or warned of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import mic
+from mic.judgement import judge
+from mic.model.assembly import assemble
+from mic.results.identity import identity
+from mic.runs import run
+from mic.sampling.draw import draw
+from mic.scene.samples import take_samples
+
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
+
+
+@pytest.fixture
+def table(lap_scene):
+    """Twelve assemblies, of the spread that the scene states."""
+    rng = np.random.default_rng(7)
+    return pd.DataFrame({item.name: rng.normal(item.mean, item.sigma, 12) for item in lap_scene.deviations})
+
+
+def of(scene, folder, text="samples.csv", **keys):
+    asked = mic.scene.schema.MonteCarlo(table=str(folder / text), **keys)
+    return scene.model_copy(update={"monte_carlo": asked})
+
+
+@pytest.mark.parametrize("kind", ["comma", "semicolon", "parquet", "reordered"])
+def test_the_samples_are_the_rows_of_the_file(kind, lap_scene, table, tmp_path):
+    expected, name = table.to_numpy(), "samples.parquet" if kind == "parquet" else "samples.csv"
+    if kind == "parquet":
+        table.to_parquet(tmp_path / name)
+    elif kind == "reordered":
+        table[table.columns[::-1]].to_csv(tmp_path / name, index=False)
+    else:
+        decimal, separator = (",", ";") if kind == "semicolon" else (".", ",")
+        table.to_csv(tmp_path / name, index=False, sep=separator, decimal=decimal)
+    scene, inputs = take_samples(of(lap_scene, tmp_path, name))
+    assert scene.monte_carlo.samples == 12 and list(inputs) == [str(tmp_path / name)]
+    np.testing.assert_array_equal(draw(scene, 1, 0, 12), expected)
+    np.testing.assert_array_equal(draw(scene, 9, 5, 3), expected[5:8])
+    fewer, _ = take_samples(of(lap_scene, tmp_path, name, samples=5))
+    assert fewer.monte_carlo.samples == 5
+
+
+def test_a_run_takes_them_and_its_results_are_those_of_each_assembly(lap_scene, lap_model, table, cache, tmp_path):
+    table.to_csv(tmp_path / "samples.csv", index=False)
+    outcome = run(of(lap_scene, tmp_path), tmp_path / "out", cache)
+    law, own = outcome.laws[0], lap_scene.measurements[0].name
+    alone = lap_model.evaluate(table.to_numpy(), law).measurements[:, 0]
+    np.testing.assert_allclose(outcome.measured(law, own), alone, atol=1e-9)
+    assert outcome.record["samples"] == 12
+    with_others = identity(outcome.model, 1)
+    table.iloc[3, 0] += 0.1
+    table.to_csv(tmp_path / "samples.csv", index=False)
+    with pytest.raises(mic.RunError, match="design of the samples, or the samples themselves"):
+        run(of(lap_scene, tmp_path), tmp_path / "out", cache)
+    assert with_others == identity(outcome.model, 1)
+
+
+def edited(change):
+    """The text of the table after a change of its lines."""
+    return lambda lines: "\n".join(change(lines))
+
+
+def split(line):
+    return line.split(",", 1)
+
+
+BAD = {
+    "no such file": (None, "there is no file .*samples.csv"),
+    "no row": (edited(lambda lines: lines[:1]), "there is no row below the header"),
+    "a missing column": (edited(lambda lines: [line.rpartition(",")[0] for line in lines]), "there is no column '"),
+    "an unknown column": (
+        edited(lambda lines: [lines[0] + ",strange"] + [line + ",0" for line in lines[1:]]),
+        "row 1: there is no deviation called 'strange'",
+    ),
+    "a misspelt column": (
+        edited(lambda lines: [lines[0].replace("F1", "F11"), *lines[1:]]),
+        "row 1: there is no deviation called 'F11'; did you mean 'F1'",
+    ),
+    "a column twice": (
+        edited(lambda lines: [line + "," + line.partition(",")[0] for line in lines]),
+        "column .* stands there twice",
+    ),
+    "a text": (edited(lambda lines: [*lines[:3], "much" + lines[3][4:], *lines[4:]]), "row 4, column .*: 'much"),
+    "not a number": (
+        edited(lambda lines: [*lines[:3], "nan," + lines[3].partition(",")[2]]),
+        "row 4, column .*: 'nan' is no finite number",
+    ),
+    "infinite": (edited(lambda lines: [*lines, "inf," + lines[1].partition(",")[2]]), "row 14, .* is no finite number"),
+    "an empty cell": (edited(lambda lines: [*lines, "," + lines[1].partition(",")[2]]), "row 14, .* is no finite"),
+    "too many cells": (edited(lambda lines: [*lines, lines[1] + ",5"]), "this is no table"),
+    "another unit": (
+        edited(lambda lines: [lines[0], *(f"{1e3 * float(a)},{rest}" for a, rest in map(split, lines[1:]))]),
+        r"off its mean by .* give deviations\[0\] .* in the same unit",
+    ),
+    "no text": (lambda lines: b"\xff\xfe\x00\x01", "cannot be read as text"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_malformed_table_is_refused_with_the_remedy(case, lap_scene, table, tmp_path):
+    change, said = BAD[case]
+    if change is not None:
+        lines = table.to_csv(index=False).splitlines()
+        text = change(lines)
+        (tmp_path / "samples.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(mic.SceneError, match=said) as problem:
+        take_samples(of(lap_scene, tmp_path))
+    assert str(problem.value).startswith("monte_carlo.table: ")
+
+
+def test_more_samples_than_rows_and_broken_parquet_are_refused(lap_scene, table, tmp_path):
+    table.to_csv(tmp_path / "samples.csv", index=False)
+    with pytest.raises(mic.SceneError, match="13 are asked for, and .* has 12 rows"):
+        take_samples(of(lap_scene, tmp_path, samples=13))
+    (tmp_path / "samples.parquet").write_text("none")
+    with pytest.raises(mic.SceneError, match="cannot be read as Parquet"):
+        take_samples(of(lap_scene, tmp_path, "samples.parquet"))
+    with pytest.raises(ValueError, match="design says how samples are drawn, and table gives them"):
+        of(lap_scene, tmp_path, design="sobol")
+
+
+@pytest.mark.parametrize(
+    "design, samples, instead", [("sobol", 500, 512), ("latin-hypercube", 20, 50), ("antithetic", 7, 8)]
+)
+def test_a_design_takes_whole_groups_of_samples(lap_scene, design, samples, instead):
+    asked = mic.scene.schema.MonteCarlo(design=design, samples=samples)
+    with pytest.raises(mic.SceneError, match=f"{samples} is no multiple of .* give {instead}"):
+        take_samples(lap_scene.model_copy(update={"monte_carlo": asked}))
+
+
+@pytest.mark.parametrize("what", ["nothing", "twice", "narrow"])
+def test_rows_that_stand_there_twice_and_columns_that_hardly_vary_are_warned_of(
+    what, lap_scene, table, cache, tmp_path
+):
+    if what == "twice":
+        table.iloc[7] = table.iloc[2]
+    if what == "narrow":
+        table.iloc[:, 1] = lap_scene.deviations[1].mean + 1e-3 * (table.iloc[:, 1] - lap_scene.deviations[1].mean)
+    table.to_csv(tmp_path / "samples.csv", index=False)
+    scene = of(lap_scene, tmp_path)
+    found = judge(scene, assemble(scene, cache))
+    words = {"twice": "sample 7 is sample 2 again", "narrow": "varies by"}
+    assert [one for one in found if words.get(what, "") in str(one)] if what != "nothing" else found == ()
+
+
+BAD_KEYS = {
+    "no such distribution": ({"distribution": "nromal"}, "no continuous distribution 'nromal'; did you mean 'normal'"),
+    "a discrete one": ({"distribution": "poisson"}, "no continuous distribution 'poisson'"),
+    "no distribution at all": ({"distribution": "multivariate_normal"}, "no continuous distribution"),
+    "without parameters": (
+        {"distribution": "beta", "parameters": {"a": 1}},
+        "'beta' has the parameters a, b, given are a",
+    ),
+    "one too many": ({"distribution": "norm", "parameters": {"a": 1}}, "'norm' has no parameters, given are a"),
+    "scale": (
+        {"distribution": "lognorm", "parameters": {"s": 1, "scale": 2}},
+        "loc and scale follow from mean and sigma",
+    ),
+    "impossible": ({"distribution": "lognorm", "parameters": {"s": -1}}, "there is no 'lognorm' with s = -1"),
+    "without a deviation": ({"distribution": "cauchy"}, "'cauchy' has no standard deviation"),
+    "of infinite variance": ({"distribution": "t", "parameters": {"df": 1.5}}, "'t' has no standard deviation"),
+    "a parameter that is text": ({"distribution": "t", "parameters": {"df": "5"}}, "parameters.df"),
+    "limits turned round": ({"truncated": [1, -1]}, "the smallest value 1 must lie below the largest -1"),
+    "limits far away": ({"mean": 0, "sigma": 1, "truncated": [50, 60]}, "less than 1e-06 of the distribution"),
+    "limits of nothing": ({"sigma": 0, "truncated": [-1, 1]}, "sigma is 0, so there is nothing to cut off"),
+    "one limit": ({"truncated": [1]}, "truncated"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_KEYS)
+def test_distributions_that_do_not_exist_are_refused_by_name(case, tmp_path):
+    keys, said = BAD_KEYS[case]
+    refused(lambda scene: scene["deviations"][0].update(keys), said)
+
+
+def refused(change, said):
+    scene = mic.load_scene(LAP).model_dump(mode="json", exclude={"folder"})
+    change(scene)
+    with pytest.raises(mic.SceneError, match=said) as problem:
+        mic.scene.load.read_table(scene, LAP / "scene.toml")
+    assert len(str(problem.value).splitlines()) == 1
+
+
+A, B, C = (item.name for item in mic.load_scene(LAP).deviations[:3])
+BAD_CORRELATIONS = {
+    "not positive": (
+        [{"deviations": [A, B, C], "matrix": [[1, 0.9, 0.9], [0.9, 1, -0.9], [0.9, -0.9, 1]]}],
+        r"correlations\[0\]: matrix: .* smallest eigenvalue is -0.8 and must not be negative",
+    ),
+    "not symmetric": ([{"deviations": [A, B], "matrix": [[1, 0.5], [0.4, 1]]}], "0.5 above the diagonal and 0.4 below"),
+    "a covariance": ([{"deviations": [A, B], "matrix": [[4, 1], [1, 4]]}], "1 all along its diagonal"),
+    "more than one": ([{"deviations": [A, B], "matrix": [[1, 1.5], [1.5, 1]]}], "between -1 and 1; got 1.5"),
+    "too small": ([{"deviations": [A, B, C], "matrix": [[1, 0.5], [0.5, 1]]}], "3 deviations need 3 rows of 3 numbers"),
+    "ragged": ([{"deviations": [A, B], "matrix": [[1, 0.5], [0.5]]}], "2 deviations need 2 rows of 2 numbers"),
+    "of nobody": ([{"deviations": [A, "X"], "matrix": [[1, 0.5], [0.5, 1]]}], "no deviation called 'X'"),
+    "with itself": ([{"deviations": [A, A], "matrix": [[1, 0.5], [0.5, 1]]}], "stands there twice"),
+    "alone": ([{"deviations": [A], "matrix": [[1]]}], "at least 2 items"),
+    "in two tables": (
+        [{"deviations": [A, B], "matrix": [[1, 0.5], [0.5, 1]]}, {"deviations": [B, C], "matrix": [[1, 0], [0, 1]]}],
+        r"correlations\[1\].deviations: .* stands there twice",
+    ),
+    "not a number": ([{"deviations": [A, B], "matrix": [[1, float("nan")], [0.5, 1]]}], "finite number"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_CORRELATIONS)
+def test_correlations_that_cannot_be_are_refused_with_the_remedy(case):
+    tables, said = BAD_CORRELATIONS[case]
+    refused(lambda scene: scene.update(correlations=tables), said)
+
+
+def test_a_singular_correlation_is_one():
+    table = mic.load_scene(LAP).model_dump()
+    table["correlations"] = [{"deviations": [A, B], "matrix": [[1, 1], [1, 1]]}]
+    values = draw(mic.Scene(**table), 3, 0, 20)
+    mean, sigma = np.array([[item["mean"], item["sigma"]] for item in table["deviations"]]).T
+    standard = (values - mean) / sigma
+    np.testing.assert_allclose(standard[:, 0], standard[:, 1], atol=1e-12)

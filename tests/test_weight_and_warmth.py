@@ -1,0 +1,277 @@
+"""Gravity, temperature, pins and holes out of place: against closed forms and the full solve, and where they act."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mic
+from mic.geometry.structured import extrude
+from mic.model.assembly import assemble
+from mic.model.sources import sources
+from mic.process.drive import drive
+from mic.process.plan import plan_stages
+from mic.scene.load import read_table
+
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
+ρ, α, g = 7850.0, 1.2e-5, 9.80665
+
+
+def lap(deviations, **keys):
+    """The lap joint's table, of steel, with other deviations."""
+    table = mic.load_scene(LAP).model_dump(mode="json", exclude={"folder"})
+    table["parts"] = [part | {"density": ρ, "expansion": α, "size": "coarse"} for part in table["parts"]]
+    table["report"] = {"laws": ["coulomb"]}
+    return table | {"deviations": deviations} | keys
+
+
+def read(table):
+    return read_table(table, LAP / "scene.toml")
+
+
+L, b, t, E = 200.0, 20.0, 1.0, 210e3
+
+
+def strip(folder, deviations, hung=False):
+    """A strip on supports at its ends, measured in its middle, and how long it is; or hung to be measured."""
+    points, triangles = extrude([(0, 0), (b, 0)], 0.0, L, 5.0)[:2]
+    lines = ["*NODE", *(f"{i + 1}, {x}, {y}, {z}" for i, (x, y, z) in enumerate(points)), "*ELEMENT, TYPE=S3"]
+    lines += [f"{i + 1}, {p + 1}, {q + 1}, {r + 1}" for i, (p, q, r) in enumerate(triangles)]
+    (folder / "strip.inp").write_text("\n".join(lines) + "\n")
+    along = int(np.argmax(np.ptp(points, axis=0)))
+    across = int(np.argsort(np.ptp(points, axis=0))[1])
+
+    def at(x, y):
+        point = np.zeros(3)
+        point[along], point[across] = x, y
+        return point.tolist()
+
+    unit = {"x": np.eye(3)[along].tolist(), "y": np.eye(3)[across].tolist(), "z": [0, 0, 1]}
+    places = [(0, 0, "z"), (0, b, "z"), (L, b / 2, "z"), (0, 0, "y"), (L, 0, "y"), (0, b / 2, "x")]
+    held = [{"point": at(x, y), "direction": unit[way], "part": "strip", "radius": 0} for x, y, way in places]
+    locators = [{"name": f"L{i}", **one} for i, one in enumerate(held)]
+    if hung:
+        locators += [{"name": f"H{i}", "stage": "measure", **one} for i, one in enumerate(held)]
+    material = {"thickness": t, "young": E, "poisson": 0.0, "density": ρ, "expansion": α}
+    read = {"part": "strip", "radius": 0, "lower": -1, "upper": 1}
+    return read_table(
+        {
+            "name": "strip",
+            "parts": [{"name": "strip", "mesh": "strip.inp", **material}],
+            "locators": locators,
+            "stages": [{"kind": "locate"}, {"kind": "measure"}],
+            "deviations": deviations,
+            "measurements": [
+                {"name": "sag", "point": at(L / 2, b / 2), "direction": unit["z"], **read},
+                {"name": "length", "point": at(L, b / 2), "direction": unit["x"], **read},
+            ],
+            "report": {"laws": ["frictionless"]},
+        },
+        folder / "scene.toml",
+    )
+
+
+GRAVITY = {"name": "g", "kind": "gravity"}
+
+
+@pytest.mark.fem
+def test_a_strip_sags_under_its_weight_as_a_beam_does(tmp_path):
+    """``5 q L⁴/(384 E I)`` between two supports, upwards where gravity is turned round."""
+    q, I = 1e-9 * ρ * g * t * b, b * t**3 / 12
+    beam = 5 * q * L**4 / (384 * E * I)
+    for way, sign in ((-1, -1), (1, 1)):
+        model = mic.reduce(strip(tmp_path, [GRAVITY | {"direction": [0, 0, way]}]), tmp_path / "cache")
+        sag, length = model.evaluate({}).measurements[0]
+        assert sag == pytest.approx(sign * beam, rel=5e-3) and abs(length) < 1e-9
+    assert model.evaluate({"g": 0.5}).measurements[0, 0] == pytest.approx(0.5 * beam, rel=5e-3)
+    reaction = model.evaluate({}).functional_force[0] @ model.compliance.G[:][0]
+    assert np.abs(reaction).max() < 1e-9 * q * L * L  # what it weighs, its locators carry
+
+
+@pytest.mark.fem
+def test_nothing_of_its_weight_is_left_where_it_hangs_otherwise(tmp_path):
+    for stage, left in ((None, 0.0), ("measure", 1.0)):
+        item = GRAVITY if stage is None else GRAVITY | {"stage": stage}
+        sag = mic.reduce(strip(tmp_path, [item], hung=True), tmp_path / "cache").evaluate({}).measurements[0, 0]
+        alone = mic.reduce(strip(tmp_path, [GRAVITY]), tmp_path / "cache").evaluate({}).measurements[0, 0]
+        assert sag == pytest.approx(left * alone, abs=1e-9) and alone < -0.05
+
+
+@pytest.mark.fem
+def test_a_warm_strip_is_longer_by_its_expansion_and_free_of_stress(tmp_path):
+    item = {"name": "T", "kind": "temperature", "sigma": 1.0}
+    model = mic.reduce(strip(tmp_path, [item]), tmp_path / "cache")
+    found = model.evaluate({"T": 50.0})
+    assert found.measurements[0] == pytest.approx([0.0, α * 50 * L], abs=1e-9)
+    assert np.abs(found.functional_force).max() < 1e-9
+
+
+IN_PLANE = {"name": "M3", "part": "upper", "point": [130, 12.5, 1], "direction": [1, 0, 0], "lower": -1, "upper": 1}
+
+
+@pytest.mark.fem
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["gravity", "temperature"])
+def test_the_full_solve_agrees_on_the_lap_joint(kind, cache):
+    """Of gravity also where its weight is spread by the elements themselves."""
+    from fem_reference.full.model import FullModel  # only here: what else is tested takes no finite elements
+
+    item = {"gravity": {"direction": [0.6, 0, -0.8], "mean": 3.0}, "temperature": {"mean": 40.0, "part": "upper"}}[kind]
+    table = lap([{"name": "D", "kind": kind, "sigma": 0.0} | item])
+    table["measurements"] += [IN_PLANE]
+    for stage in table["stages"][1:4]:
+        stage |= {"path": "increments", "increments": 1}
+    scene = read(table)
+    model, assembly = mic.reduce(scene, cache), assemble(scene, cache)
+    mean = model.deviations({})[0]
+    full, reduced = FullModel(assembly).evaluate(mean), model.evaluate(mean)
+    moved = np.abs(reduced.measurements - model.evaluate(0 * mean).measurements).max()
+    assert moved > 1e-3
+    assert np.abs(full.measurements - reduced.measurements[0]).max() < 1e-8 * moved
+    largest = max(np.abs(one.force).max() for one in reduced.resolutions.values())
+    for stage, one in reduced.resolutions.items():
+        assert np.abs(full.resolutions[stage].force - one.force[0]).max() < 1e-8 * largest
+    if kind == "temperature":  # measured from where it is set down
+        assert np.abs(model.rows["locator"] @ model.shape).max() < 1e-12 < np.abs(model.shape).max()
+    if kind == "gravity":
+        mesh = FullModel(assembly).nominal
+        rows = (mesh.rows["clamp"][len(scene.clamps) :]).toarray()
+        expected = [shell.gravity(1e3 * g * np.array([0.6, 0, -0.8]), 1e-12 * ρ) for shell in mesh.parts.shells]
+        np.testing.assert_allclose(rows.sum(axis=0), np.concatenate(expected), atol=1e-12)
+
+
+def test_weights_come_with_their_parts_and_go_with_their_station():
+    again = [{**one, "name": f"N-{one['name']}", "stage": "measure"} for one in lap([])["locators"][:6]]
+    upside_down = {"name": "h", "kind": "gravity", "direction": [0, 0, 1], "stage": "measure"}
+    table = lap([GRAVITY, upside_down])
+    table["locators"] += again
+    plans = {plan.name: plan for plan in plan_stages(read(table), (6, 6))}
+    assert {step.loads for step in plans["locate"].steps} == {(2, 3)}  # behind the two clamps
+    assert plans["clamp"].steps[-1].loads == (2, 3, 0, 1)
+    assert plans["release"].steps[-1].loads == (2, 3)
+    assert plans["measure"].steps[0].loads == (4, 5) and plans["measure"].steps[0].dropped_loads == (2, 3)
+
+
+PIN = {"kind": "locator", "sigma": 0.0, "target": ["upper-C1", "upper-B1"]}
+
+
+def test_a_pin_out_of_place_moves_each_locator_by_what_lies_along_it_and_a_hole_the_other_way(lap_scene, cache):
+    along = [0.6, 0.8, 0]
+    items = [
+        {"name": "x", "kind": "locator", "target": "upper-C1", "sigma": 0.0},
+        {"name": "y", "kind": "locator", "target": "upper-B1", "sigma": 0.0},
+        PIN | {"name": "pin", "direction": [3, 4, 0]},
+        PIN | {"name": "hole", "direction": along, "where": "part"},
+    ]
+    table = lap_scene.model_dump()
+    model = mic.reduce(mic.Scene(**table | {"deviations": items, "folder": lap_scene.folder}), cache)
+
+    def targets(values):
+        shape = {kind: np.zeros((1, own.shape[0])) for kind, own in model.rows.items()}
+        return drive(model, model.deviations(values), shape).target["locator"][0]
+
+    apart = targets({"x": 0.06, "y": 0.08})
+    assert np.count_nonzero(apart) == 2 and apart[model.labels["locator"].index("upper-B1")] == 0.08
+    np.testing.assert_allclose(targets({"pin": 0.1}), apart, atol=1e-15)
+    np.testing.assert_allclose(targets({"hole": -0.1}), apart, atol=1e-15)
+
+
+BAD = {
+    "a pin without a direction": (PIN | {"name": "p"}, "several locators move as one pin: give its direction"),
+    "a pin that nobody has": (
+        PIN | {"name": "p", "target": ["upper-C1", "A9"], "direction": [1, 0, 0]},
+        "no locator called 'A9'",
+    ),
+    "a pin of no direction": (PIN | {"name": "p", "direction": [0, 0, 0]}, "direction.* must not be zero"),
+    "a pin along its axis": (PIN | {"name": "p", "direction": [0, 0, 1]}, "square to that of upper-C1 and upper-B1"),
+    "a pin of nothing": (PIN | {"name": "p", "direction": [1, 0, 0], "where": "air"}, "where"),
+    "no weight": (GRAVITY | {"density": 1}, r"density \(g\): unknown key"),
+    "down to nowhere": (GRAVITY | {"direction": [0, 0, 0]}, "must not be zero"),
+    "words": (GRAVITY | {"direction": "down"}, "direction"),
+    "of no stage": (GRAVITY | {"stage": "night"}, "in 'night' nothing is set down anew; name one of locate"),
+    "of a stage that sets nothing down": (GRAVITY | {"stage": "weld"}, "in 'weld' nothing is set down anew"),
+    "negative spread": (GRAVITY | {"sigma": -1}, "sigma"),
+    "warm without spread": ({"name": "T", "kind": "temperature"}, r"sigma \(T\): required key is missing"),
+    "warm nobody": ({"name": "T", "kind": "temperature", "sigma": 1, "part": "roof"}, "no part called 'roof'"),
+    "warm in degrees of another kind": (
+        {"name": "T", "kind": "temperature", "sigma": 1, "unit": "F"},
+        r"unit \(T\): unknown key",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_meant_is_refused_with_the_remedy(case, cache):
+    item, said = BAD[case]
+    with pytest.raises(mic.SceneError, match=said):
+        assemble(read(lap([item])), cache)
+
+
+@pytest.mark.parametrize("kind, key", [("gravity", "density"), ("temperature", "expansion")])
+def test_what_a_material_lacks_is_asked_for(kind, key, cache):
+    table = lap([{"name": "D", "kind": kind, "sigma": 1.0}])
+    del table["parts"][1][key]
+    with pytest.raises(mic.SceneError, match=rf"deviations\[0\] \(D\): part 'upper' needs {key}"):
+        assemble(read(table), cache)
+
+
+def test_maps_of_displacement_do_not_pass_over_what_grows(cache):
+    table = lap([{"name": "T", "kind": "temperature", "sigma": 1.0}])
+    table["report"]["fields"] = True
+    with pytest.raises(mic.SceneError, match="T.: fields hold no expansion; leave fields out of .report."):
+        assemble(read(table), cache)
+
+
+def test_no_source_does_anything_that_the_scene_does_not_say(lap_scene):
+    for source in sources(lap_scene):
+        assert source.expansion() == {}
+
+
+MU = {"name": "mu", "kind": "friction", "target": "lap", "sigma": 0.05}
+
+
+def test_friction_that_varies_is_that_of_scenes_with_other_friction(lap_scene, cache):
+    """Of runs of equal values, of single ones, and of what is negative, which is counted."""
+    table = lap_scene.model_dump()
+    forces = table["deviations"]
+    varied = mic.reduce(mic.Scene(**table | {"deviations": [*forces, MU], "folder": lap_scene.folder}), cache)
+    samples = np.zeros((6, len(forces) + 1))
+    samples[:, : len(forces)] = [[-8.0, 4.0, 0.1]] * 6
+    samples[:, -1] = [0.0, -0.2, -0.2, 0.1, -0.3, 0.0]
+    found = varied.process("coulomb").attempt(samples)
+    np.testing.assert_array_equal(found.deviations, samples)
+    assert found.failed.tolist() == [False] * 4 + [True, False]
+    assert "friction would be -0.03" in found.resolutions["clamp"].status[4]
+    for i in (0, 1, 3):
+        table["zones"][0]["friction"] = 0.27 + samples[i, -1]
+        fixed = mic.reduce(mic.Scene(**table | {"folder": lap_scene.folder}), cache)
+        alone = fixed.evaluate(samples[i, :-1], "coulomb").resolutions["clamp"]
+        np.testing.assert_allclose(found.resolutions["clamp"].force[i], alone.force[0], atol=1e-9)
+    force = found.resolutions["clamp"].force
+    assert np.abs(force[0] - force[1]).max() > 1e-3
+    np.testing.assert_array_equal(force[[0, 1]], force[[5, 2]])
+    smooth = varied.process("frictionless").evaluate(samples)
+    assert not smooth.failed.any()
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"target": "roof"}, "no zone called 'roof'"),
+        ({"target": []}, "target"),
+        ({"sigma": -0.1}, "sigma"),
+        ({"zone": "lap"}, r"zone \(mu\): unknown key"),
+        ({"friction": 0}, "zone 'lap' has no constant friction to add to; give it friction"),
+        (
+            {"friction_table": [[0.0, 0.2], [1.0, 0.2]]},
+            "zone 'lap' has no constant friction to add to; give it friction",
+        ),
+    ],
+)
+def test_friction_of_no_zone_is_refused_with_the_remedy(change, said, cache):
+    table = lap([MU | {key: value for key, value in change.items() if not key.startswith("friction")}])
+    table["zones"][0] |= {key: value for key, value in change.items() if key.startswith("friction")}
+    with pytest.raises(mic.SceneError, match=said):
+        assemble(read(table), cache)
