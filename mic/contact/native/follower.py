@@ -1035,6 +1035,8 @@ def _compile(digest):
             BLOCKS,
             VECTOR,
             types.Array(int64, 2, "C"),
+            MATRIX,
+            BLOCKS,
         )
     )
     def follow(
@@ -1060,6 +1062,8 @@ def _compile(digest):
         share,
         estimate,
         counts,
+        passed,
+        passed_force,
     ):
         """Every sample of a batch from one load to the next.
 
@@ -1089,6 +1093,8 @@ def _compile(digest):
         estimate : (n,) array
             Receives the sum of the steps' errors.
         counts : (n, 5) int array
+        passed, passed_force : (n, k), (n, k, 3m) array
+            Receive where the first k steps end, and the forces there; of second order from the start on, at 0.
         """
         size = Q0.shape[1]
         m = len(parameters)
@@ -1147,6 +1153,10 @@ def _compile(digest):
                 continue
             s, h, made = 0.0, ends[0] if given else 1.0, 0.0
             while True:
+                taken = done[STEPS] - 1 + (order == 2)
+                if 0 <= taken < passed.shape[1]:
+                    passed[sample, taken] = s
+                    passed_force[sample, taken] = y
                 for k in range(m):
                     for c in range(2):
                         L[sample, 2 * k + c] += w[3 * k + 1 + c]
