@@ -29,6 +29,7 @@ from mic.contact.path import Increments, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
+from mic.contact.trail import Trail, trails
 
 __all__ = ["PENETRATION", "WatchedSolver"]
 
@@ -121,7 +122,8 @@ class WatchedSolver:
         working = self._start | self._allowed & _loaded(normal)
         if path is not None and not self._guessing and self._start.sum() > MANY:
             working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
-        found = self._open(n, m)
+        recorded = path is not None and path.recorded
+        found = self._open(n, m, recorded)
         todo = np.arange(n)
         iterations, factorisations = np.zeros((2, n), dtype=np.int64)
         for round_ in range(ROUNDS):
@@ -163,7 +165,7 @@ class WatchedSolver:
     def _solved(self, own, b, force, anchor, path) -> PathSolution:
         """Paths of samples that share a working set (m,)."""
         if not own.any():
-            return self._open(len(b), 0)
+            return self._open(len(b), 0, path is not None and path.recorded)
         rows = np.repeat(own, self._d)
         solver = self._solver(own)
         if path is None:
@@ -198,7 +200,7 @@ class WatchedSolver:
         index = np.flatnonzero(np.repeat(own, self._d))
         return ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
 
-    def _open(self, n: int, m: int) -> PathSolution:
+    def _open(self, n: int, m: int, recorded: bool = False) -> PathSolution:
         """No forces, m contacts open all the way."""
         d = self._d
         trace = Trace.start(n, m)
@@ -213,6 +215,7 @@ class WatchedSolver:
             iterations=np.zeros(n, dtype=np.int64),
             status=np.full(n, Status.CONVERGED, dtype=object),
             rung=np.full(n, "followed", dtype=object),
+            trail=trails(Trail(1, np.ones(1), np.zeros((1, d * m))) for _ in range(n)) if recorded else None,
         )
 
     def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
@@ -229,6 +232,11 @@ class WatchedSolver:
         found.anchor[samples] = anchor
         for name in ("residual", "converged", "status", "rung"):
             getattr(found, name)[samples] = getattr(solution, name)
+        if found.trail is not None and solution.trail is not None:
+            for sample, trail in zip(samples, solution.trail):
+                wide = np.zeros((len(trail.ends), d * m))
+                wide[:, rows] = trail.force
+                found.trail[sample] = replace(trail, force=wide)
         for one in fields(Trace):
             here, there = getattr(solution.trace, one.name), getattr(found.trace, one.name)
             if here.ndim == 1:
