@@ -24,12 +24,13 @@ from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.console import plain
 from mic.contact.laws import LAWS
-from mic.errors import RunError, SceneError, Stopped, StorageError
+from mic.errors import MissingProvider, RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
 from mic.geometry.told import told
 from mic.judgement import judge, readable, refuse, suspect, verdict
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.model.one_sigma import one_sigma
 from mic.model.overlap import frozen_gaps
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
 from mic.orders import variants as read_variants
@@ -53,6 +54,7 @@ __all__ = ["check", "contributors", "friction", "init", "order", "rare", "report
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
+LISTED = 40  # sources that a check tells one by one
 
 
 def _on_first(command):
@@ -262,7 +264,9 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
-    _print_doubts(console, assembly)
+    model = _at_hand(assembly)
+    shapes = _print_sources(console, assembly, model)
+    _print_doubts(console, assembly, model)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
@@ -273,7 +277,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         if _holds(folder, assembly):
             _keep_studies(console, folder, {DENSITY: _density_table(asked, converged)})
     surfaces = {part.name: part.surface for part in assembly.parts}
-    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans)
+    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
@@ -292,13 +296,13 @@ def _print_warnings(console, warnings):
         console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
 
 
-def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=()):
+def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=(), shapes=()):
     """The page of the check; where it cannot be written, that is all that is wrong."""
     from mic.report.check_page import write_check  # drawing libraries are slow to import
 
     page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
     try:
-        write_check(page, scene, surfaces, warnings, contacts, plans, errors)
+        write_check(page, scene, surfaces, warnings, contacts, plans, errors, shapes)
     except (StorageError, OSError) as problem:
         console.print(f"[yellow]no page:[/] {plain(problem)}; name another file with --page", soft_wrap=True)
     else:
@@ -321,16 +325,55 @@ def _print_process(console, assembly, plans):
             console.print(f"  {number}. {plain(sentence)}", highlight=False, soft_wrap=True)
 
 
-def _print_doubts(console, assembly):
+def _at_hand(assembly):
+    """The reduced model, where the influence coefficients are cached and it is not large; else None."""
+    if all(is_cached(part, cache_folder()) for part in assembly.parts) and len(assembly.contacts) <= LOOKED_AT:
+        return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
+    return None
+
+
+def _print_sources(console, assembly, model):
+    """What 1 σ of each source makes, as far as it is known without long work; returns the shapes."""
+    items, shapes = assembly.scene.deviations, []
+    if not items:
+        return shapes
+    if model is not None:
+        try:
+            shapes = one_sigma(assembly, model)
+        except MissingProvider as problem:
+            console.print(f"[yellow]no shapes:[/] {plain(problem)}", highlight=False, soft_wrap=True)
+    largest = {shape.name: shape.largest for shape in shapes}
+    table = Table("source", "kind", "mean", "σ", "1 σ is at most", title="Sources")
+    for item in items[:LISTED]:
+        table.add_row(item.name, item.kind, f"{item.mean:g}", f"{item.sigma:g}", _one_sigma(assembly, item, largest))
+    console.print(table)
+    if len(items) > LISTED:
+        console.print(f"… and {len(items) - LISTED} more")
+    if model is None:
+        console.print("What 1 σ of a force makes is told once the influence coefficients are computed.")
+    return shapes
+
+
+def _one_sigma(assembly, item, largest) -> str:
+    if item.name in largest:
+        part, vertex, length = largest[item.name]
+        surface = next(one.surface for one in assembly.parts if one.name == part)
+        place = ", ".join(f"{x:.0f}" for x in surface.points[vertex])
+        return f"{length:.3g} mm, {part} at ({place})"
+    if item.kind == "shape":
+        return f"{item.sigma * np.abs(item.known).max():.3g} mm at its points"
+    return ""
+
+
+def _print_doubts(console, assembly, model):
     """What the process leaves to doubt, if a look at it is cheap."""
     if not len(assembly.contacts) or not any(LAWS[law].frictional for law in assembly.scene.report.laws):
         return
-    at_hand = all(is_cached(part, cache_folder()) for part in assembly.parts)
-    if not at_hand or len(assembly.contacts) > LOOKED_AT:
+    if model is None:
+        at_hand = all(is_cached(part, cache_folder()) for part in assembly.parts)
         why = "" if at_hand else ", once the influence coefficients are computed"
         console.print(f"How much hangs on the order of the process, mic order tells{why}.", highlight=False)
         return
-    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
     for doubt in doubts(model):
         console.print(f"[yellow]note:[/] {plain(doubt)}; mic order tells more", highlight=False, soft_wrap=True)
 

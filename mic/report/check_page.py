@@ -17,8 +17,10 @@ from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
 from mic.judgement import Warned, verdict
 from mic.model.assembly import Contacts
+from mic.model.one_sigma import Shape
 from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
+from mic.report.source_pictures import shapes_picture
 from mic.report.style import MARK_COLOURS, number
 from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
@@ -41,6 +43,7 @@ def write_check(
     contacts: Contacts | None = None,
     plans: Sequence[StagePlan] = (),
     errors: Sequence[str] = (),
+    shapes: Sequence[Shape] = (),
 ) -> Path:
     """Write the page of a check; nothing is solved.
 
@@ -57,6 +60,8 @@ def write_check(
     plans : sequence of StagePlan
     errors : sequence of str
         Why the scene is not valid.
+    shapes : sequence of Shape
+        What 1 σ of each source does, as far as it is known.
 
     Returns
     -------
@@ -84,6 +89,8 @@ def write_check(
             (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
         ],
         verdict=verdict(warnings, errors),
+        shapes=shapes_picture(surfaces, shapes) if shapes else None,
+        largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
         plotly=packed(get_plotlyjs()) if bodies else None,
     )

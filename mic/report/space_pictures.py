@@ -29,6 +29,7 @@ __all__ = [
     "assembly_picture",
     "draw_normals",
     "draw_overlap",
+    "draw_surfaces",
     "field_picture",
     "overview_picture",
     "viewpoint",
@@ -92,6 +93,11 @@ class _View:
         ax.autoscale_view()
         ax.set_aspect("equal")
         ax.set_axis_off()
+
+
+def draw_surfaces(ax: Axes, surfaces: Sequence[Surface], colours: Sequence[np.ndarray]) -> None:
+    """Surfaces from where most of them is seen; one colour (3,) each, or one at every vertex (v, 3)."""
+    _View(surfaces).draw(ax, colours, 0.2)
 
 
 def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:

@@ -259,8 +259,8 @@ RESOLUTIONS = _dataset(
             "path_error",
             "float64",
             "mm",
-            "estimate of the error that the stage's path left in the contacts' tangential positions, root mean square "
-            "over the pairs; NaN where nothing estimates it",
+            "estimate of the error that the stage's path left in the contacts' tangential positions, and in the slip "
+            "of those that opened, root mean square over the pairs; NaN where nothing estimates it",
         ),
         Column("steps", "int64", "", "steps along the path"),
         Column(
