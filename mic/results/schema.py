@@ -745,6 +745,7 @@ def reference() -> str:
         "| `paper.toml` | published figures to compare with, where the scene has any |",
         "| `summary.json` | the statistics by law, zone and measurement, each with its interval |",
         "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
+        "| `tables.xlsx` | the tables in one workbook, where `mic report --excel` was called |",
     ]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*_samples_first(DATASETS), FORCES, FIELDS)]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY, *STUDIES)]
