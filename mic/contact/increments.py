@@ -20,9 +20,12 @@ class Increments:
     Attributes
     ----------
     count : int
+    recorded : bool
+        Whether the solution tells its :class:`mic.contact.trail.Trail`.
     """
 
     count: int = 1
+    recorded: bool = False
 
     @property
     def ends(self) -> np.ndarray:

@@ -21,6 +21,7 @@ import numpy as np
 
 from mic.contact.increments import Increments
 from mic.contact.states import OPEN, SLIP, STICK, classify
+from mic.contact.trail import Trail, trails
 from mic.product import product
 
 __all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at_once"]
@@ -42,11 +43,14 @@ class Followed:
         Or as a length, if that is larger [length].
     steps : int or None
         So many equal steps instead, whatever their error: to show the order of the method.
+    recorded : bool
+        Whether the solution tells its :class:`mic.contact.trail.Trail`.
     """
 
     tolerance: float = 2.5e-4
     floor: float = 0.0
     steps: int | None = None
+    recorded: bool = False
 
     @property
     def ends(self) -> np.ndarray:
@@ -72,8 +76,8 @@ class Trace:
     share : (n, m, 3) array
         Shares of the path that the contact was open, stuck and slipping.
     error : (n,) array
-        Estimate of the error that the path left in the contacts' tangential positions, root mean square over the
-        contacts, mm; NaN where nothing estimates it.
+        Estimate of the error that the path left in the contacts' tangential positions, and in the slip of those that
+        opened, root mean square over the contacts, mm; NaN where nothing estimates it.
     steps, factorisations : (n,) int array
         What it took: matrices over the contacts that touch that were factorised or inverted anew, by whichever rung,
         those of a rung that failed too.  What changes a few rows of an inverse is not counted, nor what is factorised
@@ -123,6 +127,8 @@ class PathSolution:
     iterations : (n,) int array
     status, rung : (n,) object array
         Of the last step; the rung is ``"followed"`` or ``"increments"``, or the ladder's where neither would do.
+    trail : (n,) object array or None
+        The :class:`mic.contact.trail.Trail` of each sample, of the last leg, where its path is recorded.
     """
 
     force: np.ndarray
@@ -134,6 +140,7 @@ class PathSolution:
     iterations: np.ndarray
     status: np.ndarray
     rung: np.ndarray
+    trail: np.ndarray | None = None
 
     def put(self, own: np.ndarray, some: PathSolution) -> PathSolution:
         """These paths, those of the samples `own` replaced; what was factorised in vain counts too."""
@@ -180,6 +187,8 @@ class Leg:
     steps, factorisations : (n,) int array
         As :class:`Trace` has them.
     given_up : (n,) bool array
+    trail : (n,) object array or None
+        As :class:`PathSolution` has it.
     """
 
     force: np.ndarray
@@ -193,6 +202,7 @@ class Leg:
     steps: np.ndarray
     factorisations: np.ndarray
     given_up: np.ndarray
+    trail: np.ndarray | None = None
 
 
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
@@ -202,14 +212,16 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
     force = np.zeros((n, d * m)) if force is None else force
     anchor = b[:, 0].reshape(n, m, d)[:, :, 1:] if anchor is None else anchor
     if not solver.law.frictional:
-        return at_once(solver, b[:, -1], force)
+        return at_once(solver, b[:, -1], force, path.recorded)
     legs = []
     for k in range(loads - 1):
         b0, b1 = b[:, k], b[:, k + 1]
         if solver.law.followed:
             leg = followed(solver, b0, b1, force, anchor, path)
         else:
-            leg = increments(solver, b0, b1, force, anchor, path.count if isinstance(path, Increments) else 1)
+            leg = increments(
+                solver, b0, b1, force, anchor, path if isinstance(path, Increments) else Increments(1, path.recorded)
+            )
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
     return PathSolution.join(legs)
@@ -243,12 +255,13 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
         iterations=leg.factorisations,
         status=solution.status,
         rung=solution.rung,
+        trail=leg.trail,
     )
     lost = np.flatnonzero(~solution.converged | leg.given_up)
     if not lost.size:
         return found
-    count = path.count if isinstance(path, Increments) else RESCUE
-    return found.put(lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], count))
+    rescue = path if isinstance(path, Increments) else Increments(RESCUE, path.recorded)
+    return found.put(lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], rescue))
 
 
 def _put(all_samples, own, some):
@@ -258,14 +271,14 @@ def _put(all_samples, own, some):
         value, new = getattr(all_samples, field.name), getattr(some, field.name)
         if isinstance(value, Trace):
             values[field.name] = _put(value, own, new)
-        else:
+        elif value is not None:
             value = value.copy()
             value[own] = new
             values[field.name] = value
     return type(all_samples)(**values)
 
 
-def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
+def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
     """Steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
     n, m = len(b0), solver.contacts
     trace = Trace.start(n, m)
@@ -273,7 +286,7 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
     slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
     converged, residual = np.ones(n, dtype=bool), np.zeros(n)
     iterations, factorisations = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    ends = Increments(count).ends
+    ends, forces = path.ends, []
     for end, part in zip(ends, np.diff(ends, prepend=0.0)):
         b = b0 + end * (b1 - b0)
         b = b.reshape(n, m, 3).copy()
@@ -291,12 +304,13 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) * part
         anchor = anchor + moved
         force = solution.force
+        forces.append(force)
         converged &= solution.converged
         residual = np.maximum(residual, solution.residual)
         iterations = iterations + solution.iterations
         factorisations = factorisations + solution.factorisations
     u = (product(force, solver.S) + b1).reshape(n, -1)
-    steps = np.full(n, count, dtype=np.int64)
+    steps = np.full(n, path.count, dtype=np.int64)
     return PathSolution(
         force,
         u,
@@ -307,16 +321,23 @@ def increments(solver, b0, b1, force, anchor, count: int) -> PathSolution:
         iterations,
         np.asarray(solution.status),
         np.asarray(solution.rung),
+        _trails(ends, forces) if path.recorded else None,
     )
 
 
-def at_once(solver, b, guess) -> PathSolution:
+def _trails(ends, forces) -> np.ndarray:
+    """(n,) of steps of first order that all samples take, forces (n, d m) at the end of each."""
+    return trails(Trail(1, ends, own) for own in np.stack(forces, axis=1))
+
+
+def at_once(solver, b, guess, recorded: bool = False) -> PathSolution:
     """The law at the end alone, as if nothing had been before: all that counts without friction.
 
     Parameters
     ----------
     solver : mic.contact.ContactSolver
     b, guess : (n, d m) array
+    recorded : bool
     """
     solution = solver.solve(b, guess=guess)
     n, m = len(b), solver.contacts
@@ -337,4 +358,5 @@ def at_once(solver, b, guess) -> PathSolution:
         solution.iterations,
         np.asarray(solution.status),
         np.asarray(solution.rung),
+        _trails(np.ones(1), [solution.force]) if recorded else None,
     )

@@ -29,13 +29,14 @@ from mic.contact.path import Increments, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
+from mic.contact.trail import Trail, trails
 
 __all__ = ["PENETRATION", "WatchedSolver"]
 
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
-MANY = 300  # contacts that a sample may begin a path with unasked: the path's cost grows with their number cubed
+MANY = 300  # contacts that a sample may begin a path with unasked, and that are prepared for all samples together
 
 
 class WatchedSolver:
@@ -57,7 +58,7 @@ class WatchedSolver:
     law : Law
     guessing : bool
         Whether to guess who carries force, at a fraction of the cost: all samples share a working set, which loses
-        again what lets go, and of a path only its end is solved.
+        again what lets go, and each round begins where the one before ended.
     **settings
         Of :class:`mic.contact.ContactSolver`.
 
@@ -92,6 +93,8 @@ class WatchedSolver:
             self._beside[self._neighbours[candidate]] = True
         self._beside &= allowed
         self._solvers: dict[bytes, ContactSolver] = {}
+        self._joined = self._beside.copy()
+        self._prepared: ContactSolver | None = None  # see _prepare
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """As :meth:`mic.contact.ContactSolver.bound`, over all candidates."""
@@ -109,7 +112,7 @@ class WatchedSolver:
         PathSolution
             Over all candidates; what took no part was open all the way.
         """
-        return self._grown(b, force, anchor, None if self._guessing else path)
+        return self._grown(b, force, anchor, path)
 
     def _grown(self, b, force, anchor, path: Path | None) -> PathSolution:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load at once, on sets that grow."""
@@ -117,20 +120,22 @@ class WatchedSolver:
         force = np.where(np.repeat(self._allowed, d), force, 0.0)
         normal = force.reshape(n, m, d)[:, :, 0]
         working = self._start | self._allowed & _loaded(normal)
-        if path is not None and self._start.sum() > MANY:
+        if path is not None and not self._guessing and self._start.sum() > MANY:
             working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
-        found = self._open(n, m)
+        recorded = path is not None and path.recorded
+        found = self._open(n, m, recorded)
         todo = np.arange(n)
         iterations, factorisations = np.zeros((2, n), dtype=np.int64)
         for round_ in range(ROUNDS):
             if self._guessing:
                 working[:] = working.any(axis=0)
+            self._prepare(working[todo].any(axis=0))
             for samples, own in _alike(working, todo):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
                 self._put(found, samples, own, solution, b[samples])
                 iterations[samples] += solution.iterations
                 factorisations[samples] += solution.trace.factorisations
-                if path is None:  # the next round begins where this one ended
+                if path is None or self._guessing:  # the next round begins where this one ended
                     force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
             grows = (unseen > PENETRATION).any(axis=1) & found.converged[todo]
@@ -141,7 +146,7 @@ class WatchedSolver:
                 working = self._start | _loaded(found.force.reshape(n, m, d)[:, :, 0])
             for sample, depth in zip(todo, unseen):
                 working[sample, self._deepest(depth)] = True
-                if path is None and not self._guessing:
+                if path is None:
                     working[sample] |= self._beside
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
@@ -160,17 +165,9 @@ class WatchedSolver:
     def _solved(self, own, b, force, anchor, path) -> PathSolution:
         """Paths of samples that share a working set (m,)."""
         if not own.any():
-            return self._open(len(b), 0)
+            return self._open(len(b), 0, path is not None and path.recorded)
         rows = np.repeat(own, self._d)
-        key = own.tobytes()
-        solver = self._solvers.get(key)
-        if solver is None:
-            index = np.flatnonzero(rows)
-            solver = ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
-            if (own == self._start).all() or (
-                own == self._beside
-            ).all():  # most samples need these, and need them again
-                self._solvers[key] = solver
+        solver = self._solver(own)
         if path is None:
             end = b[:, -1, rows].reshape(len(b), -1, self._d)
             end[:, :, 1:] -= anchor[:, own]
@@ -178,7 +175,32 @@ class WatchedSolver:
             return replace(solution, anchor=solution.anchor + anchor[:, own])
         return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
 
-    def _open(self, n: int, m: int) -> PathSolution:
+    def _prepare(self, joining: np.ndarray) -> None:
+        """What is had once for all the candidates `joining` (m,), of any sample, serves every working set among them;
+        not of more than :data:`MANY`."""
+        joined = self._joined | joining
+        if joined.sum() <= MANY and (self._prepared is None or (joined != self._joined).any()):
+            self._joined, self._prepared = joined, self._made(joined)
+
+    def _solver(self, own: np.ndarray) -> ContactSolver:
+        """Of the working set `own` (m,)."""
+        key = own.tobytes()
+        if key in self._solvers:
+            return self._solvers[key]
+        if self._prepared is None or (own & ~self._joined).any():
+            solver = self._made(own)
+        else:
+            solver = self._prepared.take(own[self._joined])
+        if (own == self._start).all() or (own == self._beside).all():  # most samples need these, and need them again
+            self._solvers[key] = solver
+        return solver
+
+    def _made(self, own: np.ndarray) -> ContactSolver:
+        """For the candidates `own` (m,), from their compliance."""
+        index = np.flatnonzero(np.repeat(own, self._d))
+        return ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
+
+    def _open(self, n: int, m: int, recorded: bool = False) -> PathSolution:
         """No forces, m contacts open all the way."""
         d = self._d
         trace = Trace.start(n, m)
@@ -193,6 +215,7 @@ class WatchedSolver:
             iterations=np.zeros(n, dtype=np.int64),
             status=np.full(n, Status.CONVERGED, dtype=object),
             rung=np.full(n, "followed", dtype=object),
+            trail=trails(Trail(1, np.ones(1), np.zeros((1, d * m))) for _ in range(n)) if recorded else None,
         )
 
     def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
@@ -209,6 +232,11 @@ class WatchedSolver:
         found.anchor[samples] = anchor
         for name in ("residual", "converged", "status", "rung"):
             getattr(found, name)[samples] = getattr(solution, name)
+        if found.trail is not None and solution.trail is not None:
+            for sample, trail in zip(samples, solution.trail):
+                wide = np.zeros((len(trail.ends), d * m))
+                wide[:, rows] = trail.force
+                found.trail[sample] = replace(trail, force=wide)
         for one in fields(Trace):
             here, there = getattr(solution.trace, one.name), getattr(found.trace, one.name)
             if here.ndim == 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +15,7 @@ from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
 from mic.process.plan import Step, plan_stages
 from mic.process.process import TOLERANCE, Process
+from mic.process.sensitivity import Sensitivities, Steps, sensitivities
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.product import one_thread
 
@@ -81,6 +83,30 @@ class ReducedModel(Reduction):
             For unknown names, wrong shapes, or values that are not finite.
         """
         return self.process(law).evaluate(self.deviations(deviations))
+
+    def sensitivities(
+        self, deviations: Any, law: str | None = None, inputs: Sequence[str] | None = None, steps: Steps | None = None
+    ) -> Sensitivities:
+        """Exact derivatives of what :meth:`evaluate` finds (:mod:`mic.process.sensitivity`).
+
+        Parameters
+        ----------
+        deviations, law
+            As :meth:`evaluate` takes them.
+        inputs : sequence of str, optional
+            With respect to what: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction``;
+            default: all deviations.
+        steps : mapping, optional
+            Steps of the paths, frozen: :attr:`mic.process.sensitivity.Sensitivities.steps` of samples nearby.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`evaluate`; for inputs that are not known.
+        SceneError
+            Where parts rest by contact alone.
+        """
+        return sensitivities(self.process(law), self.deviations(deviations), inputs, steps)
 
     @property
     def H(self) -> np.ndarray:

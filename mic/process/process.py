@@ -16,7 +16,7 @@ from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import changed, sources
-from mic.process.drive import drive
+from mic.process.drive import Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
 from mic.process.plan import Step, plan_stages, yielding
@@ -31,7 +31,7 @@ PAPER_TOLERANCE = 1e-5
 #: What the contact certificate of a run reaches, unless another is asked for.
 TOLERANCE = 1e-10
 #: Samples by which the candidates are guessed that carry force.
-AHEAD = 8
+AHEAD = 16
 #: Spacings between two candidates that join a working set together.
 APART = 2.0
 #: Processes that are kept whose deviations have changed the contacts.
@@ -225,14 +225,10 @@ class Process:
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
-        if self._changing and (deviations[:, self._changing] != self._changed_by).any():
-            return self._evaluate_changed(deviations)
-        model = self.model
-        asked = drive(
-            model, deviations, {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
-        )
-        rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
-        state = ProcessState.start(len(deviations), len(model.contacts), model.contacts.dimension, rows)
+        own = self.parted(deviations)
+        if any(process is not self for _, process in own):
+            return Evaluation.join([process.evaluate(deviations[part]) for part, process in own])
+        asked, state = self.asked(deviations), self.start(len(deviations))
         resolutions, readings = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
             state, resolution = stage.advance(state, asked)
@@ -241,19 +237,33 @@ class Process:
             if stage.plan.reads:
                 readings = state.reading["measurement"] + asked.measured
         force, motion = self._equilibrium(state, deviations)
-        read = model.characteristics.values(readings) if readings.size else readings
+        read = self.model.characteristics.values(readings) if readings.size else readings
         found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, force, motion)
         short = np.flatnonzero(~found.built)
         if short.size:
             self._tell_needs(found, short)
         return found
 
-    def _evaluate_changed(self, deviations: np.ndarray) -> Evaluation:
-        """Samples whose deviations change the contacts, each run of equal ones by a process of its own."""
+    def asked(self, deviations: np.ndarray) -> Drive:
+        """What deviations (n, p) ask of the assembly, affine in them."""
+        shapes = {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
+        return drive(self.model, deviations, shapes)
+
+    def start(self, n: int) -> ProcessState:
+        """The state of n assemblies before anything happens."""
+        model = self.model
+        rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
+        return ProcessState.start(n, len(model.contacts), model.contacts.dimension, rows)
+
+    def parted(self, deviations: np.ndarray) -> list[tuple[slice, Process]]:
+        """Samples in runs (slices of them) whose deviations change the contacts alike, and the process of each: this
+        one where nothing changes them."""
         own = deviations[:, self._changing]
         edges = [0, *(np.flatnonzero((own[1:] != own[:-1]).any(axis=1)) + 1).tolist(), len(own)]
-        pieces = [self._changed(own[a]).evaluate(deviations[a:b]) for a, b in zip(edges, edges[1:])]
-        return Evaluation.join(pieces)
+        return [
+            (slice(a, b), self if (own[a:b] == self._changed_by).all() else self._changed(own[a]))
+            for a, b in zip(edges, edges[1:])
+        ]
 
     def _changed(self, amplitudes: np.ndarray) -> Process:
         """The process with contacts as these deviations change them; rows and compliance stay as they are."""

@@ -193,24 +193,24 @@ class PreparedStage:
         solver: Callable[[EliminatedStep], ContactSolver | WatchedSolver],
         path: Path,
     ):
-        self.plan, self.steps, self.path, self._solver = plan, steps, path, solver
+        self.plan, self.steps, self.path, self.solver = plan, steps, path, solver
         self._contacts, self._between, self._weld_first = model.contacts, model.between, model.joints.first
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
         edges = np.concatenate([[0], np.cumsum(count)])
         self._output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
 
-    def _stops(self, eliminated: EliminatedStep) -> Stops:
+    def stops(self, eliminated: EliminatedStep) -> Stops:
         return stops_of(self._contacts, eliminated.step)
 
-    def _solved(self, eliminated: EliminatedStep) -> bool:
+    def solved(self, eliminated: EliminatedStep) -> bool:
         """Whether a step has contacts or stops to solve for."""
-        return eliminated.step.resolves and self._stops(eliminated).total > 0
+        return eliminated.step.resolves and self.stops(eliminated).total > 0
 
     @cached_property
     def resolves(self) -> bool:
         """Whether contact is resolved, of parts or with a stop."""
-        return any(self._solved(each) for each in self._needed)
+        return any(self.solved(each) for each in self.needed)
 
     @property
     def response(self) -> Response:
@@ -233,7 +233,7 @@ class PreparedStage:
             None where no contact is resolved.
         """
         start, solutions, ends = state, [], {}
-        for eliminated in self._needed:
+        for eliminated in self.needed:
             state, solution = self._step(eliminated, state, drive)
             solutions += [] if solution is None else [solution]
             ends[eliminated.step] = state
@@ -250,24 +250,24 @@ class PreparedStage:
 
     def _unheld(self, state: ProcessState) -> dict[int, str]:
         """Samples in which a part lies loose at the stage's end, and what to say of them."""
-        last = next(each for each in reversed(self.steps) if self._solved(each))
+        last = next(each for each in reversed(self.steps) if self.solved(each))
         if self.plan.kind == "locate" or not last.rest.soft.any():
             return {}
-        stopped = self._stopped(last.step, state)
+        stopped = self.stopped(last.step, state)
         bound = self._bound(last, state.force)
         return last.rest.loose(last.response, state.force, classify(state.force, bound), bound, stopped)
 
     def _bound(self, eliminated: EliminatedStep, force: np.ndarray) -> np.ndarray:
         """(n, m) largest tangential forces under the contact forces (n, m, d)."""
-        normal = np.column_stack([force[..., 0], np.zeros((len(force), self._stops(eliminated).count))])
-        return self._solver(eliminated).bound(normal)[:, : force.shape[1]]
+        normal = np.column_stack([force[..., 0], np.zeros((len(force), self.stops(eliminated).count))])
+        return self.solver(eliminated).bound(normal)[:, : force.shape[1]]
 
     @cached_property
-    def _needed(self) -> list[EliminatedStep]:
+    def needed(self) -> list[EliminatedStep]:
         """Without friction nothing remembers the way: of the steps, only those count that leave a weld behind."""
         steps = self.steps
-        solved = [each for each in steps if self._solved(each)]
-        if not solved or any(self._solver(each).law.frictional for each in solved):
+        solved = [each for each in steps if self.solved(each)]
+        if not solved or any(self.solver(each).law.frictional for each in solved):
             return steps
         return [steps[i] for i in self.plan.remembered]
 
@@ -290,46 +290,76 @@ class PreparedStage:
 
     def _step(self, eliminated, state, drive):
         """The state after a step, and the path that its contacts went; None where they were not resolved."""
-        step, response = eliminated.step, eliminated.response
-        frozen = self._make_welds(step, state, drive)
-        ramp = self._ramp(step, state, drive, frozen)
+        step = eliminated.step
+        ramp = self.ramp(step, state, drive)
         place = (drive.target if step.sets_down else state.reading)["rest"][:, eliminated.rest.row]  # of resting parts
         force, left, anchor, solution = state.force, state.left, state.anchor, None
-        stop = self._stopped(step, state)
-        if self._solved(eliminated):
+        stop = self.stopped(step, state)
+        if self.solved(eliminated):
             solution, stop, place = self._resolve(eliminated, state, drive, ramp, place)
             force = solution.force.reshape(force.shape)
             left = solution.displacement.reshape(force.shape).copy()
             left[:, :, 0] -= drive.gap
             anchor = solution.anchor
+        converged = None if solution is None else solution.converged
+        after = self.after(eliminated, state, drive, ramp, place, force, left, anchor, stop, converged)
+        return after, solution
+
+    def after(
+        self,
+        eliminated: EliminatedStep,
+        state: ProcessState,
+        drive: Drive,
+        ramp: Ramp,
+        place: np.ndarray,
+        force: np.ndarray,
+        left: np.ndarray,
+        anchor: np.ndarray,
+        stop: np.ndarray,
+        converged: np.ndarray | None,
+    ) -> ProcessState:
+        """The state that a step leaves behind, linear in all but what failed.
+
+        Parameters
+        ----------
+        eliminated, state, drive, ramp
+            The step, the state before it, what drives it, and its ramp.
+        place : (n, k) array
+            Where the resting parts are.
+        force, left : (n, m, d) array
+        anchor : (n, m, d - 1) array
+        stop : (n, s) array
+        converged : (n,) bool array or None
+            None where no contact was resolved.
+        """
+        step, response = eliminated.step, eliminated.response
         v, p = ramp.at(1.0)
         v = np.column_stack([v, place])
-        if solution is None and step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
+        if converged is None and step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
             left = (product(v, response.T.T) + product(p, response.L.T)).reshape(left.shape)
             anchor = left[:, :, 1:]
         reading, reaction = self._outcome(response, v, p, np.column_stack([force.reshape(len(force), -1), stop]))
-        after = ProcessState(
+        return ProcessState(
             reading=reading,
             force=force,
             left=left,
             anchor=anchor,
-            failed=state.failed if solution is None else state.failed | ~solution.converged,
+            failed=state.failed if converged is None else state.failed | ~converged,
             value={row: v[:, j] for j, row in enumerate(step.bilateral)},
             reaction={row: reaction[:, j] for j, row in enumerate(step.bilateral)},
             push={i: drive.push[:, i] for i in step.loads},
             stop={limit.row: stop[:, j] for j, limit in enumerate(step.stops)},
-            frozen=frozen,
+            frozen=self.make_welds(step, state, drive),
         )
-        return after, solution
 
-    def _make_welds(self, step, state, drive) -> Mapping[int, np.ndarray]:
+    def make_welds(self, step, state, drive) -> Mapping[int, np.ndarray]:
         """What every weld row keeps: rows made here freeze what they find, unless the weld closes its gap first."""
         frozen = dict(state.frozen) | {row: state.reading["weld"][:, row].copy() for row in step.made}
         return frozen | {int(self._weld_first[weld]): -drive.weld_gap[:, weld] for weld in step.closing}
 
-    def _ramp(self, step, state, drive, frozen) -> Ramp:
+    def ramp(self, step: Step, state: ProcessState, drive: Drive) -> Ramp:
         """From what the rows read, and the forces that act, to what the step asks for."""
-        n = len(drive)
+        n, frozen = len(drive), self.make_welds(step, state, drive)
         none = np.zeros(n)
 
         def columns(arrays):
@@ -349,41 +379,52 @@ class PreparedStage:
             columns(after),
         )
 
-    def _stopped(self, step: Step, state: ProcessState) -> np.ndarray:
+    def stopped(self, step: Step, state: ProcessState) -> np.ndarray:
         """(n, s) forces of a step's stops before it; none of those that are new."""
         none = np.zeros(len(state.failed))
         return np.column_stack([np.zeros((len(none), 0)), *(state.stop.get(stop.row, none) for stop in step.stops)])
+
+    def unloaded(self, eliminated: EliminatedStep, drive: Drive, ramp: Ramp, place: np.ndarray, s: float) -> np.ndarray:
+        """(n, d m + s) b of contacts and stops, at s of the ramp, linear."""
+        response, contacts = eliminated.response, len(self._contacts) * self._dimension
+        v, p = ramp.at(s)
+        b = product(np.column_stack([v, place]), response.T.T) + product(p, response.L.T)
+        b[:, : contacts : self._dimension] += drive.gap
+        for j, limit in enumerate(eliminated.step.stops):
+            b[:, contacts + j] += limit.sign * self._position(limit, drive)
+        return b
+
+    def overlap(self, eliminated: EliminatedStep, state: ProcessState, drive: Drive, start: np.ndarray) -> np.ndarray:
+        """(n, d m + s) by how much what closes meanwhile overlaps at a step's start, negative where it is apart,
+        linear; 0 for all else."""
+        step, contacts = eliminated.step, len(self._contacts) * self._dimension
+        found = np.zeros_like(start)
+        if step.settles:
+            touching = np.zeros_like(start)
+            touching[:, :contacts] = state.force.reshape(len(start), -1)
+            normal = slice(0, contacts, self._dimension)
+            found[:, normal] = -(start + eliminated.response.S.under(touching))[:, normal]
+        for j, limit in enumerate(step.stops):
+            if limit.row not in state.stop:  # from where the part is, should it lie beyond
+                kind, row = limit.row
+                found[:, contacts + j] = limit.sign * (state.reading[kind][:, row] - self._position(limit, drive))
+        return found
 
     def _resolve(self, eliminated, state, drive, ramp, place) -> tuple[PathSolution, np.ndarray, np.ndarray]:
         """Follow the ramp, or the overlaps that close: the contacts' path, the forces (n, s) of the stops, and where
         the resting parts are (n, k), which begin at `place`."""
         response, rest, step, n = eliminated.response, eliminated.rest, eliminated.step, len(drive)
-        stops, contacts = self._stops(eliminated), state.left[0].size
-        position = [limit.sign * self._position(limit, drive) for limit in step.stops]
-        normal, anchor = slice(0, contacts, self._dimension), state.anchor
-        force = np.column_stack([state.force.reshape(n, -1), self._stopped(step, state)])
+        stops, contacts, anchor = self.stops(eliminated), state.left[0].size, state.anchor
+        force = np.column_stack([state.force.reshape(n, -1), self.stopped(step, state)])
 
         def unloaded(s, place):
-            v, p = ramp.at(s)
-            b = product(np.column_stack([v, place]), response.T.T) + product(p, response.L.T)
-            b[:, normal] += drive.gap
-            b[:, contacts:] += np.column_stack([np.zeros((n, 0)), *position])
-            return b
+            return self.unloaded(eliminated, drive, ramp, place, s)
 
         if step.settles and rest.soft.any():
             place, anchor = self._put_down(eliminated, state, unloaded(0.0, place), place)
         start, end = unloaded(0.0, place), unloaded(1.0, place)
-        lift = np.zeros_like(start)
-        if step.settles:
-            touching = force.copy()
-            touching[:, contacts:] = 0.0
-            apart = start + response.S.under(touching)
-            lift[:, normal] = np.maximum(0.0, -apart[:, normal])
-        for j, limit in enumerate(step.stops):
-            if limit.row not in state.stop:  # from where the part is, should it lie beyond
-                kind, row = limit.row
-                lift[:, contacts + j] = np.maximum(0.0, limit.sign * state.reading[kind][:, row] - position[j])
-        solver = self._solver(eliminated)
+        lift = np.maximum(0.0, self.overlap(eliminated, state, drive, start))
+        solver = self.solver(eliminated)
 
         def follow(b0, b1, force, anchor, path) -> tuple[PathSolution, np.ndarray]:
             way = np.stack([stops.spread(b0), stops.spread(b1)], axis=1)
@@ -433,7 +474,7 @@ class PreparedStage:
         whole, n = PathSolution.join(solutions), len(end.force)
         displacement = whole.displacement.reshape(end.force.shape).copy()
         displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
-        resolving = next(each for each in reversed(self.steps) if self._solved(each))
+        resolving = next(each for each in reversed(self.steps) if self.solved(each))
         bound = self._bound(resolving, end.force)
         unseen, at = self._unseen(end, drive)
         none = np.zeros((n, 0))

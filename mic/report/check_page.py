@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -21,7 +22,7 @@ from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
 from mic.report.source_pictures import shapes_picture
 from mic.report.style import MARK_COLOURS, number
-from mic.report.viewer import as_json, drawable, view
+from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
 from mic.scene.schema import ClampDeviation, LocatorDeviation
 from mic.store import write_text
@@ -90,8 +91,8 @@ def write_check(
         verdict=verdict(warnings, errors),
         shapes=shapes_picture(surfaces, shapes) if shapes else None,
         largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
-        viewer=as_json(_view(bodies, scene, warnings, contacts)) if bodies else None,
-        plotly=get_plotlyjs() if bodies else None,
+        viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
+        plotly=packed(get_plotlyjs()) if bodies else None,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)

@@ -29,7 +29,7 @@ from mic.results.folder import Block, RunFolder
 from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.path_study import PathStudy, read_path_study
-from mic.results.schema import DATASETS
+from mic.results.schema import DATASETS, Table
 from mic.scene.samples import DESIGNS
 
 __all__ = ["Outcome", "read_outcome"]
@@ -257,6 +257,16 @@ class Outcome:
     def friction_study(self) -> pd.DataFrame | None:
         """The laws compared as friction grows: :data:`mic.results.schema.FRICTION`; None where not stored."""
         return read_friction(self.folder)
+
+    def study(self, table: Table) -> pd.DataFrame | None:
+        """A table of :data:`mic.results.schema.STUDIES`, or that of the meshes' accuracy; None where not stored.
+
+        Raises
+        ------
+        FormatError
+            If the file is not what the table declares.
+        """
+        return table.read(self.folder, "call the command that wrote it on the run folder again")
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""

@@ -114,6 +114,8 @@ class Law(metaclass=_FormerEnumeration):
         ``scaled(parameters, d_n, d_t)``: the same for the scaled force ``y_n = f_n/d_n``, ``y_t = f_t/d_t``; both (m,).
     coefficient : function
         ``coefficient(parameters, normal)``: μ (..., m) under the normal forces (..., m), scaled as the parameters are.
+    slope : function
+        ``slope(parameters, normal)``: ``g'(f_n)`` of the bound ``g(f_n) = μ f_n``, likewise.
     compliance : function
         ``compliance(friction)``: (m,) tangential compliance ``c`` in series with the slider [length / force].  The law
         ties the force to the slider's displacement ``w_t = u_t + c f_t``, see :mod:`mic.contact.laws.micro_slip`.
@@ -138,6 +140,7 @@ class Law(metaclass=_FormerEnumeration):
     parameters: Callable[[Friction], np.ndarray] = _one_coefficient
     scaled: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] = _scaled_coefficient
     coefficient: Callable[[np.ndarray, np.ndarray], np.ndarray] = _constant
+    slope: Callable[[np.ndarray, np.ndarray], np.ndarray] = _constant
     compliance: Callable[[Friction], np.ndarray] = _rigid
 
     def __post_init__(self):
@@ -215,6 +218,10 @@ class Law(metaclass=_FormerEnumeration):
     def bound(self, normal: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Largest tangential force ``g(f_n) = μ f_n`` under the normal forces (..., m), with :attr:`parameters`."""
         return self.coefficient(parameters, normal) * normal
+
+    def rise(self, normal: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """``g'(f_n)`` under the normal forces (..., m), with :attr:`parameters`."""
+        return self.slope(parameters, normal)
 
     def opening(self, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
         """``û_n - μ‖u_t‖ = u_n - (1 - s) μ‖u_t‖``: a contact without force obeys the law exactly where it is not

@@ -186,13 +186,24 @@ def _scaled(parameters, d_n, d_t):
     return np.concatenate([parameters[:, :1] * (d_n / d_t)[:, None], pieces.reshape(parameters[:, 1:].shape)], axis=1)
 
 
-def _coefficient(parameters, normal):
+def _terms(parameters, normal):
+    """α, β x, γ x⁻ⁿ and n of the pieces that hold under the normal forces x (..., m)."""
     pieces = _pieces(parameters)
     x = np.maximum(normal, 0.0)
     own = np.maximum((x[..., None] >= pieces[..., 0]).sum(axis=-1) - 1, 0)
     _, alpha, beta, gamma, n = np.moveaxis(pieces[np.arange(len(pieces)), own], -1, 0)
     x = np.where((gamma != 0.0) & (x == 0.0) & (n > 0.0), np.finfo(float).tiny, x)
-    return alpha + beta * x + np.where(gamma != 0.0, gamma * x**-n, 0.0)
+    return alpha, beta * x, np.where(gamma != 0.0, gamma * x**-n, 0.0), n
+
+
+def _coefficient(parameters, normal):
+    alpha, linear, rest, _ = _terms(parameters, normal)
+    return alpha + linear + rest
+
+
+def _slope(parameters, normal):
+    alpha, linear, rest, n = _terms(parameters, normal)
+    return alpha + 2.0 * linear + (1.0 - n) * rest
 
 
 PRESSURE_DEPENDENT = Law(
@@ -208,4 +219,5 @@ PRESSURE_DEPENDENT = Law(
     parameters=_parameters,
     scaled=_scaled,
     coefficient=_coefficient,
+    slope=_slope,
 )

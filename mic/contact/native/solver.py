@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from mic.contact.native import batch, follower, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
+from mic.contact.trail import Trail, trails
 
 __all__ = ["NativeSolver"]
 
@@ -60,6 +63,19 @@ class NativeSolver:
             self.scaling = inverse_root(diagonal)
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
         self.problem = ScaledProblem.of(law, W, parameters)
+
+    def take(self, own: np.ndarray) -> NativeSolver:
+        """See :meth:`mic.contact.backends.Backend.take`."""
+        rows = np.flatnonzero(np.repeat(own, self._size))
+        some, problem = copy(self), self.problem
+        some.scaling = self.scaling[rows]
+        some.problem = replace(
+            problem,
+            W=problem.W[np.ix_(rows, rows)],
+            parameters=problem.parameters[own],
+            factors=None if problem.factors is None else problem.factors[own],
+        )
+        return some
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All samples, by the cheap rungs: each takes those that the ones before left unsolved.
@@ -120,6 +136,8 @@ class NativeSolver:
             ladder.MARGIN * self.tol,
             follower.SWEEPS * problem.law.gauss_seidel,
         )
+        room = follower.MOST + 1 if path.recorded else 0
+        passed, passed_force = np.zeros((n, room)), np.zeros((n, room, 3 * m))  # memory is taken where it is written
         follow = follower.follower()
 
         def chunk(own):
@@ -131,7 +149,7 @@ class NativeSolver:
                 unit,
                 *(a[own] for a in (Q0, Q1, L, Y)),
                 *settings,
-                *(a[own] for a in (Q, slip, length, work, share, estimate, counts)),
+                *(a[own] for a in (Q, slip, length, work, share, estimate, counts, passed, passed_force)),
             )
 
         self._each(chunk, n)
@@ -147,6 +165,14 @@ class NativeSolver:
             steps=counts[:, follower.STEPS].copy(),
             factorisations=counts[:, follower.FACTORISATIONS].copy(),
             given_up=counts[:, follower.FAILED] > 0,
+            trail=self._trails(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None,
+        )
+
+    def _trails(self, order, steps, passed, force) -> np.ndarray:
+        """(n,) trails of samples that took so many steps."""
+        count = steps + (order == 2)
+        return trails(
+            Trail(order, ends[:k].copy(), own[:k] * self.scaling) for k, ends, own in zip(count, passed, force)
         )
 
     def infeasible(self, b: np.ndarray) -> bool:

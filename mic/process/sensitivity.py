@@ -1,0 +1,457 @@
+"""Exact derivatives of key characteristics, contact forces and slip with respect to the inputs of an assembly.
+
+Between contact problems everything is linear, so that the derivatives take the very steps of the process: what a stage
+hands to the next (readings, where contacts were left, what welds froze, reactions that are let go, forces of stops) is
+handed on with its derivatives, one more assembly for each input, driven by what a unit of the input asks. Contact is
+differentiated where it is solved (:mod:`mic.contact.tangent`), with its states known and the steps of its path frozen.
+
+The inputs are the scene's deviations by their names, and, by where they stand in the scene,
+
+    ``locators.NAME``          the position of a locator along its direction, mm,
+    ``clamps.NAME``            the position of a clamp with a stroke, mm, or the force of one that pushes, N,
+    ``zones.NAME.friction``    the coefficient of friction of a zone, in all stages alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from mic.contact.friction import Friction
+from mic.contact.path import Path
+from mic.contact.tangent import Contact, End, Varied, retrace
+from mic.errors import SceneError
+from mic.model.sources import sources
+from mic.process.drive import Drive
+from mic.process.plan import Step
+from mic.process.stage import EliminatedStep, PreparedStage
+from mic.process.state import ProcessState
+from mic.process.stops import Stops
+from mic.product import one_thread
+
+__all__ = ["ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
+
+#: A contact this near a change of state, of the largest gap or force, along which no input moves it, stays on it.
+RESTS = 1e-10
+#: Values of samples and their derivatives that are carried at once: memory.
+AT_ONCE = 2_000_000
+
+#: The steps that paths took: by stage and the step's number, the trail (n,) of each sample.
+Steps = Mapping[tuple[str, int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class ContactSensitivity:
+    """The m contacts at the end of a stage that resolves them.
+
+    Attributes
+    ----------
+    force : (n, m, d) array
+        N.
+    state : (n, m) int8 array
+        A :class:`mic.contact.states.ContactState` each.
+    force_slope : (n, m, d, p) array
+        Derivatives of the forces, N per unit of the inputs.
+    slip_slope : (n, m, d - 1, p) array
+        Derivatives of the tangential displacement since the stage before, mm per unit.
+    """
+
+    force: np.ndarray
+    state: np.ndarray
+    force_slope: np.ndarray
+    slip_slope: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Derivatives of n assemblies with respect to p inputs.
+
+    Attributes
+    ----------
+    law : str
+    inputs : list of str
+    sigma : (p,) array
+        Standard deviations of the inputs; 0 of those that the scene holds fixed.
+    measurements : (n, k) array
+        Key characteristics along the path whose derivative is taken, mm; from those of an evaluation they differ by no
+        more than the error of its path.
+    jacobian : (n, k, p) array
+        Their derivatives, mm per unit of the inputs.
+    contacts : dict of str to ContactSensitivity
+        By stage.
+    reach : (n,) array
+        How far the sample is from the next change of a contact's state at the end of a step of the process, to first
+        order, in standard deviations along the direction in which all inputs together change it most; infinite if none
+        does.
+    reach_along : (n, p) array
+        Likewise along each input alone; infinite for those without standard deviation.
+    where : (n,) object array of str
+        Which contact changes its state there.
+    failed : (n,) bool array
+        Samples whose contact missed its tolerance; their derivatives are NaN.
+    exact : (n,) bool array
+        Whether every step of the path could be solved for anew; else derivatives are those of the steps as they were
+        found, to the error of the path.
+    steps : mapping
+        The steps that the paths took, to be frozen in another call.
+    """
+
+    law: str
+    inputs: list[str]
+    sigma: np.ndarray
+    measurements: np.ndarray
+    jacobian: np.ndarray
+    contacts: dict[str, ContactSensitivity]
+    reach: np.ndarray
+    reach_along: np.ndarray
+    where: np.ndarray
+    failed: np.ndarray
+    exact: np.ndarray
+    steps: Steps
+
+    @classmethod
+    def join(cls, pieces: Sequence[Sensitivities]) -> Sensitivities:
+        """One after the other."""
+
+        def stacked(arrays):
+            return np.concatenate(list(arrays))
+
+        contacts = {
+            stage: ContactSensitivity(
+                **{
+                    one.name: stacked(getattr(piece.contacts[stage], one.name) for piece in pieces)
+                    for one in fields(ContactSensitivity)
+                }
+            )
+            for stage in pieces[0].contacts
+        }
+        arrays = ("measurements", "jacobian", "reach", "reach_along", "where", "failed", "exact")
+        return replace(
+            pieces[0],
+            contacts=contacts,
+            steps={key: stacked(piece.steps[key] for piece in pieces) for key in pieces[0].steps},
+            **{name: stacked(getattr(piece, name) for piece in pieces) for name in arrays},
+        )
+
+
+def known_inputs(model) -> dict[str, float]:
+    """All inputs of a model, with their standard deviations; 0 of those that the scene holds fixed.
+
+    Parameters
+    ----------
+    model : mic.model.reduction.Reduction
+    """
+    scene = model.scene
+    found = {one.name: float(one.sigma) for one in scene.deviations}
+    names = [f"{kind}.{one.name}" for kind in ("locators", "clamps") for one in getattr(scene, kind)]
+    if model.contacts.frictional:
+        names += [f"zones.{one.name}.friction" for one in scene.zones]
+    return found | dict.fromkeys(names, 0.0)
+
+
+@one_thread
+def sensitivities(
+    process, deviations: np.ndarray, inputs: Sequence[str] | None = None, steps: Steps | None = None
+) -> Sensitivities:
+    """Take assemblies through all stages, and their derivatives with them.
+
+    Parameters
+    ----------
+    process : mic.process.process.Process
+    deviations : (n, p) array
+        As :meth:`mic.model.reduction.Reduction.deviations` returns it.
+    inputs : sequence of str, optional
+        Names as :func:`known_inputs` has them; default: the scene's deviations.
+    steps : mapping, optional
+        Steps of the paths, frozen: those of other samples nearby.
+
+    Raises
+    ------
+    ValueError
+        For inputs that are not known, or none.
+    SceneError
+        Where parts rest by contact alone: they come to lie by finite ways, of which no derivative is taken.
+    """
+    model = process.model
+    known = known_inputs(model)
+    names = list(model.parameters if inputs is None else inputs)
+    if not names:
+        raise ValueError("inputs: name at least one")
+    for name in names:
+        if name not in known:
+            raise ValueError(f"inputs: {name!r} is no input of this model; known: {', '.join(known)}")
+    for stage in process.stages:
+        for each in stage.steps:
+            if each.rest.soft.any():
+                part = next(own for own, soft in zip(each.rest.name, each.rest.soft) if soft)
+                raise SceneError(
+                    f"stages ({stage.plan.name}): part {part!r} rests by contact alone there, and comes to lie by "
+                    "finite ways, of which no derivative is taken; give it six locators there, or take differences of "
+                    "evaluations"
+                )
+    sigma = np.array([known[name] for name in names])
+    size = sum(rows.shape[0] for rows in model.rows.values()) * (len(names) + 1)
+    block = max(1, AT_ONCE // max(size, 1))
+    pieces = []
+    for own, each in process.parted(deviations):
+        for first in range(own.start, own.stop, block):
+            some = slice(first, min(first + block, own.stop))
+            frozen = None if steps is None else {key: trail[some] for key, trail in steps.items()}
+            pieces.append(_Sensitivity(each, deviations[some], names, sigma, frozen).found())
+    return Sensitivities.join(pieces)
+
+
+class _Sensitivity:
+    """A batch of samples, with one more assembly for each sample and input: sample by sample, its inputs in a row."""
+
+    def __init__(self, process, deviations, names, sigma, steps):
+        self.process, self.names, self.sigma, self.frozen = process, names, sigma, steps
+        self.n, self.p = len(deviations), len(names)
+        self.drive, self.slope_drive = process.asked(deviations), self._unit_drive()
+        self.rougher = self._rougher()
+        self.steps: dict[tuple[str, int], np.ndarray] = {}
+        self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
+        self.along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
+
+    def found(self) -> Sensitivities:
+        state, slope = self.process.start(self.n), self.process.start(self.n * self.p)
+        contacts, read = {}, (np.zeros((self.n, 0)), np.zeros((self.n * self.p, 0)))
+        for stage in self.process.stages:
+            before, last = slope, None
+            for number, eliminated in enumerate(stage.needed):
+                state, slope, end = self._step(stage, number, eliminated, state, slope)
+                last = end or last
+            if last is not None:
+                contacts[stage.plan.name] = self._contacts(state, slope, before, last)
+            if stage.plan.reads:
+                read = (
+                    state.reading["measurement"] + self.drive.measured,
+                    slope.reading["measurement"] + self.slope_drive.measured,
+                )
+        values, jacobian = read[0], self._columns(read[1])
+        if values.size:
+            characteristics = self.process.model.characteristics
+            jacobian = np.matmul(characteristics.tangent(values), jacobian)
+            values = characteristics.values(values)
+        jacobian[state.failed] = np.nan
+        return Sensitivities(
+            self.process.law,
+            self.names,
+            self.sigma,
+            values,
+            jacobian,
+            contacts,
+            self.reach,
+            self.along,
+            self.where,
+            state.failed,
+            self.exact,
+            self.steps,
+        )
+
+    def _unit_drive(self) -> Drive:
+        """What a unit of each input asks more, for every sample."""
+        model = self.process.model
+        count = len(model.parameters)
+        zero, unit = self.process.asked(np.zeros((1, count))), self.process.asked(np.eye(count))
+        own = [model.parameters.index(name) if name in model.parameters else -1 for name in self.names]
+
+        def less(one, base):
+            moved = np.concatenate([one - base, np.zeros_like(base)])
+            return np.tile(moved[own], (self.n, 1))
+
+        target = {kind: less(unit.target[kind], zero.target[kind]) for kind in zero.target}
+        rest = {
+            one.name: less(getattr(unit, one.name), getattr(zero, one.name))
+            for one in fields(Drive)
+            if one.name != "target"
+        }
+        for i, name in enumerate(self.names):
+            kind, _, item = name.partition(".")
+            if own[i] >= 0 or kind not in ("locators", "clamps"):
+                continue
+            row = model.labels[kind[:-1]].index(item)
+            target[kind[:-1]][i :: self.p, row] = 1.0
+            if kind == "clamps":
+                rest["push"][i :: self.p, row] = 1.0
+        return Drive(target, **rest)
+
+    def _rougher(self) -> np.ndarray:
+        """(m, p) by how much the contacts' coefficients grow with each input."""
+        model = self.process.model
+        scene, zone = model.scene, model.contacts.zone
+        found = np.zeros((len(zone), self.p))
+        for i, name in enumerate(self.names):
+            for j, one in enumerate(scene.zones):
+                if name == f"zones.{one.name}.friction" and name not in model.parameters:
+                    found[zone == j, i] = 1.0
+        contacts = model.contacts
+        for name, source in zip(model.parameters, sources(scene)):
+            if source.changes and name in self.names:
+                found[:, self.names.index(name)] = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
+        return found
+
+    def _columns(self, slope: np.ndarray) -> np.ndarray:
+        """(n, ..., p) from (n p, ...)."""
+        return np.moveaxis(slope.reshape(self.n, self.p, *slope.shape[1:]), 1, -1)
+
+    def _rows(self, slope: np.ndarray) -> np.ndarray:
+        """(n p, ...) from (n, ..., p)."""
+        return np.moveaxis(slope, -1, 1).reshape(self.n * self.p, *slope.shape[1:-1])
+
+    def _step(self, stage: PreparedStage, number: int, eliminated: EliminatedStep, state, slope):
+        """The states after a step, and where its contacts ended; None where they were not resolved."""
+        plain = replace(eliminated, step=_without_limits(eliminated.step))
+        sides = (eliminated, state, self.drive), (plain, slope, self.slope_drive)
+        ramps = [stage.ramp(each.step, of, drive) for each, of, drive in sides]
+        places = [
+            (drive.target if each.step.sets_down else of.reading)["rest"][:, each.rest.row] for each, of, drive in sides
+        ]
+        ends = [(of.force, of.left, of.anchor, stage.stopped(each.step, of)) for each, of, _ in sides]
+        end: End | None = None
+        converged = None
+        if stage.solved(eliminated):
+            stops = stage.stops(eliminated)
+            starts, stop = (
+                [
+                    stage.unloaded(each, drive, ramp, place, s)
+                    for (each, _, drive), ramp, place in zip(sides, ramps, places)
+                ]
+                for s in (0.0, 1.0)
+            )
+            over, slope_over = (
+                stage.overlap(each, of, drive, start) for (each, of, drive), start in zip(sides, starts)
+            )
+            starts[0] += np.maximum(0.0, over)
+            starts[1] += np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)
+            trail, converged = self._trail(stage, number, eliminated, state, starts[0], stop[0])
+            end = retrace(
+                self._contact(stage, eliminated),
+                self._varied(*(stops.spread(one) for one in starts)),
+                self._varied(*(stops.spread(one) for one in stop)),
+                self._varied(*(_with_stops(stops, of.anchor) for _, of, _ in sides)),
+                trail,
+            )
+            self.exact &= end.solved | ~converged
+            self._reach(stage, eliminated, end)
+            found = (end.force, end.displacement, end.anchor)
+            ends = [
+                _split(stops, self.drive.gap, *(one.value for one in found)),
+                _split(stops, self.slope_drive.gap, *(self._rows(one.slope) for one in found)),
+            ]
+
+        def left_behind(side: int, solved: np.ndarray | None) -> ProcessState:
+            return stage.after(*sides[side], ramps[side], places[side], *ends[side], solved)
+
+        after = left_behind(0, converged)
+        slope_after = left_behind(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
+        return after, slope_after, end
+
+    def _varied(self, value, slope) -> Varied:
+        return Varied(value, self._columns(slope))
+
+    def _trail(self, stage: PreparedStage, number: int, eliminated, state, b0, b1):
+        """The steps (n,) that the contacts take, and whether the samples met their tolerance."""
+        key = stage.plan.name, number
+        if self.frozen is not None:
+            self.steps[key] = self.frozen[key]
+            return self.frozen[key], np.ones(self.n, dtype=bool)
+        stops, d = stage.stops(eliminated), self.process.model.contacts.dimension
+        force = np.column_stack([state.force.reshape(self.n, stops.rows), stage.stopped(eliminated.step, state)])
+        anchor = _with_stops(stops, state.anchor).reshape(self.n, stops.total, d - 1)
+        path: Path = replace(stage.path, recorded=True)
+        way = np.stack([stops.spread(b0), stops.spread(b1)], axis=1)
+        found = stage.solver(eliminated).follow(way, stops.spread(force), anchor, path)
+        trail: Any = found.trail
+        self.steps[key] = trail
+        return trail, found.converged
+
+    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep) -> Contact:
+        contacts, law = self.process.model.contacts, stage.solver(eliminated).law
+        stops = stage.stops(eliminated)
+        friction = stops.friction(contacts.friction_in(stage.plan.name))
+        rougher = np.concatenate([self.rougher, np.zeros((stops.count, self.p))])
+        if law.varies and friction.pressure is not None:
+            rougher[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
+        return Contact(
+            law,
+            stops.compliance(*eliminated.compliance),
+            friction if law.frictional else Friction.of(0.0, stops.total),
+            rougher,
+            contacts.dimension,
+        )
+
+    def _contacts(self, state: ProcessState, slope: ProcessState, before: ProcessState, end: End) -> ContactSensitivity:
+        m = state.force.shape[1]
+        return ContactSensitivity(
+            state.force,
+            end.state[:, :m],
+            self._columns(slope.force),
+            self._columns(slope.left[:, :, 1:] - before.left[:, :, 1:]),
+        )
+
+    def _reach(self, stage: PreparedStage, eliminated: EliminatedStep, end: End) -> None:
+        """Note what changes its state nearest, should it be nearer than all before."""
+        contacts, stops = self.process.model.contacts, stage.stops(eliminated)
+        there = np.ones(stops.total, dtype=bool)
+        there[: stops.contacts] = ~contacts.out(eliminated.step.nuggets, eliminated.step.away)
+        for margin in (end.normal, end.cone):
+            size = np.abs(margin.value)
+            finite = np.where(np.isfinite(size), size, 0.0)
+            pushed = np.abs(margin.slope) * self.sigma
+            joint = np.linalg.norm(pushed, axis=2)
+            rests = np.maximum(finite, joint) <= RESTS * finite.max(axis=1, keepdims=True, initial=0.0)
+            counts = there & np.isfinite(size) & ~rests & (joint > 0.0)
+            distance = np.where(counts, finite / np.where(counts, joint, 1.0), np.inf)
+            along = np.where(
+                counts[:, :, None] & (pushed > 0.0), finite[:, :, None] / np.where(pushed > 0, pushed, 1.0), np.inf
+            )
+            self.along = np.minimum(self.along, along.min(axis=1, initial=np.inf))
+            if not distance.shape[1]:
+                continue
+            nearest = distance.argmin(axis=1)
+            for i, k in enumerate(nearest):
+                if distance[i, k] < self.reach[i]:
+                    self.reach[i] = distance[i, k]
+                    self.where[i] = self._told(stage, eliminated, int(k), end.state[i, k], margin is end.cone)
+
+    def _told(self, stage: PreparedStage, eliminated: EliminatedStep, k: int, state: int, slips: bool) -> str:
+        """In words what changes."""
+        model = self.process.model
+        what = "slips" if slips else "closes" if state == 0 else "opens"
+        if k >= len(model.contacts):
+            kind, row = eliminated.step.stops[k - len(model.contacts)].row
+            return f"{stage.plan.name}: the stop of {model.labels[kind][row]} {what}"
+        return f"{stage.plan.name}: contact {k} of zone {model.scene.zones[model.contacts.zone[k]].name} {what}"
+
+
+def _with_stops(stops: Stops, anchor: np.ndarray) -> np.ndarray:
+    """(n, (d - 1)(m + s)) anchors of contacts (n, m, d - 1), and of stops, which have none."""
+    n, _, sides = anchor.shape
+    return np.column_stack([anchor.reshape(n, stops.contacts * sides), np.zeros((n, stops.count * sides))])
+
+
+def _split(stops: Stops, gap, force, u, anchor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Forces of contacts (n, m, d), where they were left and their anchors, and forces (n, s) of stops."""
+    shape = len(force), stops.contacts, stops.dimension
+    left = u[:, : stops.rows].reshape(shape).copy()
+    left[:, :, 0] -= gap
+    sides = stops.dimension - 1
+    return (
+        force[:, : stops.rows].reshape(shape),
+        left,
+        anchor[:, : stops.contacts * sides].reshape(*shape[:2], sides),
+        force[:, stops.rows :: stops.dimension],
+    )
+
+
+def _without_limits(step: Step) -> Step:
+    """The step with limits that push with nothing: no input changes their forces."""
+    return replace(
+        step,
+        limits=tuple(replace(limit, force=0.0) for limit in step.limits),
+        dropped_limits=tuple(replace(limit, force=0.0) for limit in step.dropped_limits),
+    )

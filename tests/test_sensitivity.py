@@ -1,0 +1,272 @@
+"""Exact derivatives through contact and memory: against central differences, and against contacts solved by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mic.contact.columns import Columns
+from mic.contact.friction import Friction
+from mic.contact.laws import find
+from mic.contact.tangent import Contact, Varied, retrace
+from mic.contact.trail import Trail
+from mic.errors import SceneError
+from mic.process.model import ReducedModel
+from mic.process.sensitivity import known_inputs, sensitivities
+from mic.process.stage import PreparedStage
+from mic.sampling.draw import draw
+from mic.scene.schema import ClampDeviation, FrictionDeviation, LocatorDeviation
+
+EXACT = 1e-7  # of the largest derivative of a key characteristic
+STEP = 1e-5  # standard deviations
+TIGHT = 1e-12  # of the contact certificate: differences of less would be rounding
+SIGMA = {"locator": 0.05, "clamp": 5.0}
+
+
+def on_the_way(model, way) -> ReducedModel:
+    """The model with every stage followed as named; one increment in all is ``one-step``."""
+    keys = {"path": way} if isinstance(way, str) else {"path": "increments", "increments": way}
+    stages = [
+        stage.model_copy(update=keys) if stage.kind in ("clamp", "weld", "release") else stage
+        for stage in model.scene.stages
+    ]
+    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
+
+
+def with_positions(model) -> ReducedModel:
+    """Every locator and every clamp deviates, too."""
+    scene, new = model.scene, []
+    for kind, table in (("locator", LocatorDeviation), ("clamp", ClampDeviation)):
+        new += [
+            table(name=f"moved.{one.name}", kind=kind, target=one.name, sigma=SIGMA[kind])
+            for one in getattr(scene, f"{kind}s")
+        ]
+    wide = ((0, 0), (0, len(new)))
+    return replace(
+        model,
+        scene=scene.model_copy(update={"deviations": [*scene.deviations, *new]}),
+        shape=np.pad(model.shape, wide),
+        shape_forces=np.pad(model.shape_forces, wide),
+    )
+
+
+def sigmas(model) -> np.ndarray:
+    return np.array([one.sigma for one in model.scene.deviations])
+
+
+def central(model, values, samples, step=STEP) -> np.ndarray:
+    """(n, k, p) central differences of what ``values`` makes of deviations (n, p), per standard deviation."""
+    σ, p = sigmas(model), samples.shape[1]
+    moved = [(samples[:, None] + sign * step * np.diag(σ)).reshape(-1, p) for sign in (1, -1)]
+    up, down = (values(x).reshape(len(samples), p, -1) for x in moved)
+    return (up - down).transpose(0, 2, 1) / (2 * step)
+
+
+def off(slope, difference) -> float:
+    """The largest error, as a share of the largest derivative of its key characteristic."""
+    return (np.abs(slope - difference).max(axis=(0, 2)) / np.abs(difference).max(axis=(0, 2))).max()
+
+
+WAYS = [("frictionless", "one-step"), *((law, way) for law in ("coulomb", "associated") for way in ("one-step", 8))]
+
+
+@pytest.mark.parametrize(("law", "way"), WAYS)
+def test_derivatives_are_those_of_the_evaluation(lap_model, law, way):
+    model = with_positions(on_the_way(lap_model, way))
+    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 4)
+    found = sensitivities(process, samples)
+    evaluation = process.evaluate(samples)
+    np.testing.assert_allclose(found.measurements, evaluation.measurements, rtol=0, atol=1e-10)
+    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
+    assert off(found.jacobian * sigmas(model), difference) < EXACT
+    for stage, contacts in found.contacts.items():
+        np.testing.assert_array_equal(contacts.state, evaluation.resolutions[stage].state)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "associated"])
+def test_derivatives_are_those_of_the_hat(hat_model, law):
+    model = on_the_way(hat_model, 8)
+    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 2)
+    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
+    assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) < EXACT
+
+
+@pytest.mark.parametrize("law", ["micro-slip", "pressure-dependent"])
+def test_a_law_that_reads_more_owns_its_tangent(lap_model, law):
+    model = on_the_way(lap_model, 3)
+    contacts = model.contacts
+    power = np.array([[0.0, 0.4, -0.02, 0.0, 0.0], [2.0, 0.36, 0.0, 0.0, 0.0]])
+    changed = replace(
+        contacts,
+        compliance=np.full(len(contacts), 1e-5) if law == "micro-slip" else contacts.compliance,
+        pressure=np.tile(power, (len(contacts), 1, 1)) if law != "micro-slip" else contacts.pressure,
+    )
+    model = replace(model, contacts=changed)
+    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 3)
+    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
+    assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) < EXACT
+
+
+def frozen(process, steps):
+    """What key characteristics are along paths of these steps, for so many samples beside each."""
+
+    def values(samples):
+        beside = {key: np.repeat(trail, len(samples) // len(trail)) for key, trail in steps.items()}
+        return sensitivities(process, samples, process.model.parameters[:1], beside).measurements
+
+    return values
+
+
+def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
+    model = with_positions(lap_model)
+    process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 4)
+    found = sensitivities(process, samples)
+    assert found.exact.all()
+    assert {trail.order for trails in found.steps.values() for trail in trails} == {2}
+    slope = found.jacobian * sigmas(model)
+    assert off(slope, central(model, frozen(process, found.steps), samples)) < EXACT
+    # Free steps differ by what the paths err, over the difference's step.
+    evaluation = process.evaluate(samples)
+    error = sum(one.trace.error for one in evaluation.resolutions.values()).max()
+    np.testing.assert_allclose(found.measurements, evaluation.measurements, rtol=0, atol=error)
+    free = central(model, lambda x: process.evaluate(x).measurements, samples, 0.02)
+    np.testing.assert_allclose(slope, free, rtol=0, atol=error / 0.02)
+
+
+@pytest.mark.parametrize("way", ["one-step", 8, "followed"])
+def test_friction_of_a_zone_is_an_input(lap_model, way):
+    model = on_the_way(lap_model, way)
+    process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 3)
+    zone = f"zones.{model.scene.zones[0].name}.friction"
+    found = sensitivities(process, samples, [zone])
+    μ, step, values = model.contacts.friction, 1e-4, []
+    for sign in (1, -1):
+        other = replace(model, contacts=replace(model.contacts, friction=μ + sign * step))
+        values.append(sensitivities(other.process("coulomb", TIGHT), samples, [zone], found.steps).measurements)
+    difference = (values[0] - values[1]) / (2 * step)
+    assert np.abs(difference).max() > 1e-5
+    np.testing.assert_allclose(found.jacobian[:, :, 0], difference, rtol=0, atol=EXACT * np.abs(difference).max())
+
+
+def test_a_locator_and_a_clamp_are_inputs_without_being_deviations(lap_model):
+    model, moved = lap_model, with_positions(lap_model)
+    samples = draw(model.scene, 1, 0, 2)
+    wide = np.column_stack([samples, np.zeros((2, len(moved.parameters) - samples.shape[1]))])
+    names = [f"locators.{one.name}" for one in model.scene.locators] + [f"clamps.{x.name}" for x in model.scene.clamps]
+    own = [f"moved.{name.partition('.')[2]}" for name in names]
+    np.testing.assert_allclose(
+        model.sensitivities(samples, "coulomb", names).jacobian,
+        moved.sensitivities(wide, "coulomb", own).jacobian,
+        rtol=0,
+        atol=1e-12,
+    )
+
+
+FORGOTTEN = {
+    "where contacts were left": lambda state: replace(state, left=0 * state.left, anchor=0 * state.anchor),
+    "what welds froze": lambda state: replace(state, frozen={row: 0 * v for row, v in state.frozen.items()}),
+    "reactions let go": lambda state: replace(state, reaction={row: 0 * v for row, v in state.reaction.items()}),
+    "what rows read": lambda state: replace(state, reading={kind: 0 * v for kind, v in state.reading.items()}),
+}
+
+
+@pytest.mark.parametrize("what", FORGOTTEN)
+def test_memory_that_is_forgotten_is_seen(lap_model, monkeypatch, what):
+    model = with_positions(on_the_way(lap_model, 8))
+    process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 4)
+    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
+    after = PreparedStage.after
+
+    def forgetful(self, *arguments):
+        state = after(self, *arguments)
+        slopes = len(state.failed) > len(samples) and self.plan.kind != "measure"
+        reads = self.plan is process.stages[-1].plan
+        return FORGOTTEN[what](state) if slopes and not reads else state
+
+    monkeypatch.setattr(PreparedStage, "after", forgetful)
+    assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) > 1e3 * EXACT
+
+
+def one_contact(b, slope, law="coulomb", trail=None, end=None, anchor=None):
+    """A contact of compliance 1 and friction 0.5, from ``b``; inputs are the columns of ``slope`` (3, p)."""
+    b, slope = np.array([b], dtype=float), np.array([slope], dtype=float)
+    p = slope.shape[2]
+    contact = Contact(find(law), Columns.of(np.eye(3)), Friction.of(0.5, 1), np.zeros((1, p)), 3)
+    none = Varied(np.zeros((1, 2)), np.zeros((1, 2, p)))
+    start = Varied(b, slope)
+    return retrace(
+        contact, start, start if end is None else end, anchor or none, [trail or Trail(1, np.ones(1), b * 0)]
+    )
+
+
+def test_a_slider_turns_with_its_drag():
+    """Pressed by 1 and dragged by (3, 4): f_t = -μ f_n (0.6, 0.8); across the drag it turns by μ f_n/‖b_t‖."""
+    guess = Trail(1, np.ones(1), np.array([[1.0, -0.3, -0.4]]))
+    end = one_contact([-1, 3, 4], np.column_stack([[-1, 0, 0], [0, 0.6, 0.8], [0, -0.8, 0.6]]), trail=guess)
+    np.testing.assert_allclose(end.force.value[0], [1, -0.3, -0.4], atol=1e-12)
+    expected = np.column_stack([[1, -0.3, -0.4], [0, 0, 0], [0, 0.8 * 0.1, -0.6 * 0.1]])
+    np.testing.assert_allclose(end.force.slope[0], expected, atol=1e-12)
+
+
+def test_a_contact_at_rest_on_its_cone_keeps_its_slope():
+    """It slid to u_t = (2.7, 3.6); a step that moves nothing begins there, with no slip to take a direction from."""
+    guess = Trail(1, np.ones(1), np.array([[1.0, -0.3, -0.4]]))
+    slope = np.column_stack([[-1, 0, 0], [0, -0.8, 0.6]])
+    first = one_contact([-1, 3, 4], slope, trail=guess)
+    again = one_contact([-1, 3, 4], slope, trail=guess, anchor=first.anchor)
+    np.testing.assert_allclose(again.force.value, first.force.value, atol=1e-12)
+    np.testing.assert_allclose(again.force.slope, first.force.slope, atol=1e-9)
+
+
+def test_reach_is_the_way_to_the_next_change_of_state(lap_model):
+    """Just before it the states are those of the sample, just behind it they are not."""
+    model = on_the_way(lap_model, "one-step")
+    process, samples = model.process("frictionless", TIGHT), draw(model.scene, 1, 0, 6)
+    found, σ = sensitivities(process, samples), sigmas(model)
+    held = []
+    for sample, states in ((i, [c.state[i] for c in found.contacts.values()]) for i in range(len(samples))):
+        j = int(np.argmin(found.reach_along[sample]))
+        assert found.reach[sample] <= found.reach_along[sample, j] * (1 + 1e-9)
+        for share in (0.99, 1.01):
+            same = []
+            for sign in (1, -1):
+                moved = samples[sample] + sign * share * found.reach_along[sample, j] * σ * (np.arange(len(σ)) == j)
+                there = process.evaluate(moved[None]).resolutions
+                same.append(all((r.state[0] == s).all() for r, s in zip(there.values(), states)))
+            held.append(all(same) if share < 1 else not all(same))
+    assert all(held)
+
+
+def test_inputs_that_are_not_known_are_refused(lap_model):
+    with pytest.raises(ValueError, match=r"inputs: 'locators\.nowhere' is no input of this model; known: "):
+        lap_model.sensitivities({}, inputs=["locators.nowhere"])
+    with pytest.raises(ValueError, match="name at least one"):
+        lap_model.sensitivities({}, inputs=[])
+    assert all(σ > 0 for name, σ in known_inputs(lap_model).items() if name in lap_model.parameters)
+
+
+def test_a_part_that_rests_is_refused(lap_model):
+    model = replace(lap_model)
+    process = model.process("coulomb")
+    step = process.stages[1].steps[0]
+    rest = replace(step.rest, row=np.array([0]), soft=np.array([True]), direction=np.eye(3)[:1], name=("upper",))
+    process.stages[1].steps[0] = replace(step, rest=rest)
+    with pytest.raises(SceneError, match="part 'upper' rests by contact alone there"):
+        sensitivities(process, draw(model.scene, 1, 0, 1))
+
+
+def test_friction_that_deviates_has_the_slope_of_its_zone(lap_model):
+    scene, name = lap_model.scene, lap_model.scene.zones[0].name
+    rough = FrictionDeviation(name="rough", kind="friction", target=name, sigma=0.02)
+    wide = ((0, 0), (0, 1))
+    model = replace(
+        lap_model,
+        scene=scene.model_copy(update={"deviations": [*scene.deviations, rough]}),
+        shape=np.pad(lap_model.shape, wide),
+        shape_forces=np.pad(lap_model.shape_forces, wide),
+    )
+    samples = np.column_stack([draw(scene, 1, 0, 3), [0.0, 0.01, -0.02]])
+    found = model.sensitivities(samples, "coulomb", ["rough", f"zones.{name}.friction"])
+    np.testing.assert_allclose(found.jacobian[:, :, 0], found.jacobian[:, :, 1], rtol=1e-12)
+    assert np.abs(found.jacobian).max() > 1e-5 and found.sigma.tolist() == [0.02, 0.0]
+    np.testing.assert_allclose(found.measurements, model.evaluate(samples, "coulomb").measurements, rtol=0, atol=1e-4)
