@@ -265,8 +265,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
     model = _at_hand(assembly)
-    shapes = _print_sources(console, assembly, model)
     _print_doubts(console, assembly, model)
+    shapes = _print_sources(console, assembly, model)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
