@@ -12,6 +12,7 @@ from functools import wraps
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -25,12 +26,13 @@ from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.console import plain
 from mic.contact.laws import LAWS
-from mic.errors import RunError, SceneError, Stopped, StorageError
+from mic.errors import MissingProvider, RunError, SceneError, Stopped, StorageError
 from mic.geometry.normals import COARSE, Rule
 from mic.geometry.told import told
 from mic.judgement import judge, readable, refuse, suspect, verdict
 from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.model.one_sigma import one_sigma
 from mic.model.overlap import frozen_gaps
 from mic.orders import PERMUTATIONS, STATED, compare, doubts, orders
 from mic.orders import variants as read_variants
@@ -38,22 +40,24 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.words import opening, sentences
 from mic.proposal import write_scene
+from mic.rare import rare as rare_events
 from mic.results.folder import RunFolder
 from mic.results.forecast import forecast
 from mic.results.identity import identity
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, SENSITIVITIES
+from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, SENSITIVITIES
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
 from mic.store import replacing
 
-__all__ = ["check", "contributors", "friction", "init", "order", "report", "run", "sensitivity"]
+__all__ = ["check", "contributors", "friction", "init", "order", "rare", "report", "run", "sensitivity"]
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
 NOTHING = 1e-6  # mm: a step that changes no more changes nothing
 FAR = 100.0  # steps: no contact that a step could change
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
+LISTED = 40  # sources that a check tells one by one
 
 
 def _on_first(command):
@@ -118,10 +122,14 @@ def report(folder):
 
 def _report(console, outcome):
     """The page, and on the console the least that a user wants to know."""
-    from mic.report.page import write_report  # drawing libraries are slow to import, and most commands need none
+    from mic.report.answer import answer  # drawing libraries are slow to import, and most commands need none
+    from mic.report.page import write_report
 
     page = write_report(outcome.folder, outcome)
     _print_zones(console, outcome)
+    found = answer(outcome)
+    for sentence in found.sentences if found else ():
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
     console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(outcome.folder / 'summary.json')}")
 
 
@@ -255,14 +263,20 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
-    _print_doubts(console, assembly)
+    model = _at_hand(assembly)
+    shapes = _print_sources(console, assembly, model)
+    _print_doubts(console, assembly, model)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
     if converge:
-        _print_convergence(console, assembly, density.converge(assembly, cache_folder(), asked.report.laws[0], say))
+        converged = density.converge(assembly, cache_folder(), asked.report.laws[0], say)
+        _print_convergence(console, assembly, converged)
+        folder = Path("results") / asked.name
+        if _holds(folder, assembly):
+            _keep_studies(console, folder, {DENSITY: _density_table(asked, converged)})
     surfaces = {part.name: part.surface for part in assembly.parts}
-    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans)
+    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
@@ -281,13 +295,13 @@ def _print_warnings(console, warnings):
         console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
 
 
-def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=()):
+def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=(), shapes=()):
     """The page of the check; where it cannot be written, that is all that is wrong."""
     from mic.report.check_page import write_check  # drawing libraries are slow to import
 
     page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
     try:
-        write_check(page, scene, surfaces, warnings, contacts, plans, errors)
+        write_check(page, scene, surfaces, warnings, contacts, plans, errors, shapes)
     except (StorageError, OSError) as problem:
         console.print(f"[yellow]no page:[/] {plain(problem)}; name another file with --page", soft_wrap=True)
     else:
@@ -310,16 +324,55 @@ def _print_process(console, assembly, plans):
             console.print(f"  {number}. {plain(sentence)}", highlight=False, soft_wrap=True)
 
 
-def _print_doubts(console, assembly):
+def _at_hand(assembly):
+    """The reduced model, where the influence coefficients are cached and it is not large; else None."""
+    if all(is_cached(part, cache_folder()) for part in assembly.parts) and len(assembly.contacts) <= LOOKED_AT:
+        return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
+    return None
+
+
+def _print_sources(console, assembly, model):
+    """What 1 σ of each source makes, as far as it is known without long work; returns the shapes."""
+    items, shapes = assembly.scene.deviations, []
+    if not items:
+        return shapes
+    if model is not None:
+        try:
+            shapes = one_sigma(assembly, model)
+        except MissingProvider as problem:
+            console.print(f"[yellow]no shapes:[/] {plain(problem)}", highlight=False, soft_wrap=True)
+    largest = {shape.name: shape.largest for shape in shapes}
+    table = Table("source", "kind", "mean", "σ", "1 σ is at most", title="Sources")
+    for item in items[:LISTED]:
+        table.add_row(item.name, item.kind, f"{item.mean:g}", f"{item.sigma:g}", _one_sigma(assembly, item, largest))
+    console.print(table)
+    if len(items) > LISTED:
+        console.print(f"… and {len(items) - LISTED} more")
+    if model is None:
+        console.print("What 1 σ of a force makes is told once the influence coefficients are computed.")
+    return shapes
+
+
+def _one_sigma(assembly, item, largest) -> str:
+    if item.name in largest:
+        part, vertex, length = largest[item.name]
+        surface = next(one.surface for one in assembly.parts if one.name == part)
+        place = ", ".join(f"{x:.0f}" for x in surface.points[vertex])
+        return f"{length:.3g} mm, {part} at ({place})"
+    if item.kind == "shape":
+        return f"{item.sigma * np.abs(item.known).max():.3g} mm at its points"
+    return ""
+
+
+def _print_doubts(console, assembly, model):
     """What the process leaves to doubt, if a look at it is cheap."""
     if not len(assembly.contacts) or not any(LAWS[law].frictional for law in assembly.scene.report.laws):
         return
-    at_hand = all(is_cached(part, cache_folder()) for part in assembly.parts)
-    if not at_hand or len(assembly.contacts) > LOOKED_AT:
+    if model is None:
+        at_hand = all(is_cached(part, cache_folder()) for part in assembly.parts)
         why = "" if at_hand else ", once the influence coefficients are computed"
         console.print(f"How much hangs on the order of the process, mic order tells{why}.", highlight=False)
         return
-    model = ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
     for doubt in doubts(model):
         console.print(f"[yellow]note:[/] {plain(doubt)}; mic order tells more", highlight=False, soft_wrap=True)
 
@@ -511,10 +564,8 @@ def _print_convergence(console, assembly, found):
 def order(source, samples, seed, law, permutations, variants, table):
     """``mic order``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
-    model = _model(console, source)
-    scene = model.scene
-    frictional = [name for name in scene.report.laws if LAWS[name].frictional]
-    asked = law.value if law else (frictional or scene.report.laws)[0]
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
     random = PERMUTATIONS if permutations is None else permutations
     others = read_variants(scene, variants) if variants else orders(scene, random)
     if len(others) == 1:
@@ -536,6 +587,7 @@ def order(source, samples, seed, law, permutations, variants, table):
     if table:
         found.to_csv(table, index=False)
         console.print(f"table: {plain(table)}")
+    _keep_studies(console, folder, {ORDERS: found.assign(law=asked)[ORDERS.names].astype({"samples": "int64"})})
 
 
 def _model(console, source):
@@ -595,6 +647,11 @@ def contributors(source, samples, seed, law):
     if not scene.measurements or not scene.deviations:
         what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
         raise SceneError(f"scene {scene.name!r} has no {what}; give it some")
+    if scene.monte_carlo.values is not None:
+        raise SceneError(
+            f"scene {scene.name!r}: it states its samples in a table, which does not say what each deviation does "
+            "alone; take monte_carlo.table out, so that they are drawn"
+        )
     count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
     with _counting(console, f"evaluations under {asked}", count) as advance:
         found = driving.contributors(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
@@ -624,7 +681,8 @@ def _print_contributors(console, scene, found):
         )
         table.add_row(plain(row["measurement"]), number(1e3 * row["sigma"]), driven, said, number(row["r_squared"]))
     console.print(table)
-    console.print(f"Over all key characteristics: {plain(named(driving.joint_ranking(found, scene), 'total'))}")
+    ranked = driving.joint_ranking(found.table, found.linearity, scene)
+    console.print(f"Over all key characteristics: {plain(named(ranked, 'total'))}")
     for sentence in linear_words(found.table, found.linearity):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     one = found.linearity.iloc[0]
@@ -717,6 +775,56 @@ def _print_sensitivity(console, found):
         console.print(f"Nothing is changed by {plain(', '.join(still))}", highlight=False, soft_wrap=True)
     if found.failed:
         console.print(f"{found.failed} samples failed and are left out")
+
+
+@_on_first
+def rare(source, measurement, samples, seed, law):
+    """``mic rare``, with the values of its options (:mod:`mic.options`)."""
+    from mic.report.style import number  # drawing libraries are slow to import
+
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked, names = model.scene, _law_of(model, law), measurement or []
+    known = [item.name for item in scene.measurements]
+    unknown = [name for name in names if name not in known]
+    if unknown or not known:
+        what = (
+            f"no measurement {unknown[0]!r}; it has: {', '.join(known)}" if known else "no measurements; give it some"
+        )
+        raise SceneError(f"scene {scene.name!r} has {what}")
+    if not scene.deviations or scene.monte_carlo.values is not None:
+        why = "its samples stand in a table; take monte_carlo.table out" if scene.deviations else "nothing varies"
+        raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
+    with _counting(console, f"evaluations under {asked}", None) as advance:
+        found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), _threads(), advance)
+    for row in found.to_dict("records"):
+        what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
+        share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
+        how = "a plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
+        console.print(
+            f"{plain(what)} in {share} of a million ({low} to {high}): {how}, {row['evaluations']} evaluations"
+            + f", {row['failed']} of which failed and do not count" * bool(row["failed"]),
+            highlight=False,
+            soft_wrap=True,
+        )
+    _keep_studies(console, folder, {RARE: found})
+
+
+def _holds(folder, assembly) -> bool:
+    """Whether a folder holds the results of an assembly."""
+    if not (folder / "run.json").is_file():
+        return False
+    record = RunFolder(folder).record()
+    return identity(assembly, record["seed"]) == record["identity"]
+
+
+def _density_table(scene, found) -> pd.DataFrame:
+    """As :data:`mic.results.schema.DENSITY` declares it."""
+    change = lambda values: values[1] - values[0]
+    columns = {"law": scene.report.laws[0], "measurement": [item.name for item in scene.measurements]}
+    columns |= {"pairs": int(found.pairs[0]), "denser": int(found.pairs[1])}
+    columns |= {f"{name}_change": change(getattr(found, name)) for name in ("nominal", "mean", "six_sigma")}
+    return pd.DataFrame(columns | {"failed": found.failed})
 
 
 def _studied(console, source):

@@ -50,10 +50,14 @@ class Contributors:
 
 
 def groups(scene: Scene) -> dict[str, list[int]]:
-    """The scene's deviations by contributor: those of one batch are one, all others stand for themselves."""
+    """The scene's deviations by contributor: those of one batch, or correlated, are one, all others stand for
+    themselves."""
     found: dict[str, list[int]] = {}
     for j, item in enumerate(scene.deviations):
         found.setdefault(getattr(item, "batch", None) or item.name, []).append(j)
+    for table in scene.correlations:
+        joined = [name for name, own in found.items() if {scene.deviations[j].name for j in own} & {*table.deviations}]
+        found[" + ".join(joined)] = sorted(j for name in joined for j in found.pop(name))
     return found
 
 
@@ -87,6 +91,13 @@ def contributors(
     scene, own = model.scene, groups(model.scene)
     if not scene.measurements or not own:
         raise ValueError(f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}")
+    if scene.monte_carlo.values is not None:
+        raise ValueError(
+            f"scene {scene.name!r} states its samples in a table, which says nothing of what varies alone: take the "
+            "table out, and give each deviation its sigma"
+        )
+    independent = scene.monte_carlo.model_copy(update={"design": "independent"})
+    scene = scene.model_copy(update={"monte_carlo": independent})
     process = model.process(law, threads=threads)
 
     def measured(deviations: np.ndarray) -> np.ndarray:
@@ -198,7 +209,7 @@ def _shares(variance: np.ndarray, varies: np.ndarray) -> np.ndarray:
         return np.where(varies, variance / variance.sum(axis=0), np.nan)
 
 
-def joint_ranking(found: Contributors, scene: Scene) -> pd.DataFrame:
+def joint_ranking(table: pd.DataFrame, linearity: pd.DataFrame, scene: Scene) -> pd.DataFrame:
     """Which contributor hurts most overall: total indices over all key characteristics, weighed by how much of its
     tolerance each takes,
 
@@ -212,8 +223,8 @@ def joint_ranking(found: Contributors, scene: Scene) -> pd.DataFrame:
         ``law``, ``contributor`` and ``total``, the largest first.
     """
     width = {item.name: item.upper - item.lower for item in scene.measurements}
-    told = found.linearity.assign(weight=(found.linearity["sigma"] / found.linearity["measurement"].map(width)) ** 2)
-    whole = found.table.merge(told[["law", "measurement", "weight"]]).dropna(subset=["total"])
+    told = linearity.assign(weight=(linearity["sigma"] / linearity["measurement"].map(width)) ** 2)
+    whole = table.merge(told[["law", "measurement", "weight"]]).dropna(subset=["total"])
     whole["share"] = whole["total"] * whole["weight"]
     summed = whole.groupby(["law", "contributor"], sort=False)[["share", "weight"]].sum()
     ranked = (summed["share"] / summed["weight"]).rename("total").reset_index()

@@ -167,17 +167,28 @@ def check(
     _commands().check(scene, law, accuracy, converge, normals, overlap, strict, page)
 
 
+SourceArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENE|FOLDER",
+        help="Scene file, or a folder that holds scene.toml; a saved model (.npz); or the results folder of a run, "
+        "which then keeps what is found, and shows it in its report.",
+        show_default=False,
+    ),
+]
+StudyLaw = Annotated[
+    Law | None,
+    typer.Option(help="Contact law. Default: the scene's first with friction, or its first.", show_default=False),
+]
+StudySeed = Annotated[
+    int | None,
+    typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
+]
+
+
 @app.command()
 def order(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCENE|MODEL",
-            help="Scene file, or a folder that holds scene.toml; or a saved model, such as model.npz of a results "
-            "folder, which takes no finite elements.",
-            show_default=False,
-        ),
-    ],
+    source: SourceArgument,
     samples: Annotated[int, typer.Option(min=3, help="Number of samples, the same for every order.")] = 20,
     seed: Annotated[
         int | None,
@@ -207,25 +218,6 @@ def order(
     together, parts that overlap settled before or while the first thing closes, and a few at random.
     """
     _commands().order(source, samples, seed, law, permutations, variants, table)
-
-
-SourceArgument = Annotated[
-    Path,
-    typer.Argument(
-        metavar="SCENE|FOLDER",
-        help="Scene file, or a folder that holds scene.toml; a saved model (.npz); or the results folder of a run, "
-        "which then keeps what is found, and shows it in its report.",
-        show_default=False,
-    ),
-]
-StudyLaw = Annotated[
-    Law | None,
-    typer.Option(help="Contact law. Default: the scene's first with friction, or its first.", show_default=False),
-]
-StudySeed = Annotated[
-    int | None,
-    typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
-]
 
 
 @app.command()
@@ -273,6 +265,25 @@ def friction(
     All zones together and each alone, with the same samples; and how well each zone's coefficient must be known.
     """
     _commands().friction(source, samples, seed, law)
+
+
+@app.command()
+def rare(
+    source: SourceArgument,
+    measurement: Annotated[
+        list[str] | None,
+        typer.Option(help="Key characteristic to look at by itself as well; may be repeated.", show_default=False),
+    ] = None,
+    samples: Annotated[int, typer.Option(min=100, help="Samples of each level, a multiple of 10.")] = 1000,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+):
+    """Say how often limits are missed where that is rare, below a thousand in a million.
+
+    Subset simulation on the reduced model itself: no distribution is fitted, nothing is extrapolated. Each tenth of the
+    probability takes about as many evaluations as there are samples.
+    """
+    _commands().rare(source, measurement, samples, seed, law)
 
 
 @app.command()

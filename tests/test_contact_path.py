@@ -97,6 +97,26 @@ def test_a_block_pushed_on_an_arc_ends_where_the_finest_path_ends():
     assert np.linalg.norm(follow(loads[[0, -1]]).anchor[0, 0] - exact) > 0.1  # a straight way is another way
 
 
+def test_a_contact_that_opens_while_it_slides_has_slipped_as_far_as_on_the_finest_path():
+    """Its normal force hangs on how it turns, so that no straight prediction knows when it opens; its position would
+    not tell."""
+    S = np.array([[1, 0.3, 0.1], [0.3, 1, 0.1], [0.1, 0.1, 1]])
+    loads = [[-1, 0.3, 0.35], [0.3, 2, 0.3]]
+    exact = follow(loads, Followed(1e-9), S=S).trace.slip[0, 0]
+    found = follow(loads, S=S).trace
+    error = np.linalg.norm(found.slip[0, 0] - exact)
+    assert 0 < error < 1e-3 * np.linalg.norm(exact)
+    assert error < found.error[0]
+
+
+def test_a_motion_that_is_less_than_may_be_in_error_takes_one_step():
+    exact = tractrix(Followed(1e-9))[1].anchor
+    for floor, steps in ((2.0, 1), (0.2, 2)):
+        found = tractrix(Followed(floor=floor))[1]
+        assert found.trace.steps[0] == steps
+        assert np.linalg.norm(found.anchor - exact) < found.trace.error[0] < floor
+
+
 def test_overlap_at_the_start_is_resolved_before_the_load_moves():
     """Pressed together first, the contact sticks under a drag that it could not hold while the force still grew."""
     found = follow([[-1, 0, 0], [-1, 0.4, 0]])

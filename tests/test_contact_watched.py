@@ -143,3 +143,16 @@ def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch)
     found = [followed(watched(problem), problem[2][[i]], Increments(1)) for i in range(N)]
     assert len(spent) > N and min(spent) > 0  # more rounds than samples
     assert sum(int(each.trace.factorisations[0]) for each in found) == sum(spent)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated", "micro-slip"])
+def test_some_contacts_of_a_prepared_solver_are_solved_as_if_they_were_alone(problem, law):
+    S, _, b = problem
+    own = np.arange(M) % 3 == 1
+    rows = np.repeat(own, 3)
+    friction = Friction(np.linspace(0.1, 0.4, M), compliance=np.linspace(1e-3, 2e-3, M))
+    alone = ContactSolver(S[np.ix_(rows, rows)], friction.take(own), law).solve(b[:, 1, rows])
+    taken = ContactSolver(S, friction, law).take(own).solve(b[:, 1, rows])
+    assert (alone.force[:, ::3] > 1e-9).any(axis=1).all() and alone.converged.all()
+    np.testing.assert_array_equal(taken.force, alone.force)
+    np.testing.assert_array_equal(taken.residual, alone.residual)

@@ -104,7 +104,10 @@ def test_what_does_not_vary_has_no_shares():
 def test_deviations_of_one_batch_are_one_contributor():
     items = [SimpleNamespace(name="F", batch=None), SimpleNamespace(name="S.1", batch="S")]
     items += [SimpleNamespace(name="L"), SimpleNamespace(name="S.2", batch="S")]
-    assert groups(SimpleNamespace(deviations=items)) == {"F": [0], "S": [1, 3], "L": [2]}
+    scene = SimpleNamespace(deviations=items, correlations=[])
+    assert groups(scene) == {"F": [0], "S": [1, 3], "L": [2]}
+    scene.correlations = [SimpleNamespace(deviations=["L", "F"])]
+    assert groups(scene) == {"S": [1, 3], "F + L": [0, 2]}
 
 
 # ------------------------------------------------------------------------------------------------ contact
@@ -217,6 +220,12 @@ def test_of_a_nearly_linear_assembly_that_is_said_and_all_rank_alike(lap_model):
     assert found.linearity["evaluations"].unique().tolist() == [32 * 5 + 6]
 
 
+def test_samples_of_a_table_do_not_tell_what_varies_alone(closing):
+    given = closing.scene.monte_carlo.model_copy(update={"values": [[0.0, 0.0, 0.0]], "samples": 1})
+    with pytest.raises(ValueError, match="states its samples in a table"):
+        contributors(replace(closing, scene=closing.scene.model_copy(update={"monte_carlo": given})), "frictionless", 8)
+
+
 def test_what_hardly_varies_is_told_and_given_no_shares(closing):
     quiet = closing.scene.model_copy(
         update={"deviations": [each.model_copy(update={"sigma": 1e-5}) for each in closing.scene.deviations]}
@@ -231,11 +240,10 @@ def test_the_joint_ranking_weighs_each_characteristic_by_how_much_of_its_toleran
     rows = [("wide", "A", 0.9), ("wide", "B", 0.1), ("tight", "A", 0.2), ("tight", "B", 0.8)]
     table = pd.DataFrame([{"law": "coulomb", "measurement": m, "contributor": c, "total": t} for m, c, t in rows])
     linearity = pd.DataFrame({"law": "coulomb", "measurement": ["wide", "tight"], "sigma": [0.1, 0.01]})
-    found = SimpleNamespace(table=table, linearity=linearity)
-    ranked = joint_ranking(found, SimpleNamespace(measurements=items)).set_index("contributor")["total"]
+    ranked = joint_ranking(table, linearity, SimpleNamespace(measurements=items)).set_index("contributor")["total"]
     np.testing.assert_allclose([ranked["A"], ranked["B"]], [0.55, 0.45])
     linearity["sigma"] = [0.1, 0.03]  # nine times the share of its tolerance, squared
-    ranked = joint_ranking(found, SimpleNamespace(measurements=items))
+    ranked = joint_ranking(table, linearity, SimpleNamespace(measurements=items))
     assert ranked["contributor"].tolist() == ["B", "A"]
     np.testing.assert_allclose(ranked["total"], [0.73, 0.27])
     assert named(ranked, "total") == "B 73 %, A 27 %"
@@ -248,7 +256,8 @@ def test_the_command_takes_a_saved_model_and_prints_what_it_found(lap_model, tmp
     )
     assert done.exit_code == 0, done.output
     wanted = contributors(lap_model, "coulomb", 16, lap_model.scene.monte_carlo.seed)
-    assert f"Over all key characteristics: {named(joint_ranking(wanted, lap_model.scene), 'total')}" in done.output
+    ranked = joint_ranking(wanted.table, wanted.linearity, lap_model.scene)
+    assert f"Over all key characteristics: {named(ranked, 'total')}" in done.output
     assert "86 evaluations" in done.output
 
 

@@ -1,6 +1,7 @@
 """The report: whole, self-contained, and written for any scene."""
 
 import base64
+import gzip
 import importlib
 import json
 import pkgutil
@@ -15,16 +16,19 @@ from support.runs import all_fail, edit, fail
 
 import mic.report
 from mic.contact import ContactSolver
+from mic.contributors import contributors
+from mic.geometry.surface import Surface
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, Entry, draw, draw_all
 from mic.report.law_pictures import law_cost
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.page import write_report
 from mic.report.style import LAWS, RC, change, number, percent
+from mic.report.thinning import thinned
 from mic.results.fields import write_fields
 from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
-from mic.results.schema import PATH, PATH_ERRORS, RESOLUTIONS
+from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
 from mic.scene import Scene
 
@@ -77,8 +81,12 @@ def _sampled(scene, samples):
 
 def _results(scene, cache, folder, samples):
     """Everything that a run of a scene leaves behind, and its page."""
-    run(_sampled(scene, samples), folder, cache)
+    model = run(_sampled(scene, samples), folder, cache).model
     write_fields(folder)
+    if scene.measurements:
+        found = contributors(model, samples=16)
+        CONTRIBUTORS.write(folder, found.table)
+        LINEARITY.write(folder, found.linearity)
     return _Page(write_report(folder))
 
 
@@ -110,7 +118,7 @@ def test_the_page_loads_nothing(page):
     for target in page.loads:
         assert target.startswith(("#", "data:image/")), target[:80]
     assert "default-src 'none'" in page.source  # and the browser is told so
-    assert len(page.source) < 15e6
+    assert len(page.source) < 3e6
 
 
 @pytest.mark.fem
@@ -136,19 +144,41 @@ def test_every_figure_is_there(page):
 
 @pytest.mark.fem
 def test_the_viewer_has_the_surfaces_and_fields(page, folder):
-    data = json.loads(page.scripts["viewer-data"])
+    data = json.loads(gzip.decompress(base64.b64decode(page.scripts["viewer-data"])))
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and data["laws"] == [
         "coulomb",
         "associated",
         "frictionless",
     ]
+    whole = lambda numbers: np.frombuffer(base64.b64decode(numbers["data"]), dtype="<u2")
+    told = {(field.part, field.law): field for field in read_context(read_outcome(folder)).fields}
     for part in data["parts"]:
-        vertices = len(base64.b64decode(part["points"])) // 12
-        for field in part["fields"].values():
-            assert {name: len(base64.b64decode(packed)) // 4 for name, packed in field.items()} == dict.fromkeys(
+        vertices = len(whole(part["points"])) // 3
+        for law, field in part["fields"].items():
+            assert {name: len(whole(own)) for name, own in field.items()} == dict.fromkeys(
                 ("mean", "mean_normal", "six_sigma", "six_sigma_normal"), vertices
             )
+            own = field["six_sigma"]
+            wanted = told[part["name"], law].six_sigma_magnitude  # so small a part is not thinned
+            np.testing.assert_allclose(own["low"] + own["step"] * whole(own), wanted, atol=own["step"])
     assert {group["name"] for group in data["arrows"]} >= {"locators"}
+
+
+def test_a_thinned_surface_keeps_its_outline_and_its_area():
+    """A sheet of 150 × 100 mm in squares of 1 mm, thinned to a tenth of its vertices."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(151.0), np.arange(101.0), indexing="ij"))
+    corner = (np.arange(150)[:, None] * 101 + np.arange(100)).ravel()
+    triangles = np.concatenate([corner[:, None] + [0, 101, 102], corner[:, None] + [0, 102, 1]])
+    sheet = Surface(np.column_stack([x, y, 0.1 * np.sin(x)]), triangles)
+    kept, thin = thinned(sheet, 1500)
+    assert 1000 < len(kept) <= 1500 and (np.diff(kept) > 0).all() and set(thin.ravel()) == set(range(len(kept)))
+    own = Surface(sheet.points[kept], thin)
+    assert own.areas.sum() == pytest.approx(sheet.areas.sum(), rel=0.02)
+    np.testing.assert_array_equal(own.points[:, :2].min(axis=0), [0, 0])
+    np.testing.assert_array_equal(own.points[:, :2].max(axis=0), [150, 100])
+    assert (own.normals[:, 2] > 0.9).all()
+    same, triangles_of_all = thinned(sheet, len(sheet.points))
+    assert len(same) == len(sheet.points) and triangles_of_all is sheet.triangles
 
 
 def test_text_of_the_scene_is_escaped(page):

@@ -196,6 +196,24 @@ def test_the_correlation_is_materns():
     assert ρ[0] == 1.0 and (np.sqrt(8) * k1(np.sqrt(8))) == pytest.approx(0.14, abs=0.005)
 
 
+@pytest.mark.parametrize("stretch", [2.5, 0.5])
+def test_along_a_direction_the_correlation_is_materns_of_the_stretched_distance(stretch):
+    """The direction need not lie in the sheet: what of it does counts."""
+    side, L = 480.0, 60.0 / min(1.0, stretch)
+    plate = Surface(*extrude([(0, 0), (side, 0)], 0.0, side, 3.0)[:2])
+    middle, along = plate.points.mean(axis=0), np.array([0.6, 0.8, 0.0])
+    along = along if np.ptp(plate.points[:, 1]) > 0 else along[[0, 2, 1]]
+    normal = plate.normals[0]
+    nearest = lambda point: int(np.argmin(np.linalg.norm(plate.points - point, axis=1)))
+    centre, across = nearest(middle), np.cross(normal, along)
+    some = [nearest(middle + r * way) for way in (along, across, along + across) for r in (15, 30, 60)]
+    ρ = correlation(plate, np.array([centre, *some]), L, along + 2 * normal, stretch)[0]
+    off = plate.points[some] - plate.points[centre]
+    r = np.sqrt(8) / L * np.hypot(off @ along / stretch, off @ across)
+    np.testing.assert_allclose(ρ[1:], r * k1(r), atol=0.015)
+    assert abs(ρ[3] - ρ[6]) > 0.1
+
+
 def test_the_modes_keep_the_variance_everywhere_and_the_correlation(angle):
     R = correlation(angle, spread(angle, 15.0), 120.0)
     Φ = modes_of(R, 0.95)
@@ -290,6 +308,20 @@ def test_a_field_has_its_variance_and_correlation_in_its_samples(angle):
     assert np.abs(np.corrcoef(shapes.T) - R).max() < 2 * 0.05 + 4 / np.sqrt(4000)  # modes left out, and sampling
 
 
+def test_a_field_of_control_points_has_their_sigma_and_correlation(angle):
+    at = angle.points[spread(angle, 40.0)]
+    values = np.linspace(0.5, 2.0, len(at)).tolist()
+    keys = {"kind": "field", "sigma": 0.1, "length": 80.0, "points": at.tolist(), "values": values, "share": 0.999}
+    written = write_modes(scene_of(None, **keys), {"a": angle}, {"a": None}).scene
+    assert not any(item.loose for item in written.deviations)
+    np.testing.assert_allclose(np.array(written.deviations[0].points), at, atol=1e-9)
+    Φ = np.array([item.known for item in written.deviations]).T
+    σ = 0.1 * np.array(values)
+    expected = σ[:, None] * correlation(angle, spread(angle, 40.0), 80.0) * σ
+    assert np.abs(Φ @ Φ.T - expected).max() < 2 * 0.001 * σ.max() ** 2
+    np.testing.assert_allclose((Φ**2).sum(axis=1), σ**2)
+
+
 BAD_FILES = {
     "no column": ("x,y,deviation\n1,2,3\n", r"row 1: there is no column z; give x, y, z"),
     "text": ("x,y,z\n1,2,three\n", r"row 2: z is 'three'; give a number"),
@@ -343,6 +375,18 @@ BAD_ITEMS = {
     ),
     "twice": ({"kind": "measured", "files": "q*.csv"}, r"q1.csv holds what q0.csv holds; remove one"),
     "a short field": ({"kind": "field", "sigma": 1.0, "length": 10.0}, r"length: 10 mm is less than 4 elements"),
+    "control points in one place": (
+        {"kind": "field", "sigma": 1.0, "length": 90.0, "points": [[0, 10, 10], [0, 10, 10.01]]},
+        r"points\[1\] lies within an element of another; move it",
+    ),
+    "too many control points": (
+        {"kind": "field", "sigma": 1.0, "length": 90.0, "points": [[0, 0.1 * k, 0] for k in range(500)]},
+        r"points: 500 are more than 400; give fewer",
+    ),
+    "shortened too much": (
+        {"kind": "field", "sigma": 1.0, "length": 60.0, "direction": [0, 1, 0], "stretch": 0.2},
+        r"length: 12 mm is less than 4 elements",
+    ),
     "a long name": (
         {"kind": "field", "sigma": 1.0, "length": 90.0, "name": "n" * 55},
         r"name: it is too long to number",
@@ -379,6 +423,16 @@ BAD_KEYS = [
     ({"kind": "field", "sigma": 1}, "length"),
     ({"kind": "field", "sigma": 1, "length": 9, "mean": 1}, "mean"),
     ({"kind": "field", "sigma": 1, "length": 9, "share": 1}, "share"),
+    ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0]}, "direction and stretch say together"),
+    ({"kind": "field", "sigma": 1, "length": 9, "stretch": 2}, "direction and stretch say together"),
+    ({"kind": "field", "sigma": 1, "length": 9, "direction": [0, 0, 0], "stretch": 2}, "must not be zero"),
+    ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0], "stretch": 50}, "stretch"),
+    ({"kind": "field", "sigma": 1, "length": 9, "direction": "x", "stretch": 2}, "direction"),
+    ({"kind": "field", "sigma": 1, "length": 9, "points": []}, "points"),
+    ({"kind": "field", "sigma": 1, "length": 9, "values": [1]}, "values are those at points"),
+    ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0, 0]], "values": [1, 2]}, "1 points and 2 values"),
+    ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0, 0]], "values": [0]}, "values"),
+    ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0]], "values": [1]}, "points"),
 ]
 
 

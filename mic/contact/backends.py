@@ -19,6 +19,9 @@ __all__ = ["BACKENDS", "Backend"]
 class Backend(Protocol):
     """One compliance and one law, prepared; many right-hand sides."""
 
+    def take(self, own: np.ndarray) -> Backend:
+        """The same for the contacts `own` (m,) alone, as if the others were not there."""
+
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Forces for every sample, good or not: the caller certifies them.
 

@@ -67,7 +67,11 @@ class Columns:
 
     def block(self, numbers: np.ndarray) -> np.ndarray:
         """(k, k) rows and columns with these numbers of a matrix that is symmetric but for rounding; without it."""
-        own = self.take(numbers)[:, numbers]
+        self._provide(numbers)
+        at, own = self._at[numbers], np.empty((len(numbers), len(numbers)))
+        given = at < len(self._given)
+        own[given] = self._given[np.ix_(at[given], numbers)]
+        own[~given] = self._own[np.ix_(at[~given] - len(self._given), numbers)]
         return 0.5 * (own + own.T)
 
     def first(self, count: int) -> Columns:

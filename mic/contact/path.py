@@ -76,8 +76,8 @@ class Trace:
     share : (n, m, 3) array
         Shares of the path that the contact was open, stuck and slipping.
     error : (n,) array
-        Estimate of the error that the path left in the contacts' tangential positions, root mean square over the
-        contacts, mm; NaN where nothing estimates it.
+        Estimate of the error that the path left in the contacts' tangential positions, and in the slip of those that
+        opened, root mean square over the contacts, mm; NaN where nothing estimates it.
     steps, factorisations : (n,) int array
         What it took: matrices over the contacts that touch that were factorised or inverted anew, by whichever rung,
         those of a rung that failed too.  What changes a few rows of an inverse is not counted, nor what is factorised

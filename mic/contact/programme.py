@@ -49,7 +49,7 @@ class ConeProgramme:
     """
 
     def __init__(self, S: np.ndarray, mu: np.ndarray, law: Law, backend: str, dimension: int):
-        self.name = backend
+        self.name, self._known = backend, (S, mu, law, dimension)
         if law.shift:
             raise ValueError(f"law {law.name} is not an optimisation problem; use backend native")
         if law.frictional and backend == "osqp":
@@ -81,6 +81,12 @@ class ConeProgramme:
         else:
             constraints = [self._force >= 0]
         self._problem = cvxpy.Problem(objective, constraints)
+
+    def take(self, own: np.ndarray) -> ConeProgramme:
+        """See :meth:`mic.contact.backends.Backend.take`; it is stated anew."""
+        S, mu, law, dimension = self._known
+        rows = np.repeat(own, dimension)
+        return ConeProgramme(S[np.ix_(rows, rows)], mu[own], law, self.name, dimension)
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Forces for each row of ``b``; zero where the optimiser gives up.  ``guess`` is not used by these solvers.

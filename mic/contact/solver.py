@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -113,6 +114,18 @@ class ContactSolver:
         self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.ravel()))
         self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
         self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+
+    @one_thread
+    def take(self, own: np.ndarray) -> ContactSolver:
+        """The same for the contacts `own` (m,) alone, as if the others were not there; what is prepared is kept."""
+        rows = np.repeat(own, self.dimension)
+        some, both = copy(self), np.ix_(rows, rows)
+        some.contacts, some.S, some._sliding = int(own.sum()), self.S[both], self._sliding[both]
+        some._rigid, some._strange = not some.S.any(), bool(beyond(some.S.ravel()))
+        some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]
+        some._series, some._stiffness = self._series[rows], self._stiffness[own]
+        some.backend = self.backend.take(own)
+        return some
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""

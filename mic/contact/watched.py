@@ -36,7 +36,7 @@ __all__ = ["PENETRATION", "WatchedSolver"]
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
-MANY = 300  # contacts that a sample may begin a path with unasked: the path's cost grows with their number cubed
+MANY = 300  # contacts that a sample may begin a path with unasked, and that are prepared for all samples together
 
 
 class WatchedSolver:
@@ -58,7 +58,7 @@ class WatchedSolver:
     law : Law
     guessing : bool
         Whether to guess who carries force, at a fraction of the cost: all samples share a working set, which loses
-        again what lets go, and of a path only its end is solved.
+        again what lets go, and each round begins where the one before ended.
     **settings
         Of :class:`mic.contact.ContactSolver`.
 
@@ -93,6 +93,8 @@ class WatchedSolver:
             self._beside[self._neighbours[candidate]] = True
         self._beside &= allowed
         self._solvers: dict[bytes, ContactSolver] = {}
+        self._joined = self._beside.copy()
+        self._prepared: ContactSolver | None = None  # see _prepare
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """As :meth:`mic.contact.ContactSolver.bound`, over all candidates."""
@@ -110,7 +112,7 @@ class WatchedSolver:
         PathSolution
             Over all candidates; what took no part was open all the way.
         """
-        return self._grown(b, force, anchor, None if self._guessing else path)
+        return self._grown(b, force, anchor, path)
 
     def _grown(self, b, force, anchor, path: Path | None) -> PathSolution:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load at once, on sets that grow."""
@@ -118,7 +120,7 @@ class WatchedSolver:
         force = np.where(np.repeat(self._allowed, d), force, 0.0)
         normal = force.reshape(n, m, d)[:, :, 0]
         working = self._start | self._allowed & _loaded(normal)
-        if path is not None and self._start.sum() > MANY:
+        if path is not None and not self._guessing and self._start.sum() > MANY:
             working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
         recorded = path is not None and path.recorded
         found = self._open(n, m, recorded)
@@ -127,12 +129,13 @@ class WatchedSolver:
         for round_ in range(ROUNDS):
             if self._guessing:
                 working[:] = working.any(axis=0)
+            self._prepare(working[todo].any(axis=0))
             for samples, own in _alike(working, todo):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
                 self._put(found, samples, own, solution, b[samples])
                 iterations[samples] += solution.iterations
                 factorisations[samples] += solution.trace.factorisations
-                if path is None:  # the next round begins where this one ended
+                if path is None or self._guessing:  # the next round begins where this one ended
                     force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
             grows = (unseen > PENETRATION).any(axis=1) & found.converged[todo]
@@ -143,7 +146,7 @@ class WatchedSolver:
                 working = self._start | _loaded(found.force.reshape(n, m, d)[:, :, 0])
             for sample, depth in zip(todo, unseen):
                 working[sample, self._deepest(depth)] = True
-                if path is None and not self._guessing:
+                if path is None:
                     working[sample] |= self._beside
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
@@ -164,21 +167,38 @@ class WatchedSolver:
         if not own.any():
             return self._open(len(b), 0, path is not None and path.recorded)
         rows = np.repeat(own, self._d)
-        key = own.tobytes()
-        solver = self._solvers.get(key)
-        if solver is None:
-            index = np.flatnonzero(rows)
-            solver = ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
-            if (own == self._start).all() or (
-                own == self._beside
-            ).all():  # most samples need these, and need them again
-                self._solvers[key] = solver
+        solver = self._solver(own)
         if path is None:
             end = b[:, -1, rows].reshape(len(b), -1, self._d)
             end[:, :, 1:] -= anchor[:, own]
             solution = at_once(solver, end.reshape(len(b), -1), force[:, rows])
             return replace(solution, anchor=solution.anchor + anchor[:, own])
         return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
+
+    def _prepare(self, joining: np.ndarray) -> None:
+        """What is had once for all the candidates `joining` (m,), of any sample, serves every working set among them;
+        not of more than :data:`MANY`."""
+        joined = self._joined | joining
+        if joined.sum() <= MANY and (self._prepared is None or (joined != self._joined).any()):
+            self._joined, self._prepared = joined, self._made(joined)
+
+    def _solver(self, own: np.ndarray) -> ContactSolver:
+        """Of the working set `own` (m,)."""
+        key = own.tobytes()
+        if key in self._solvers:
+            return self._solvers[key]
+        if self._prepared is None or (own & ~self._joined).any():
+            solver = self._made(own)
+        else:
+            solver = self._prepared.take(own[self._joined])
+        if (own == self._start).all() or (own == self._beside).all():  # most samples need these, and need them again
+            self._solvers[key] = solver
+        return solver
+
+    def _made(self, own: np.ndarray) -> ContactSolver:
+        """For the candidates `own` (m,), from their compliance."""
+        index = np.flatnonzero(np.repeat(own, self._d))
+        return ContactSolver(self._S.block(index), self._friction.take(own), law=self.law, **self._settings)
 
     def _open(self, n: int, m: int, recorded: bool = False) -> PathSolution:
         """No forces, m contacts open all the way."""

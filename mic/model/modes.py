@@ -109,23 +109,36 @@ def write_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[st
 
 def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeDeviation], str]:
     """The modes of a random field."""
-    spacing, edge = item.length / PER_LENGTH, float(np.median(surface.edge_lengths))
-    if item.length < PER_EDGE * edge:
+    shortest = item.length * min(1.0, item.stretch)
+    spacing, edge = shortest / PER_LENGTH, float(np.median(surface.edge_lengths))
+    if shortest < PER_EDGE * edge:
         raise SceneError(
-            f"{at}: length: {item.length:g} mm is less than {PER_EDGE:g} elements of part {item.part!r} "
+            f"{at}: length: {shortest:g} mm is less than {PER_EDGE:g} elements of part {item.part!r} "
             f"({edge:.3g} mm); give a longer one, or a finer mesh"
         )
-    if SPREAD * surface.areas.sum() / spacing**2 > MOST:
-        least = PER_LENGTH * np.sqrt(SPREAD * surface.areas.sum() / MOST)
-        raise SceneError(
-            f"{at}: length: {item.length:g} mm takes more than {MOST} points on part {item.part!r}; "
-            f"give {least:.2g} mm or more"
-        )
-    vertices = spread(surface, spacing)
-    Φ = item.sigma * modes_of(correlation(surface, vertices, item.length), item.share)
-    points = _rounded(surface.points[vertices])
-    common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": points, "loose": True, "batch": item.name}
-    common |= {"distribution": item.distribution, "parameters": item.parameters, "sigma": 1.0}
+    if item.points is not None:
+        points, loose = np.array(item.points), False
+        if len(points) > MOST:
+            raise SceneError(f"{at}: points: {len(points)} are more than {MOST}; give fewer")
+        vertices = cKDTree(surface.points).query(surface.project(points).point)[1]
+        twice = np.setdiff1d(np.arange(len(points)), np.unique(vertices, return_index=True)[1])
+        if len(twice):
+            raise SceneError(f"{at}: points[{twice[0]}] lies within an element of another; move it, or remove it")
+    else:
+        if SPREAD * surface.areas.sum() / spacing**2 > MOST:
+            least = PER_LENGTH * np.sqrt(SPREAD * surface.areas.sum() / MOST)
+            raise SceneError(
+                f"{at}: length: {item.length:g} mm takes more than {MOST} points on part {item.part!r}; "
+                f"give {least:.2g} mm or more"
+            )
+        vertices = spread(surface, spacing)
+        points, loose = surface.points[vertices], True
+    R = correlation(surface, vertices, item.length, item.direction, item.stretch)
+    amplitude = item.sigma * (np.ones(len(points)) if item.values is None else np.array(item.values))
+    Φ = amplitude[:, None] * modes_of(R, item.share)
+    at_points = _rounded(points)
+    common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": at_points, "loose": loose}
+    common |= {"distribution": item.distribution, "parameters": item.parameters, "sigma": 1.0, "batch": item.name}
     made = [ShapeDeviation(name=f"{item.name}.{k + 1}", values=_rounded(φ), **common) for k, φ in enumerate(Φ.T)]
     return made, f"{at}: {len(made)} modes at {len(points)} points keep {100 * item.share:g} % of the variance at each"
 

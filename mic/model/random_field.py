@@ -13,6 +13,10 @@ of linear elements, ``A = κ² M + K`` and the covariance of the vertices is ``A
 the sheet round its bends and stops at its holes, and only the columns that are wanted are computed. At the border the
 variance would be double: every point is scaled to have the same.
 
+Along a direction d, laid into the sheet, the correlation length may be s L instead:
+:math:`(κ² - ∇·(1 + (s² - 1)\, d dᵀ)∇)\, x = \mathcal W`, which is (1) of the distance with its part along d divided
+by s. Where d is square to the sheet there is none.
+
 References
 ----------
 F. Lindgren, H. Rue, J. Lindström: An explicit link between Gaussian fields and Gaussian Markov random fields: the
@@ -20,6 +24,8 @@ stochastic partial differential equation approach. *J. R. Stat. Soc. B* 73 (2011
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
@@ -29,10 +35,17 @@ from mic.geometry.surface import Surface
 
 __all__ = ["correlation", "modes_of"]
 
+SQUARE = 0.1  # cosine between a direction and a sheet below which it has none there
 AT_ONCE = 64  # columns that are solved for together
 
 
-def correlation(surface: Surface, vertices: np.ndarray, length: float) -> np.ndarray:
+def correlation(
+    surface: Surface,
+    vertices: np.ndarray,
+    length: float,
+    direction: Sequence[float] | None = None,
+    stretch: float = 1.0,
+) -> np.ndarray:
     """(c, c) correlation of the field at vertices of a surface.
 
     Parameters
@@ -41,9 +54,13 @@ def correlation(surface: Surface, vertices: np.ndarray, length: float) -> np.nda
     vertices : (c,) int array
     length : float
         Correlation length L, mm.
+    direction : (3,) array, optional
+        d; laid into each triangle.
+    stretch : float
+        s: the correlation length along d, as a multiple of L.
     """
     κ = np.sqrt(8.0) / length
-    K, M = _laplacian(surface)
+    K, M = _laplacian(surface, direction, stretch)
     used = M.diagonal() > 0.0  # vertices of no triangle take no part
     number = np.cumsum(used) - 1
     K, M = K[used][:, used], M[used][:, used]
@@ -59,15 +76,23 @@ def correlation(surface: Surface, vertices: np.ndarray, length: float) -> np.nda
     return scale[:, None] * covariance * scale
 
 
-def _laplacian(surface: Surface):
+def _laplacian(surface: Surface, direction, stretch: float):
     """Stiffness and mass (n, n) of the surface's linear triangles, for ``∫∇x·∇y`` and ``∫x y``.
 
     Of the edges e_i opposite to its corners, a triangle of area A has the stiffness ``e_i·e_j / 4A``, and the mass
-    ``(1 + δ_ij) A/12``. Lumped, the mass would leave three times the error in the correlation.
+    ``(1 + δ_ij) A/12``. Lumped, the mass would leave three times the error in the correlation. The gradient of the
+    hat of corner i is ``n × e_i / 2A``, so that d adds ``(s² − 1) (d·n×e_i)(d·n×e_j) / 4A``.
     """
     corners, triangles, n = surface.corners, surface.triangles, len(surface.points)
     edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     values = np.einsum("tic,tjc->tij", edges, edges) / (4.0 * surface.areas)[:, None, None]
+    if direction is not None:
+        n_t = surface.normals
+        d = np.asarray(direction, dtype=float) - (n_t @ np.asarray(direction, dtype=float))[:, None] * n_t
+        size = np.linalg.norm(d, axis=1, keepdims=True)
+        d = np.where(size > SQUARE, d / np.maximum(size, SQUARE), 0.0)
+        slope = np.einsum("tc,tic->ti", d, np.cross(n_t[:, None], edges))
+        values += (stretch**2 - 1) * slope[:, :, None] * slope[:, None] / (4.0 * surface.areas)[:, None, None]
     rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
     mass = surface.areas[:, None, None] / 12.0 * (1.0 + np.eye(3))
     return tuple(coo_matrix((each.ravel(), (rows, columns)), shape=(n, n)).tocsr() for each in (values, mass))

@@ -31,7 +31,7 @@ PAPER_TOLERANCE = 1e-5
 #: What the contact certificate of a run reaches, unless another is asked for.
 TOLERANCE = 1e-10
 #: Samples by which the candidates are guessed that carry force.
-AHEAD = 8
+AHEAD = 16
 #: Spacings between two candidates that join a working set together.
 APART = 2.0
 #: Processes that are kept whose deviations have changed the contacts.

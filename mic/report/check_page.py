@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -16,10 +17,12 @@ from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
 from mic.judgement import Warned, verdict
 from mic.model.assembly import Contacts
+from mic.model.one_sigma import Shape
 from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
+from mic.report.source_pictures import shapes_picture
 from mic.report.style import MARK_COLOURS, number
-from mic.report.viewer import as_json, drawable, view
+from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
 from mic.scene.schema import ClampDeviation, LocatorDeviation
 from mic.store import write_text
@@ -40,6 +43,7 @@ def write_check(
     contacts: Contacts | None = None,
     plans: Sequence[StagePlan] = (),
     errors: Sequence[str] = (),
+    shapes: Sequence[Shape] = (),
 ) -> Path:
     """Write the page of a check; nothing is solved.
 
@@ -56,6 +60,8 @@ def write_check(
     plans : sequence of StagePlan
     errors : sequence of str
         Why the scene is not valid.
+    shapes : sequence of Shape
+        What 1 σ of each source does, as far as it is known.
 
     Returns
     -------
@@ -83,8 +89,10 @@ def write_check(
             (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
         ],
         verdict=verdict(warnings, errors),
-        viewer=as_json(_view(bodies, scene, warnings, contacts)) if bodies else None,
-        plotly=get_plotlyjs() if bodies else None,
+        shapes=shapes_picture(surfaces, shapes) if shapes else None,
+        largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
+        viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
+        plotly=packed(get_plotlyjs()) if bodies else None,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)

@@ -14,6 +14,7 @@ import matplotlib.style
 
 from mic.report.contact_pictures import sample_picture, slip_force_picture, state_picture, tangential_density_picture
 from mic.report.context import Context
+from mic.report.driver_pictures import contributor_picture
 from mic.report.law_pictures import friction_picture, law_cost_picture
 from mic.report.measurement_pictures import measurement_picture
 from mic.report.path_pictures import friction_work_picture, path_error_picture, path_state_picture
@@ -26,7 +27,7 @@ __all__ = ["PICTURES", "SECTIONS", "Entry", "draw", "draw_all"]
 
 #: Sections of the page that show their pictures one below the other. ``still`` holds what stands in for the interactive
 #: views where a browser cannot show them; the page names those pictures.
-SECTIONS = ("path", "motion", "slip", "contacts", "laws", "characteristics", "fields", "still")
+SECTIONS = ("drivers", "path", "motion", "slip", "contacts", "laws", "characteristics", "fields", "still")
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Entry:
 
 #: Every picture, in the order of the page.
 PICTURES = (
+    Entry("contributors", "drivers", contributor_picture),
     Entry("assembly", "still", assembly_picture),
     Entry("path-error", "path", path_error_picture),
     Entry("tangential-density", "motion", tangential_density_picture),

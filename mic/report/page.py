@@ -12,12 +12,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
+from mic.contributors import joint_ranking
+from mic.friction import friction_needed
+from mic.report.answer import answer
 from mic.report.context import read_context
+from mic.report.drivers import friction_words, linear_words
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, change, number, percent, zone_colour
-from mic.report.viewer import viewer_data
+from mic.report.viewer import packed, viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY
 from mic.results.statistics import LEVEL, covered_share
 from mic.store import replacing, write_text
 
@@ -25,6 +30,7 @@ __all__ = ["write_report"]
 
 LISTED_FAILURES = 50
 LISTED_CONTACTS = 1000
+LISTED_CONTRIBUTORS = 6
 
 
 def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) -> Path:
@@ -70,6 +76,8 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         scene=outcome.model.scene,
         stage=context.stage,
         level=f"{100 * LEVEL:.0f} %",
+        answer=answer(outcome),
+        drivers=_drivers(outcome),
         pictures=pictures,
         sections={
             section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
@@ -91,7 +99,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         contacts=_records(outcome.contact_statistics),
         listed_contacts=LISTED_CONTACTS,
         viewer=viewer,
-        plotly=get_plotlyjs() if viewer else None,
+        plotly=packed(get_plotlyjs()) if viewer else None,
     )
     path = outcome.folder / "report.html"
     write_text(path, page)
@@ -99,6 +107,23 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         with replacing(outcome.folder / "assembly.png") as temporary:
             temporary.write_bytes(pictures["assembly"].data)
     return path
+
+
+def _drivers(outcome: Outcome) -> dict[str, Any]:
+    """What drives the key characteristics and whether friction matters, as far as it was measured."""
+    table, linearity, effects = (outcome.study(t) for t in (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS))
+    found: dict[str, Any] = {"rows": [], "words": [], "joint": [], "friction": [], "friction_words": []}
+    if table is not None and linearity is not None:
+        for told in _records(linearity):
+            own = table[(table["law"] == told["law"]) & (table["measurement"] == told["measurement"])]
+            ordered = _records(own.sort_values("total", ascending=False, kind="stable"))
+            found["rows"].append(told | {"contributors": ordered[:LISTED_CONTRIBUTORS]})
+        found["words"] = linear_words(table, linearity)
+        found["joint"] = _records(joint_ranking(table, linearity, outcome.model.scene))[:LISTED_CONTRIBUTORS]
+    if effects is not None:
+        found["friction"] = _records(effects)
+        found["friction_words"] = friction_words(effects, friction_needed(effects))
+    return found
 
 
 def _facts(outcome: Outcome) -> list[tuple[str, str]]:

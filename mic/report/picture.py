@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -14,11 +15,15 @@ from typing import Any, Literal
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from PIL import Image  # which matplotlib brings
 
 from mic.report.style import LAWS
 
 __all__ = ["MOST_PANELS", "Picture", "law_legend", "panels", "png", "svg"]
 
+_DECIMALS = re.compile(rb'\b(?:d|x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
+_LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is seen by nobody
+_IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"')
 MOST_PANELS = 24  # more panels or labels than this nobody reads
 
 
@@ -79,4 +84,12 @@ def law_legend(fig: Figure, laws: Sequence[str]) -> None:
 def _save(fig, title, caption, kind, dpi, metadata):
     buffer = io.BytesIO()
     fig.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
-    return Picture(title, caption, buffer.getvalue(), kind)
+    data = buffer.getvalue()
+    if kind == "svg":
+        data = _DECIMALS.sub(lambda found: _LONG.sub(rb"\1", found.group()), _IDLE.sub(b"", data))
+    else:
+        indexed = io.BytesIO()
+        few = Image.open(buffer).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        few.save(indexed, "PNG")
+        data = indexed.getvalue()
+    return Picture(title, caption, data, kind)

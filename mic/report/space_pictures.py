@@ -21,6 +21,7 @@ from mic.model.assembly import Contacts
 from mic.report.context import Context
 from mic.report.picture import MOST_PANELS, Picture, panels, png
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
+from mic.report.thinning import MOST, thinned
 from mic.results.outcome import Outcome
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "assembly_picture",
     "draw_normals",
     "draw_overlap",
+    "draw_surfaces",
     "field_picture",
     "overview_picture",
     "viewpoint",
@@ -49,10 +51,10 @@ def viewpoint(surfaces: Collection[Surface]) -> np.ndarray:
 
 
 class _View:
-    """Orthographic view of the parts from their :func:`viewpoint`."""
+    """Orthographic view of the parts from their :func:`viewpoint`, each thinned to `most` vertices."""
 
-    def __init__(self, surfaces: Collection[Surface]):
-        self.surfaces = tuple(surfaces)
+    def __init__(self, surfaces: Collection[Surface], most: int = MOST):
+        self.surfaces, self.most = tuple(surfaces), most
         self.eye = viewpoint(self.surfaces)
         right = np.cross([0, 0, 1.0], self.eye)
         self.right = right / np.linalg.norm(right)
@@ -74,20 +76,28 @@ class _View:
         """
         light = self.eye + 0.35 * self.up - 0.45 * self.right
         light /= np.linalg.norm(light)
-        start = np.cumsum([0] + [len(surface.points) for surface in self.surfaces])
-        points = np.concatenate([surface.points for surface in self.surfaces])
-        triangles = np.concatenate([surface.triangles + first for surface, first in zip(self.surfaces, start)])
-        bright = [1 - shading + shading * np.abs(surface.vertex_normals @ light) for surface in self.surfaces]
-        rgb = np.concatenate([colour * share[:, None] for colour, share in zip(colours, bright)])
+        kept, corners = zip(*(thinned(surface, self.most) for surface in self.surfaces))
+        start = np.cumsum([0, *map(len, kept)])
+        points = np.concatenate([surface.points[own] for surface, own in zip(self.surfaces, kept)])
+        triangles = np.concatenate([own + first for own, first in zip(corners, start)])
+        bright = [1 - shading + shading * np.abs(s.vertex_normals[own] @ light) for s, own in zip(self.surfaces, kept)]
+        shown = [colour[own] if colour.ndim == 2 else colour for colour, own in zip(colours, kept)]
+        rgb = np.concatenate([colour * share[:, None] for colour, share in zip(shown, bright)])
         order = np.argsort((points @ self.eye)[triangles].mean(axis=1))
         x, y = self.flat(points).T
         mesh = TriMesh(Triangulation(x, y, triangles[order]))
         rgba: Any = np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))])  # an array, which the stubs do not know
         mesh.set_facecolor(rgba)
-        ax.add_collection(mesh)
+        ax.add_collection(mesh, autolim=False)  # by itself it would look at one triangle after the other
+        ax.update_datalim(np.column_stack([x, y]))
         ax.autoscale_view()
         ax.set_aspect("equal")
         ax.set_axis_off()
+
+
+def draw_surfaces(ax: Axes, surfaces: Sequence[Surface], colours: Sequence[np.ndarray]) -> None:
+    """Surfaces from where most of them is seen; one colour (3,) each, or one at every vertex (v, 3)."""
+    _View(surfaces).draw(ax, colours, 0.2)
 
 
 def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
@@ -148,7 +158,7 @@ def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
     colours = np.array([to_rgb(RULE_COLOURS[rule]) for rule in Rule])
     for ax, (name, surface) in zip(fig.subplots(1, len(surfaces), squeeze=False)[0], surfaces.items()):
         apart = Surface(surface.corners.reshape(-1, 3), np.arange(3 * len(surface.triangles)).reshape(-1, 3))
-        view = _View([apart])
+        view = _View([apart], len(apart.points))
         view.draw(ax, [colours[surface.curvature.rule.ravel()]], 0.35)
         for places, mark in ((surface.curvature.coarse, "x"), (surface.curvature.single, "+")):
             ax.plot(*view.flat(places).T, mark, ms=5, color=INK)

@@ -41,7 +41,8 @@ ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3"
 MICROMETRE = 1e-3  # mm
 #: Settings of matplotlib under which every picture is drawn; all others are at their defaults.
 RC = {
-    "font.family": "DejaVu Sans",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Arial"],  # the first where pictures are drawn; pages go elsewhere
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -56,6 +57,7 @@ RC = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "svg.hashsalt": "mic",  # the same picture is the same file
+    "svg.fonttype": "none",  # text as text: it can be searched, and takes a fraction of the room
 }
 
 

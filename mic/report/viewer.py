@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -15,17 +16,21 @@ from mic.geometry.surface import Surface
 from mic.report.context import Context
 from mic.report.space_pictures import ARROW, viewpoint
 from mic.report.style import MARK_COLOURS, part_colour, zone_colour
+from mic.report.thinning import thinned
 from mic.results.outcome import Outcome
 from mic.scene import Scene
 
-__all__ = ["as_json", "drawable", "view", "viewer_data"]
+__all__ = ["drawable", "packed", "view", "viewer_data"]
+
+NOT_A_NUMBER = 2**16 - 1
 
 
 def viewer_data(outcome: Outcome, context: Context) -> str | None:
-    """Parts with their fields, arrows and marked points, as JSON that a script element may hold; None without parts.
+    """Parts with their fields, arrows and marked points, as :func:`packed` JSON; None without parts.
 
-    Arrays are base64 of little-endian bytes: ``points`` (v, 3) and fields (v,) as 4-byte floats in mm, ``triangles``
-    (t, 3) as 4-byte integers.
+    The parts are thinned (:mod:`mic.report.thinning`). Arrays are base64 of little-endian bytes: ``triangles`` (t, 3)
+    as 2-byte integers; ``points`` (v, 3) and fields (v,) as ``data``, 2-byte integers i for ``low + i step`` mm, of
+    which the largest is NaN.
     """
     surfaces, scene = context.surfaces, outcome.model.scene
     if not surfaces:
@@ -37,7 +42,7 @@ def viewer_data(outcome: Outcome, context: Context) -> str | None:
         }
     data["points"] = _zones(scene, outcome.model.contacts) + data["points"]
     data["laws"] = [law for law in outcome.laws if context.fields_of(law)]
-    return as_json(data)
+    return packed(json.dumps(data))
 
 
 def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
@@ -54,11 +59,12 @@ def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
             {
                 "name": name,
                 "colour": part_colour(i),
-                "points": _packed(surface.points, "<f4"),
-                "triangles": _packed(surface.triangles, "<i4"),
+                "points": _numbers(surface.points[kept]),
+                "triangles": _encoded(triangles.astype("<u2")),
                 "fields": {},
             }
             for i, (name, surface) in enumerate(surfaces.items())
+            for kept, triangles in [thinned(surface)]
         ],
         "arrows": _arrows(scene),
         "points": _marks(scene),
@@ -71,9 +77,9 @@ def drawable(item: Any) -> bool:
     return item.point is not None and not isinstance(getattr(item, "direction", None), str)
 
 
-def as_json(data: Mapping[str, Any]) -> str:
-    """Data as a script element may hold it."""
-    return json.dumps(data).replace("<", "\\u003c")
+def packed(text: str) -> str:
+    """A text as a script element may hold it: gzip, base64."""
+    return _encoded(np.frombuffer(gzip.compress(text.encode(), 9, mtime=0), dtype=np.uint8))
 
 
 def _scale(name):
@@ -82,12 +88,14 @@ def _scale(name):
 
 
 def _field(field, surface):
-    return {
-        "mean": _packed(np.linalg.norm(field.mean, axis=1), "<f4"),
-        "mean_normal": _packed(np.einsum("vi,vi->v", field.mean, surface.vertex_normals), "<f4"),
-        "six_sigma": _packed(field.six_sigma_magnitude, "<f4"),
-        "six_sigma_normal": _packed(field.six_sigma_normal, "<f4"),
+    kept, _ = thinned(surface)
+    values = {
+        "mean": np.linalg.norm(field.mean, axis=1),
+        "mean_normal": np.einsum("vi,vi->v", field.mean, surface.vertex_normals),
+        "six_sigma": field.six_sigma_magnitude,
+        "six_sigma_normal": field.six_sigma_normal,
     }
+    return {name: _numbers(value[kept]) for name, value in values.items()}
 
 
 def _arrows(scene):
@@ -138,6 +146,15 @@ def _marks(scene):
     ]
 
 
-def _packed(array, dtype):
-    """An array as base64 of its little-endian bytes."""
-    return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode()
+def _numbers(values):
+    """Numbers to a 65 000th of their range."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    step = (high - low) / (NOT_A_NUMBER - 1) or 1.0
+    whole = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - low) / step), NOT_A_NUMBER)
+    return {"low": low, "step": step, "data": _encoded(whole.astype("<u2"))}
+
+
+def _encoded(array):
+    """The bytes of an array in base64."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()

@@ -140,7 +140,8 @@ class Digest:
         stage, column)``, scalar: ``residual``, ``path_error``, ``steps`` and ``factorisations``; ``("limits", stage,
         name, column)``, scalar: ``pushed``, ``left`` and ``needed``.
     counts : dict of tuple to int array
-        Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("states", stage)``, (3, m) by state;
+        Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("any outside",)``, () with any beyond them;
+        ``("states", stage)``, (3, m) by state;
         ``("short", stage, name)``, () clamps and guns short of their position.
     """
 
@@ -193,6 +194,7 @@ class Digest:
             self._regress(block, model, x)
             limits = np.array([(item.lower, item.upper) for item in items])
             self._count(("outside",), outside(x, *limits.T))
+            self._count(("any outside",), np.array(((x < limits[:, 0]) | (x > limits[:, 1])).any(axis=1).sum()))
         for item in items:
             if item.points is not None:
                 self._join(("profiles", item.name), block.profile(item.name))

@@ -23,13 +23,13 @@ from numpy.typing import ArrayLike
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
-from mic.results import summary
+from mic.results import statistics, summary
 from mic.results.digest import BlockSamples, Digest
 from mic.results.folder import Block, RunFolder
 from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.path_study import PathStudy, read_path_study
-from mic.results.schema import DATASETS
+from mic.results.schema import DATASETS, Table
 from mic.scene.samples import DESIGNS
 
 __all__ = ["Outcome", "read_outcome"]
@@ -109,6 +109,24 @@ class Outcome:
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
         return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
+
+    @property
+    def uncertainty(self) -> float:
+        """Half of the 95 % interval of the 6σ of a key characteristic, as a share of it: of the one that is known
+        worst under any law, by regression where that is narrower; infinite where one is not known."""
+        worst = 0.0
+        for law in self.laws:
+            digest = self.digests[law]
+            plain = statistics.six_sigma(digest.moments["measurements",])
+            value, low, high = (np.atleast_1d(part) for part in (plain.value, plain.low, plain.high))
+            better = digest.regression.improved() if digest.regression else None
+            if better is not None:
+                own = better.kind != "plain"
+                value, low, high = (np.where(own, 6 * s, x) for s, x in zip(better.sigma, (value, low, high)))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = np.where(value > 0, 0.5 * (high - low) / value, 0.0)
+            worst = max(worst, float(np.where(np.isnan(value) | np.isnan(share), np.inf, share).max(initial=0.0)))
+        return worst if self.laws else float("inf")
 
     @property
     def together(self) -> int:
@@ -257,6 +275,16 @@ class Outcome:
     def friction_study(self) -> pd.DataFrame | None:
         """The laws compared as friction grows: :data:`mic.results.schema.FRICTION`; None where not stored."""
         return read_friction(self.folder)
+
+    def study(self, table: Table) -> pd.DataFrame | None:
+        """A table of :data:`mic.results.schema.STUDIES`, or that of the meshes' accuracy; None where not stored.
+
+        Raises
+        ------
+        FormatError
+            If the file is not what the table declares.
+        """
+        return table.read(self.folder, "call the command that wrote it on the run folder again")
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""

@@ -23,6 +23,7 @@ __all__ = [
     "CONTACT_STATISTICS",
     "CONTRIBUTORS",
     "DATASETS",
+    "DENSITY",
     "DEVIATIONS",
     "FIELDS",
     "FORCES",
@@ -33,6 +34,7 @@ __all__ = [
     "LINEARITY",
     "MEASUREMENTS",
     "MEASUREMENT_STATISTICS",
+    "ORDERS",
     "PROFILES",
     "PROFILE_STATISTICS",
     "PATH",
@@ -258,8 +260,8 @@ RESOLUTIONS = _dataset(
             "path_error",
             "float64",
             "mm",
-            "estimate of the error that the stage's path left in the contacts' tangential positions, root mean square "
-            "over the pairs; NaN where nothing estimates it",
+            "estimate of the error that the stage's path left in the contacts' tangential positions, and in the slip "
+            "of those that opened, root mean square over the pairs; NaN where nothing estimates it",
         ),
         Column("steps", "int64", "", "steps along the path"),
         Column(
@@ -705,8 +707,41 @@ RARE = _statistic(
     ),
     "How often limits are missed where that is rare, by subset simulation on the reduced model.",
 )
+ORDERS = _statistic(
+    "orders",
+    "one law, order and quantity",
+    (
+        _LAW,
+        Column("order", "str", "", "name of the order; the stated one first"),
+        Column("quantity", "str", "", "key characteristic, or `slip STAGE ZONE`"),
+        Column("tolerance", "float64", "mm", "its limits apart; none for slip"),
+        Column("mean", "float64", "mm", "mean under this order"),
+        Column("mean_change", "float64", "mm", "how it differs from that of the stated order"),
+        Column("mean_error", "float64", "mm", "standard error of that, by the jackknife"),
+        Column("six_sigma", "float64", "mm", "6σ under this order"),
+        Column("six_sigma_change", "float64", "mm", "how it differs from that of the stated order"),
+        Column("six_sigma_error", "float64", "mm", "standard error of that, by the jackknife"),
+        _USED,
+    ),
+    "How much hangs on the order in which locators, clamps and welds close and open.",
+)
+DENSITY = _statistic(
+    "density",
+    "one law and key characteristic",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("pairs", "int64", "", "contact pairs"),
+        Column("denser", "int64", "", "contact pairs of the denser repetition"),
+        Column("nominal_change", "float64", "mm", "what that changes of the nominal assembly"),
+        Column("mean_change", "float64", "mm", "what it changes of the mean"),
+        Column("six_sigma_change", "float64", "mm", "what it changes of 6σ"),
+        Column("failed", "int64", "", "samples that either lost"),
+    ),
+    "How much hangs on how dense the contact pairs are.",
+)
 #: The CSV tables that a command of its own adds to the folder of a run.
-STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE)
+STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)
 #: The CSV tables of statistics.
 STATISTICS = (
     ZONE_STATISTICS,

@@ -13,6 +13,7 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.states import STATES
 from mic.results import capability, statistics
+from mic.results.budget import whole_yield
 from mic.results.law_comparison import study_friction
 from mic.results.path_study import Effect, study_path
 from mic.results.regression import Improved
@@ -267,6 +268,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "unseen_penetration": _unseen(outcome, law),
             "path": _path(outcome, law) | {"repeated": study.repeated(law) if study else 0},
             "zones": zones,
+            "all_within": _all_within(outcome, law),
             "measurements": {
                 row["measurement"]: {"lower": row["lower"], "upper": row["upper"]}
                 | _with_intervals(row, _MEASURED)
@@ -296,6 +298,14 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "wall_time": outcome.record.get("wall_time", {}),
         }
     )
+
+
+def _all_within(outcome: Outcome, law: str) -> dict[str, Any] | None:
+    """Share of the assemblies whose key characteristics are all within their limits; None where nothing is measured."""
+    if not outcome.model.scene.measurements:
+        return None
+    found = whole_yield(outcome, law)
+    return {"share": found.value, "share_ci": [found.low, found.high], "outside_ppm": 1e6 * (1 - found.value)}
 
 
 def _unseen(outcome: Outcome, law: str) -> dict[str, Any] | None:

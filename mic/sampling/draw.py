@@ -9,7 +9,7 @@ from scipy.stats import qmc
 from mic.scene.distribution import quantile
 from mic.scene.samples import DESIGNS
 
-__all__ = ["draw"]
+__all__ = ["draw", "numbers", "placed"]
 
 EDGE = 1e-16  # probabilities are kept this far within (0, 1)
 GROUPS = 1  # word of the counter that tells the streams of groups from those of samples
@@ -38,19 +38,43 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
         return np.array(scene.monte_carlo.values[first : first + count]).reshape(-1, len(scene.deviations))
     pieces = _pieces(scene)
     p = len(scene.deviations)
+    if scene.monte_carlo.design != "independent":
+        return placed(scene, _designed(scene.monte_carlo.design, seed, first, count, numbers(scene)))
     normal, flat, which = np.empty((count, p)), np.empty((count, p)), np.empty((count, len(pieces)), dtype=int)
     lengths = [scores.shape[1] for _, scores in pieces]
-    if scene.monte_carlo.design == "independent":
-        for i in range(count):
-            stream = np.random.Generator(np.random.Philox(key=np.array([seed, first + i], dtype=np.uint64)))
-            normal[i], flat[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
-            which[i] = [stream.integers(length) for length in lengths]
-    else:
-        u = _designed(scene.monte_carlo.design, seed, first, count, p + len(pieces))
-        normal, flat = ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1)
-        which = np.minimum(u[:, p:] * lengths, np.array(lengths) - 1).astype(int)
+    for i in range(count):
+        stream = np.random.Generator(np.random.Philox(key=np.array([seed, first + i], dtype=np.uint64)))
+        normal[i], flat[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
+        which[i] = [stream.integers(length) for length in lengths]
+    return _values(scene, normal, flat, which)
+
+
+def numbers(scene) -> int:
+    """How many independent numbers a sample takes: one for each deviation, and one for each batch of pieces."""
+    return len(scene.deviations) + len(_pieces(scene))
+
+
+def placed(scene, u: np.ndarray) -> np.ndarray:
+    """Deviations (n, p) of samples at independent probabilities.
+
+    Parameters
+    ----------
+    scene : mic.scene.Scene
+    u : (n, d) array
+        Between 0 and 1, d as :func:`numbers` says.
+    """
+    p = len(scene.deviations)
+    u = np.clip(u, EDGE, 1 - EDGE)
+    lengths = [scores.shape[1] for _, scores in _pieces(scene)]
+    which = np.minimum(u[:, p:] * lengths, np.array(lengths) - 1).astype(int)
+    return _values(scene, ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1), which)
+
+
+def _values(scene, normal: np.ndarray, flat: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Deviations (n, p) of standard normal and uniform numbers (n, p) and of the pieces (n, b) that are taken."""
+    pieces = _pieces(scene)
     together = _correlated(scene, normal)
-    values = np.empty((count, p))
+    values = np.empty(normal.shape)
     for j, item in enumerate(scene.deviations):
         plain = item.truncated is None
         if plain and item.distribution == "normal":
@@ -80,8 +104,7 @@ def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndar
             points = qmc.LatinHypercube(d, seed=stream).random(size) if d else np.empty((size, 0))
         found.append(points)
     start = first % size
-    u = np.concatenate([np.empty((0, d)), *found])[start : start + count]
-    return np.clip(u, EDGE, 1 - EDGE)
+    return np.concatenate([np.empty((0, d)), *found])[start : start + count]
 
 
 def _correlated(scene, normal: np.ndarray) -> set[int]:

@@ -841,7 +841,8 @@ class FieldDeviation(_Deviation):
     """``kind = "field"``: a random field of deviations along the normals all over a part, stationary along the sheet.
 
     Its correlation is of Matérn's family with ν = 1, by the sheet's own Laplacian. Its principal modes become
-    deviations of kind `shape`, called ``NAME.1``, ``NAME.2`` ….
+    deviations of kind `shape`, called ``NAME.1``, ``NAME.2`` …. With `points` it is known at these alone, of the part
+    set down on its locators; between them the sheet takes the shape of least bending energy.
     """
 
     kind: Literal["field"] = Field(description='`"field"`')
@@ -850,9 +851,31 @@ class FieldDeviation(_Deviation):
     mean: Annotated[FiniteFloat, Field(ge=0, le=0)] = Field(0.0, description="0: give a mean shape as `shape`")
     sigma: Positive = Field(description="standard deviation at every point, mm, before the part is set down")
     length: Positive = Field(description="correlation length, mm: where the correlation has fallen to 0.14")
+    direction: Annotated[Vector | None, AfterValidator(_unit)] = Field(
+        None, description="along which it is longer or shorter, such as along a bend; laid into the sheet everywhere"
+    )
+    stretch: Annotated[FiniteFloat, Field(ge=0.1, le=10)] = Field(
+        1.0, description="with `direction`: correlation length along it, as a multiple of `length`"
+    )
+    points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
+        None, description="control points, mm, at most 5 mm off the part, where `sigma` is that of the part set down"
+    )
+    values: Annotated[list[Positive], Field(min_length=1)] | None = Field(
+        None, description="with `points`: by what `sigma` is multiplied at each of them; left out, 1 everywhere"
+    )
     share: Annotated[FiniteFloat, Field(gt=0, lt=1)] = Field(
         0.95, description="of the variance that the modes keep at every point; the rest is shared out among them"
     )
+
+    @model_validator(mode="after")
+    def _one_value_each(self):
+        if (self.direction is None) != (self.stretch == 1.0):
+            raise ValueError("direction and stretch say together along what it is longer: give both, or neither")
+        if self.values is not None and self.points is None:
+            raise ValueError("values are those at points: give points, or remove values")
+        if self.values is not None and len(self.values) != len(self.points or []):
+            raise ValueError(f"there are {len(self.points or [])} points and {len(self.values)} values: give one each")
+        return self
 
 
 Deviation = Annotated[
@@ -1039,6 +1062,11 @@ class MonteCarlo(_Table):
     """Size and seed of the Monte Carlo, and who solves the contacts."""
 
     samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
+    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="how well every 6σ of a key characteristic is to be known: half of its 95 % interval, the plain "
+        "one or that by regression, as a share of it. Samples are drawn until it is, `samples` at most",
+    )
     seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
     design: Literal["independent", "antithetic", "latin-hypercube", "sobol"] = Field(
         "independent",
@@ -1063,6 +1091,10 @@ class MonteCarlo(_Table):
         given = "table" if self.table is not None else "values"
         if (self.table is not None or self.values is not None) and self.design != "independent":
             raise ValueError(f"design says how samples are drawn, and {given} gives them: remove one of them")
+        if self.accuracy is not None and (self.table is not None or self.values is not None):
+            raise ValueError(f"accuracy says how many samples are drawn, and {given} gives them: remove one of them")
+        if self.accuracy is not None and self.design != "independent":
+            raise ValueError("accuracy adds samples one by one, and a design makes them together: remove one of them")
         return self
 
 

@@ -24,7 +24,8 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
    ``l`` and ``c`` are the prediction's.
 3. **Error.**  ``l`` and ``c`` of the solution give other shifts.  How far they differ, root mean square over the
    contacts, estimates the step's error; it may be a share of the motion so far, not of the path, most of which may pass
-   without any.  Too large, the step is solved once more with the better shifts, then cut.
+   without any.  A contact that opens while it slides adds what it moves in the time by which its opening is in doubt.
+   Too large, the step is solved once more with the better shifts, then cut; what they would not mend cuts it at once.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ from mic.contact.states import OPEN, SLIP, STICK
 __all__ = ["follower"]
 
 # Of a step of the whole path: the longest, because the estimate sees two directions of a slider and not what it does in
-# between; and the shortest. Contacts may make most of their motion within a hundredth of the path and less.
+# between, unless all of its motion is less than may be in error; and the shortest. Contacts may make most of their
+# motion within a hundredth of the path and less.
 LONGEST, SHORTEST = 0.5, 1e-6
 #: Steps before a path is given up.
 MOST = 4000
@@ -78,8 +80,9 @@ DAMPING = 1e-12
 EVENTS, PASSES = 32, 32
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
-#: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step.
-SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS = 10, 40, 10, 100
+#: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step, of
+#: all contacts and of one: more, and they go round in a circle.
+SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS, TURNS = 10, 40, 10, 100, 3
 #: A step with the inverse of one before, a tenth of the cost of a new one, must bring the error down by this, and of
 #: the contacts this share may have changed their status.
 CHORD, CHANGES = 0.3, 0.3
@@ -173,13 +176,26 @@ def _motion(w, unit):
     return np.sqrt(total / max(len(unit), 1))
 
 
-@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
-def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
-    """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
+@jit(types.UniTuple(NUMBER, 2)(VECTOR, VECTOR, VECTOR, int64, VECTOR))
+def _opening(y0, w, motion, k, opened):
+    """After which share of a step contact k opens, and how much that is to be doubted, 0 to 1.
+
+    The prediction's share, doubted by as much as the gap at the end is not the prediction's.
+    """
+    i = 3 * k
+    if opened[k] == 1.0:  # the prediction did not see it
+        return _crossing(y0[i], -max(w[i], 1e-300)), 1.0
+    return opened[k], min(abs(w[i] - motion[i]) / max(w[i], motion[i], 1e-300), 1.0)
+
+
+@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR, MATRIX, VECTOR))
+def _error(y0, state0, e0, loose, motion, y, w, state, shift, other, opened, gone, unit):
+    """Root mean square over the contacts of what a step may be wrong by in their tangential positions and in their slip
+    under load, a length.
 
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
     its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``; and ``l Δφ/2`` where nobody
-    foresaw that it would slide.
+    foresaw that it would slide.  Of one that opens, the way on which it is in doubt whether it was still loaded.
     """
     total = 0.0
     for k in range(len(state)):
@@ -194,6 +210,12 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
                 t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
                 turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
                 error += 0.5 * moved * np.sqrt(max(turn, 0.0))
+        elif state0[k] != OPEN and state[k] == OPEN:
+            end, doubt = _opening(y0, w, motion, k, opened)
+            way = (1.0 - end) * np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
+            if opened[k] < 1.0:
+                way += np.sqrt((gone[k, 0] - end * w[i + 1]) ** 2 + (gone[k, 1] - end * w[i + 2]) ** 2)
+            error += doubt * way
         total += (error * unit[k]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
@@ -247,9 +269,7 @@ def _record(
             else:
                 m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
-            end, doubt = opened[k], min(abs(w[i] - motion[i]) / max(w[i], motion[i], 1e-300), 1.0)
-            if end == 1.0:  # the prediction did not see it
-                end, doubt = _crossing(y0[i], -max(w[i], 1e-300)), 1.0
+            end, doubt = _opening(y0, w, motion, k, opened)
             m1 = (1.0 - doubt) * gone[k, 0] + doubt * end * m1
             m2 = (1.0 - doubt) * gone[k, 1] + doubt * end * m2
         slides = 1.0  # share of the time under load in which the contact slides
@@ -561,6 +581,7 @@ def _compile(digest):
         m = len(parameters)
         phi, new_A, new_B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         state, found, place = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
+        turned = np.zeros(m, np.int64)
         e, right, scaling = np.zeros((m, 2)), np.zeros(3 * m), np.ones(m)
         y_new, w_new, trial, still = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m)
         one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
@@ -629,6 +650,7 @@ def _compile(digest):
                 kept[k], stretch[k] = state[k], scaling[k]
             y_old[:], before = y, error
             settled = False
+            turned[:] = 0
             for _ in range(PIVOTS):
                 linear(W, own, inverse, right, y, q, y_new, w_new)
                 trial[:] = y_new
@@ -657,6 +679,9 @@ def _compile(digest):
                         hardest, worst = wrong, k
                 if worst < 0:
                     settled = True
+                    break
+                turned[worst] += 1
+                if turned[worst] > TURNS:
                     break
                 i = 3 * worst
                 if place[worst] < 0:
@@ -906,6 +931,10 @@ def _compile(digest):
                 state0[:] = state
             advance, first = step - reached, -1
             closes = False
+            trial[:] = motion + (step - reached) * dw
+            if step > LONGEST and reached < LONGEST and _motion(trial, unit) > allowed:
+                step = LONGEST
+                advance = step - reached
             for k in range(m):
                 i = 3 * k
                 if state0[k] == OPEN:
@@ -1122,7 +1151,7 @@ def _compile(digest):
             if solved == 0:
                 done[FAILED] += 1
                 continue
-            s, h, made = 0.0, ends[0] if given else LONGEST, 0.0
+            s, h, made = 0.0, ends[0] if given else 1.0, 0.0
             while True:
                 taken = done[STEPS] - 1 + (order == 2)
                 if 0 <= taken < passed.shape[1]:
@@ -1231,10 +1260,11 @@ def _compile(digest):
                                 phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
                             error = _motion(phi, unit)
                             break
-                        error = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
+                        error = _error(y0, state0, e0, loose, motion, y, w, state, shift, other, opened, gone, unit)
                         if solved == 1 and (turn == 1 if given else error <= allowed):
                             break
-                        if turn == 0 and solved == 1:
+                        left = _error(y0, state0, e0, loose, motion, y, w, state, other, other, opened, gone, unit)
+                        if turn == 0 and solved == 1 and (given or last or left <= allowed):
                             turn = 1
                             shift[:], touched[:] = other, late
                         elif last:
@@ -1275,7 +1305,7 @@ def _compile(digest):
                 done[STEPS] += 1
                 s = target
                 made += _motion(w, unit)
-                h = min(LONGEST, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
+                h = min(1.0, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
                 if given:
                     h = ends[min(done[STEPS], len(ends) - 1)] - s
                 elif done[STEPS] > MOST:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,6 +63,19 @@ class NativeSolver:
             self.scaling = inverse_root(diagonal)
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
         self.problem = ScaledProblem.of(law, W, parameters)
+
+    def take(self, own: np.ndarray) -> NativeSolver:
+        """See :meth:`mic.contact.backends.Backend.take`."""
+        rows = np.flatnonzero(np.repeat(own, self._size))
+        some, problem = copy(self), self.problem
+        some.scaling = self.scaling[rows]
+        some.problem = replace(
+            problem,
+            W=problem.W[np.ix_(rows, rows)],
+            parameters=problem.parameters[own],
+            factors=None if problem.factors is None else problem.factors[own],
+        )
+        return some
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All samples, by the cheap rungs: each takes those that the ones before left unsolved.

@@ -1,0 +1,21 @@
+"""Compile all kernels now, so that no first evaluation waits for it: ``python -m mic.contact.native``.
+
+Whatever is compiled is kept beside the program, or where ``NUMBA_CACHE_DIR`` says, and read again in a third of a
+second until the program or Numba change.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mic.contact.laws import LAWS
+from mic.contact.native.follower import follower
+from mic.contact.native.kernels import compiled
+from mic.product import product
+
+if __name__ == "__main__":
+    follower()
+    product(np.ones((1, 1)), np.ones((1, 1)))
+    for law in LAWS.values():
+        if law.equation is not None:
+            compiled(law.equation)

@@ -1,0 +1,190 @@
+"""How often limits are missed where that is rare: subset simulation on the reduced model, no distribution fitted.
+
+A rare event ``g(z) > 0`` in standard normal numbers z is reached by levels ``b_1 < b_2 < … < 0``, each exceeded by a
+tenth of the samples that exceed the one before [1]_:
+
+    P = p₀^(m−1) P(g > 0 | g > b_{m−1}),        p₀ = 0.1.
+
+Samples beyond a level come from those that are there already, by Markov chains whose moves leave the normal
+distribution as it is, ``z' = ρ z + √(1 − ρ²) ξ``, and are refused where they fall back below the level; ρ adapts to
+what is accepted [2]_.
+
+References
+----------
+.. [1] S.-K. Au, J. L. Beck: Estimation of small failure probabilities in high dimensions by subset simulation,
+       Probab. Eng. Mech. 16 (2001) 263-277.
+.. [2] I. Papaioannou, W. Betz, K. Zwirglmaier, D. Straub: MCMC algorithms for subset simulation, Probab. Eng. Mech. 41
+       (2015) 89-103.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtr, ndtri
+
+from mic.process.model import ReducedModel
+from mic.results import statistics
+from mic.results.schema import RARE
+from mic.results.statistics import LEVEL
+from mic.sampling.draw import numbers, placed
+
+__all__ = ["Subset", "rare", "subset_simulation"]
+
+SAMPLES = 1000  #: a level
+SHARE = 0.1  # p₀: of a level's samples, those beyond the next
+DEEPEST = 12  # levels: below 1e-12 nothing is told
+ACCEPTED = 0.44  # of the moves, on which ρ is set
+
+
+@dataclass(frozen=True)
+class Subset:
+    """What a subset simulation found.
+
+    Attributes
+    ----------
+    probability, low, high : float
+        P, and an interval that holds it in at least 95 %; 0 and the interval's upper end where it lies below what the
+        levels reach.
+    levels : int
+        1 where the event was not rare: then it is a plain Monte Carlo with its exact interval.
+    evaluations : int
+    """
+
+    probability: float
+    low: float
+    high: float
+    levels: int
+    evaluations: int
+
+
+def subset_simulation(
+    g: Callable[[np.ndarray], np.ndarray], dimension: int, samples: int = SAMPLES, seed: int = 0
+) -> Subset:
+    """Probability of ``g(z) > 0`` for standard normal z.
+
+    Parameters
+    ----------
+    g : callable
+        Of (n, d) numbers, (n,); -∞ where it is not known.
+    dimension : int
+        d.
+    samples : int
+        N of each level, a multiple of 10.
+    seed : int
+    """
+    stream = np.random.Generator(np.random.Philox(key=np.array([seed, samples], dtype=np.uint64)))
+    chains, steps = round(samples * SHARE), round(1 / SHARE)
+    z = stream.standard_normal((samples, dimension))
+    y = g(z)
+    beyond = int((y > 0).sum())
+    if beyond >= chains:
+        found = statistics.share(beyond, samples)
+        return Subset(float(found.value), float(found.low), float(found.high), 1, samples)
+    P, ρ, evaluations = 1.0, 0.8, samples
+    δ = np.sqrt((1 - SHARE) / (SHARE * samples))  # the levels' errors, as if they were all of one sign
+    for level in range(2, DEEPEST + 1):
+        order = np.argsort(-y, kind="stable")[:chains]
+        b, P = float(y[order[-1]]), P * SHARE
+        start = stream.permutation(order)
+        at, value = z[start], y[start]
+        zs, ys, accepted = [at], [value], []
+        for _ in range(steps - 1):
+            move = ρ * at + np.sqrt(1 - ρ**2) * stream.standard_normal(at.shape)
+            new = g(move)
+            evaluations += chains
+            taken = new >= b
+            at, value = np.where(taken[:, None], move, at), np.where(taken, new, value)
+            accepted.append(taken.mean())
+            zs.append(at)
+            ys.append(value)
+        # ρ² + λ² = 1: larger steps λ at the next level where many were accepted; within one they stay as they are.
+        λ = np.sqrt(1 - ρ**2) * np.exp(np.mean(accepted) - ACCEPTED)
+        ρ = np.sqrt(1 - min(λ, 0.98) ** 2)
+        z, y = np.concatenate(zs), np.concatenate(ys)
+        inside = np.stack(ys, axis=1) > 0  # (chains, steps)
+        last = inside.sum() >= chains or level == DEEPEST
+        next_one = inside if last else np.stack(ys, axis=1) >= np.sort(y)[-chains]
+        p = max(float(next_one.mean()), 1 / samples)
+        δ += np.sqrt((1 - p) / (p * samples) * (1 + _correlation(next_one)))
+        if last:
+            break
+    P *= float(inside.mean())
+    if P == 0:
+        return Subset(0.0, 0.0, SHARE ** (level - 1), level, evaluations)
+    width = np.exp(ndtri((1 + LEVEL) / 2) * np.sqrt(np.log1p(δ**2)))
+    return Subset(P, P / width, min(1.0, P * width), level, evaluations)
+
+
+def _correlation(inside: np.ndarray) -> float:
+    """γ of [1]_: by how much the correlation along chains (c, s) raises the variance of their mean."""
+    c, s = inside.shape
+    p = inside.mean()
+    if not 0 < p < 1:
+        return 0.0
+    off = inside - p
+    lagged = [(off[:, k:] * off[:, : s - k]).sum() / (c * (s - k)) for k in range(1, s)]
+    return max(0.0, 2 * float(sum((1 - k / s) * r for k, r in zip(range(1, s), lagged))) / (p * (1 - p)))
+
+
+def rare(
+    model: ReducedModel,
+    law: str | None = None,
+    names: Sequence[str] = (),
+    samples: int = SAMPLES,
+    seed: int = 0,
+    threads: int = 1,
+    progress: Callable[[int], None] = lambda count: None,
+) -> pd.DataFrame:
+    """How often the assembly misses any of its limits, and those of single key characteristics.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    law : str, optional
+        Contact law; default: the first of the scene's report.
+    names : sequence of str
+        Key characteristics to look at by themselves as well.
+    samples, seed : int
+        As :func:`subset_simulation` has them.
+    threads : int
+    progress : callable, optional
+        Called with the number of evaluations after each batch.
+
+    Returns
+    -------
+    DataFrame
+        As :data:`mic.results.schema.RARE` declares it.
+
+    Raises
+    ------
+    ValueError
+        If nothing is measured or nothing varies, or the samples are stated in a table.
+    """
+    scene = model.scene
+    if not scene.measurements or not scene.deviations or scene.monte_carlo.values is not None:
+        what = "states its samples in a table" if scene.monte_carlo.values is not None else "measures or varies nothing"
+        raise ValueError(f"scene {scene.name!r} {what}: there are no rare samples to look for")
+    process = model.process(law, threads=threads)
+    items = scene.measurements
+    middle = np.array([(item.lower + item.upper) / 2 for item in items])
+    half = np.array([(item.upper - item.lower) / 2 for item in items])
+    rows = []
+    for name in ("", *names):
+        own = [k for k, item in enumerate(items) if name in ("", item.name)]
+        failed = 0
+
+        def g(z: np.ndarray, own=own) -> np.ndarray:
+            nonlocal failed
+            found = process.attempt(placed(scene, ndtr(z)))
+            progress(len(z))
+            failed += int(found.failed.sum())
+            off = (np.abs(found.measurements - middle) / half)[:, own].max(axis=1) - 1
+            return np.where(found.failed, -np.inf, off)
+
+        told = subset_simulation(g, numbers(scene), samples, seed)
+        rows.append((process.law, name, told.probability, told.low, told.high, told.levels, told.evaluations, failed))
+    return pd.DataFrame(rows, columns=RARE.names)

@@ -1,0 +1,40 @@
+"""The shapes that one standard deviation of each source makes, part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+
+from mic.geometry.surface import Surface
+from mic.model.one_sigma import Shape
+from mic.report.picture import Picture, panels, png
+from mic.report.space_pictures import draw_surfaces
+from mic.report.style import number
+
+__all__ = ["MOST", "shapes_picture"]
+
+MOST = 12  # shapes of a picture
+COLUMNS = 3
+
+
+def shapes_picture(surfaces: Mapping[str, Surface], shapes: Sequence[Shape]) -> Picture:
+    """Each shape on its parts, coloured by how far they are off along their normals, each on a scale of its own."""
+    shown = shapes[:MOST]
+    fig, axes = panels(len(shown), min(COLUMNS, len(shown)), (3.6, 2.9))
+    for ax, shape in zip(axes, shown):
+        own = {name: surfaces[name] for name in shape.fields}
+        off = [np.einsum("vi,vi->v", shape.fields[name], surface.vertex_normals) for name, surface in own.items()]
+        top = max(float(np.abs(values).max()) for values in off) or 1.0
+        scale = Normalize(-top, top)
+        draw_surfaces(ax, list(own.values()), [colormaps["RdBu_r"](scale(values))[:, :3] for values in off])
+        ax.set_title(f"{shape.name} ({', '.join(own)}): {number(shape.largest[2])} mm", fontsize=9)
+        fig.colorbar(ScalarMappable(scale, "RdBu_r"), ax=ax, shrink=0.7, label="mm")
+    text = "What 1 σ of each source does to its part where it stands on its datum locators, along its normals; the "
+    text += "title tells the largest displacement."
+    if len(shapes) > MOST:
+        text += f" The first {MOST} of {len(shapes)} are shown."
+    return png(fig, "Shapes of the sources", text, 100)

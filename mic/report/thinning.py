@@ -1,0 +1,62 @@
+"""Surfaces thinned to what a screen shows: the full ones stand beside the page, for ParaView."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mic.geometry.surface import Surface
+
+__all__ = ["MOST", "thinned"]
+
+MOST = 4000  #: vertices of a part in a picture or view: two or three pixels from one to the next
+
+
+def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of a surface that stand for the others of their cell of a cubic grid, and the triangles between them.
+
+    Vertex clustering of J. Rossignac and P. Borrel (Modeling in Computer Graphics, 1993, 455-465).
+
+    Parameters
+    ----------
+    surface : Surface
+    most : int
+        Vertices to be left; a surface that has no more is left as it is.
+
+    Returns
+    -------
+    kept : (w,) int array
+        Numbers of the vertices, ascending; of each cell that which is nearest to the middle of its vertices,
+        on the sheet's edge where the cell has such.
+    triangles : (s, 3) int array
+        Into `kept`.
+    """
+    points, size = surface.points, np.sqrt(surface.areas.sum() / most)
+    kept = np.arange(len(points))
+    if len(points) <= most:
+        return kept, surface.triangles
+    while True:
+        cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+        _, cell = np.unique(cells, axis=0, return_inverse=True)
+        cell = cell.ravel()
+        count = np.bincount(cell)
+        if len(count) <= most:
+            break
+        size *= 1.1
+    middle = np.column_stack([np.bincount(cell, weights=x) / count for x in points.T])
+    order = np.lexsort((((points - middle[cell]) ** 2).sum(axis=1), ~_on_edge(surface), cell))
+    kept = np.sort(order[np.searchsorted(cell[order], np.arange(len(count)))])
+    place = np.empty(len(count), dtype=np.int64)
+    place[cell[kept]] = np.arange(len(kept))
+    triangles = place[cell[surface.triangles]]
+    apart = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    _, first = np.unique(np.sort(triangles[apart], axis=1), axis=0, return_index=True)
+    return kept, triangles[apart][np.sort(first)]
+
+
+def _on_edge(surface: Surface) -> np.ndarray:
+    """(v,) which vertices lie on an edge of a single triangle."""
+    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    single, count = np.unique(edges, axis=0, return_counts=True)
+    on = np.zeros(len(surface.points), dtype=bool)
+    on[single[count == 1]] = True
+    return on

@@ -1,0 +1,154 @@
+"""The answer first: how many assemblies are good, what drives the worst, and whether the figures can be trusted."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.runs import fail
+from typer.testing import CliRunner
+
+from mic.options import app
+from mic.report.answer import answer
+from mic.report.page import write_report
+from mic.report.style import change
+from mic.results.budget import error_budget, whole_yield
+from mic.results.outcome import read_outcome
+from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE
+from mic.runs import run
+
+SAMPLES = 30
+
+
+@pytest.fixture(scope="module")
+def folder(lap_scene, cache, tmp_path_factory):
+    """M1 and M2 have limits that each some samples miss, not all of them the same."""
+    limits = {"M1": (-1.5, -0.2), "M2": (-0.75, 0.0)}
+    items = [
+        item.model_copy(update=dict(zip(("lower", "upper"), limits[item.name]))) for item in lap_scene.measurements
+    ]
+    scene = lap_scene.model_copy(
+        update={
+            "measurements": items,
+            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": SAMPLES, "seed": 2}),
+            "report": lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False}),
+        }
+    )
+    folder = tmp_path_factory.mktemp("answer") / "run"
+    run(scene, folder, cache)
+    return folder
+
+
+@pytest.fixture
+def copied(folder, tmp_path):
+    return shutil.copytree(folder, tmp_path / "run")
+
+
+def beyond(outcome):
+    """(n, k) which characteristics of which samples miss a limit."""
+    items = outcome.model.scene.measurements
+    x = np.column_stack([outcome.measured("coulomb", item.name) for item in items])
+    return (x < [item.lower for item in items]) | (x > [item.upper for item in items])
+
+
+def test_the_yield_is_that_of_all_characteristics_together(folder):
+    outcome = read_outcome(folder)
+    out = beyond(outcome)
+    good = 1 - out.any(axis=1).mean()
+    assert (out.sum(axis=0) > 0).all() and good > 1 - out.mean(axis=0).sum()  # some miss both
+    assert whole_yield(outcome, "coulomb").value == pytest.approx(good)
+    told = json.loads((folder / "summary.json").read_text())["laws"]["coulomb"]["all_within"]
+    assert told["share"] == pytest.approx(good) and told["outside_ppm"] == pytest.approx(1e6 * (1 - good))
+    assert told["share_ci"][0] < good < told["share_ci"][1]
+    first = answer(outcome).sentences[0]
+    assert first.startswith(f"In {100 * good:.1f} % of the assemblies (") and "all 2 key characteristics" in first
+
+
+def test_the_worst_stands_first_with_its_drivers_and_what_is_not_known_names_its_command(copied):
+    outcome = read_outcome(copied)
+    found = answer(outcome)
+    cpk = [row["cpk"] for row in found.rows]
+    assert cpk == sorted(cpk) and found.rows[0]["verdict"] == "out" and found.rows[0]["drivers"] is None
+    said = " ".join(found.sentences)
+    assert "mic contributors tells" in said and "mic friction tells" in said
+    worst = found.rows[0]["measurement"]
+    rows = [
+        {"law": "coulomb", "measurement": worst, "contributor": name, **dict.fromkeys(CONTRIBUTORS.names[3:], share)}
+        for name, share in (("F1", 0.3), ("F2", 0.7))
+    ]
+    CONTRIBUTORS.write(copied, pd.DataFrame(rows))
+    line = dict.fromkeys(LINEARITY.names, 0.5)
+    line |= {"law": "coulomb", "measurement": worst, "samples": 9, "failed": 0, "evaluations": 9, "linear": False}
+    LINEARITY.write(copied, pd.DataFrame([line]))
+    found = answer(outcome)
+    assert f"{worst} is worst" in found.sentences[0] and found.sentences[0].endswith("driven by F2 70 %, F1 30 %.")
+    assert "A linear analysis would mislead here" in " ".join(found.sentences)
+
+
+def test_each_source_of_error_tells_what_was_measured_of_it(copied):
+    outcome = read_outcome(copied)
+    table = outcome.measurement_statistics.set_index("measurement")
+    budget = {one.name: one for one in error_budget(outcome, "coulomb")}
+    assert list(budget) == ["samples", "path", "contact residuals", "meshes", "contact pairs", "order of the process"]
+    half = (table["six_sigma_high"] - table["six_sigma_low"]).max() / 2
+    assert budget["samples"].six_sigma == pytest.approx(half) and half > 0.1
+    assert budget["path"].six_sigma == pytest.approx(table["six_sigma_path"].abs().max())
+    assert 0 < budget["contact residuals"].six_sigma < 1e-8
+    for name, command in (
+        ("meshes", "accuracy = true"),
+        ("contact pairs", "mic check --converge"),
+        ("order of the process", "mic order"),
+    ):
+        assert not budget[name].measured and command in budget[name].how
+    orders = {"order": ["as stated", "reverse"], "quantity": "M1", "tolerance": 1.0, "samples": 9, "law": "coulomb"}
+    orders |= {name: 0.0 for name in ORDERS.names if name not in orders} | {"six_sigma_change": [0.0, -0.017]}
+    ORDERS.write(copied, pd.DataFrame(orders)[ORDERS.names])
+    density = {"law": "coulomb", "measurement": ["M1", "M2"], "pairs": 24, "denser": 50, "nominal_change": 0.0}
+    density |= {"mean_change": [0.001, -0.004], "six_sigma_change": [0.002, -0.003], "failed": 0}
+    DENSITY.write(copied, pd.DataFrame(density))
+    mesh = dict.fromkeys(ACCURACY.names, 0.0) | {"part": "lower", "nodes": 9, "finer_nodes": 9}
+    ACCURACY.write(copied, pd.DataFrame([mesh | {"quantity": "M1", "set_down": 0.01, "located": 0.02}]))
+    budget = {one.name: one for one in error_budget(outcome, "coulomb")}
+    assert budget["order of the process"].six_sigma == pytest.approx(0.017)
+    assert (budget["contact pairs"].mean, budget["contact pairs"].where) == (pytest.approx(0.004), "M2")
+    assert budget["meshes"].six_sigma == pytest.approx(0.02 * table.loc["M1", "six_sigma"])
+    assert all(one.measured for one in budget.values())
+    said = answer(outcome).sentences[-1]
+    total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))
+    assert f"6σ to {change(total).lstrip('+')}, most of it from samples." in said
+
+
+def test_samples_that_failed_are_told_beside_the_answer(copied):
+    fail(copied, "coulomb", {3: ("clamp", "not converged")})
+    last = answer(read_outcome(copied)).sentences[-1]
+    assert last == f"1 of {SAMPLES} samples failed or are missing, and do not count."
+
+
+def test_a_rare_miss_is_told_as_it_was_computed(copied):
+    row = {"law": "coulomb", "measurement": "", "outside": 2.5e-5, "outside_low": 1e-5, "outside_high": 6e-5}
+    RARE.write(copied, pd.DataFrame([row | {"levels": 5, "evaluations": 5000, "failed": 0}]))
+    said = answer(read_outcome(copied)).sentences
+    assert "By subset simulation 25 ppm (10 to 60) of the assemblies miss a limit." in said
+
+
+@pytest.mark.slow
+def test_studies_of_a_results_folder_stay_in_it_and_in_its_page(copied):
+    for command, table in (("contributors", CONTRIBUTORS), ("friction", FRICTION_EFFECTS), ("order", ORDERS)):
+        done = CliRunner().invoke(app, [command, str(copied), "--samples", "8"], env={"COLUMNS": "160"})
+        assert done.exit_code == 0, done.output
+        frame = table.read(copied, "")
+        assert len(frame) and (frame["law"] == "coulomb").all() and table.place in done.output.replace("\n", "")
+    page = write_report(copied).read_text()
+    for anchor in ("answer-table", "budget-table", "contributors-table", "friction-table", "contributors"):
+        assert f'id="{anchor}"' in page
+    assert "Friction hardly matters here" in page and "nearly linear" in page
+    assert page.index('id="answer"') < page.index('id="validity"')
+    again = CliRunner().invoke(app, ["report", str(copied)])
+    assert again.exit_code == 0 and "driven by" in again.output and CONTRIBUTORS.read(copied, "") is not None
+
+
+def test_a_folder_whose_model_is_another_s_is_refused(copied, hat_model):
+    hat_model.save(copied / "model.npz")
+    done = CliRunner().invoke(app, ["contributors", str(copied)])
+    assert done.exit_code != 0 and "belongs to another run" in str(done.exception)

@@ -1,0 +1,115 @@
+"""Rare misses: subset simulation against closed forms, and what it does where nothing is rare."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+from scipy.stats import binom, chi2
+from support.springs import at_face, six, spring_model
+from typer.testing import CliRunner
+
+from mic.options import app
+from mic.rare import rare, subset_simulation
+from mic.results.schema import RARE
+from mic.sampling.draw import draw, numbers, placed
+
+
+def normal(dimension, beta):
+    """One linear limit: P = Φ(−β)."""
+    return (lambda z: z.sum(axis=1) / np.sqrt(dimension) - beta), float(ndtr(-beta))
+
+
+def sphere(dimension, radius):
+    """Far off in any direction: P = 1 − F_χ²(r²)."""
+    return (lambda z: np.linalg.norm(z, axis=1) - radius), float(chi2.sf(radius**2, dimension))
+
+
+@pytest.mark.parametrize("case, dimension, at", [(normal, 2, 3.5), (normal, 20, 4.5), (sphere, 5, 5.0)])
+def test_closed_forms_are_within_the_interval_as_often_as_it_claims(case, dimension, at):
+    """Of 40 repetitions at least as many as 95 % allow, but for one time in a thousand; the mean within its error."""
+    g, wanted = case(dimension, at)
+    found = [subset_simulation(g, dimension, 500, seed) for seed in range(40)]
+    inside = sum(one.low <= wanted <= one.high for one in found)
+    assert inside >= binom.ppf(0.001, 40, 0.95)
+    each = np.array([one.probability for one in found])
+    assert each.mean() == pytest.approx(wanted, rel=0.15 + 4 * each.std() / wanted / np.sqrt(40))
+    assert max(one.high / one.low for one in found) < 100
+    levels = found[0].levels
+    assert found[0].evaluations == 500 + (levels - 1) * 450 and levels == pytest.approx(-np.log10(wanted), abs=1.5)
+
+
+def test_what_is_not_rare_is_a_plain_monte_carlo():
+    g, wanted = normal(3, 1.0)
+    found = subset_simulation(g, 3, 2000, 1)
+    assert (found.levels, found.evaluations) == (1, 2000)
+    assert found.low < wanted < found.high and found.high - found.low < 0.04
+
+
+def test_what_never_happens_is_told_to_lie_below_what_was_reached():
+    found = subset_simulation(lambda z: -1.0 - z[:, 0] ** 2, 2, 100, 1)
+    assert found.probability == 0.0 and 0 < found.high < 1e-8
+
+
+@pytest.fixture(scope="module")
+def closing():
+    """b's face follows its own locator, and in a fifth of the samples it is pressed down by a's."""
+    return spring_model(
+        [0.6],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ba"],
+        locators=[*six("b"), *six("a")],
+        zones=[{"name": "Z", "parts": ["b", "a"], "friction": 0.0, "pairs": 1}],
+        measurements=[at_face("b", (0, 0, 1), name="M", lower=-1.0, upper=1.0)],
+        deviations=[
+            {"name": "A1", "kind": "locator", "target": "al1", "sigma": 1.0},
+            {"name": "A2", "kind": "locator", "target": "al2", "sigma": 1.0},
+        ],
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    )
+
+
+def test_a_rare_miss_through_contact_is_found_and_no_normal_would_have_told_it(closing):
+    """a comes down by z = (A1 + A2)/2 of σ √½ and presses b by (z − 0.6)/2, to −1 mm where z is 2.6 mm."""
+    wanted = float(ndtr(-2.6 / np.sqrt(0.5)))  # 1.2e-4
+    found = rare(closing, "frictionless", ["M"], 500, seed=4)
+    RARE.check(found, "memory", "mend it")
+    assert found["measurement"].tolist() == ["", "M"] and found["failed"].tolist() == [0, 0]
+    for row in found.to_dict("records"):
+        assert row["outside_low"] < wanted < row["outside_high"] and row["outside_high"] < 10 * wanted
+    plain = closing.process("frictionless").evaluate(draw(closing.scene, 1, 0, 2000)).measurements[:, 0]
+    fitted = float(ndtr((-1.0 - plain.mean()) / plain.std()))
+    assert fitted < found["outside_low"].max() / 100 or fitted > 100 * found["outside_high"].min()
+
+
+def test_samples_that_failed_are_no_misses_and_counted(closing, monkeypatch):
+    process = closing.process("frictionless")
+    attempt = process.attempt
+
+    def some_fail(deviations):
+        found = attempt(deviations)
+        return replace(found, failed=deviations[:, 0] < -2.0)
+
+    monkeypatch.setattr(process, "attempt", some_fail)
+    found = rare(closing, "frictionless", samples=500, seed=4).iloc[0]
+    assert found["failed"] > 0
+    whole = float(ndtr(-2.6 / np.sqrt(0.5)))
+    assert found["outside"] < whole  # those of the misses that failed do not count
+
+
+def test_normal_numbers_and_drawn_samples_have_one_distribution(closing):
+    scene = closing.scene
+    z = np.random.default_rng(1).standard_normal((4000, numbers(scene)))
+    x, y = placed(scene, ndtr(z)), draw(scene, 3, 0, 4000)
+    np.testing.assert_allclose(x.mean(axis=0), y.mean(axis=0), atol=0.08)
+    np.testing.assert_allclose(x.std(axis=0), y.std(axis=0), atol=0.06)
+    np.testing.assert_allclose(x, z, atol=1e-9)  # normal, of mean 0 and standard deviation 1
+
+
+def test_the_command_prints_parts_in_a_million_and_refuses_what_is_not_there(closing, tmp_path):
+    closing.save(tmp_path / "model.npz")
+    arguments = ["rare", str(tmp_path / "model.npz"), "--samples", "200", "--law", "frictionless"]
+    done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
+    assert done.exit_code == 0, done.output
+    assert "The assembly misses a limit in" in done.output and "of a million" in done.output
+    refused = CliRunner().invoke(app, [*arguments, "--measurement", "N"])
+    assert refused.exit_code != 0 and "has no measurement 'N'; it has: M" in str(refused.exception)
