@@ -1273,8 +1273,9 @@ def _compile(digest):
                         placed = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
                         unsure = _unsure(y0, state0, motion, w, state, opened, gone, unit)
                         error = np.hypot(placed, unsure)
-                        # With none of the shifts nobody would know better when a contact opens.
-                        if solved == 1 and (turn == 1 if given else (placed if last else error) <= allowed):
+                        if last:  # neither a shorter step nor one without shifts would tell when a contact opens
+                            unsure, error = 0.0, placed
+                        if solved == 1 and (turn == 1 if given else error <= allowed):
                             break
                         left = np.hypot(_error(y0, state0, e0, loose, y, w, state, other, other, unit), unsure)
                         if turn == 0 and solved == 1 and (given or last or left <= allowed):
