@@ -239,6 +239,22 @@ def contributors(
 
 
 @app.command()
+def sensitivity(
+    source: SourceArgument,
+    samples: Annotated[
+        int, typer.Option(min=0, help="Samples beside the mean assembly, over which the derivatives' range is told.")
+    ] = 20,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+):
+    """Say what a step of each deviation, locator, clamp and friction changes, and how far the next contact change is.
+
+    Exact derivatives of the key characteristics, through contact, friction and what the stages remember.
+    """
+    _commands().sensitivity(source, samples, seed, law)
+
+
+@app.command()
 def friction(
     source: SourceArgument,
     samples: Annotated[int, typer.Option(min=3, help="Samples, the same for every coefficient of friction.")] = 60,

@@ -42,6 +42,7 @@ __all__ = [
     "RARE",
     "RESOLUTIONS",
     "SAMPLES",
+    "SENSITIVITIES",
     "SLIPS",
     "STATISTICS",
     "STUDIES",
@@ -293,21 +294,27 @@ SLIPS = _dataset(
             "rms_slip",
             "float64",
             "mm",
-            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net; the "
-            "denser the pairs, the less of the zone touches",
+            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net; of "
+            "candidates weighed by the work of friction on each, for the denser they are, the less of the area touches",
         ),
         Column("slip_length", "float64", "mm", "the same of the length of the way that each slipped"),
         Column(
             "friction_work", "float64", "N mm", "work that friction dissipated in the stage, sum over the zone's pairs"
         ),
-        Column("open", "float64", "1", "share of the stage's path that a pair was open, mean over the zone's pairs"),
+        Column(
+            "open",
+            "float64",
+            "1",
+            "share of the stage's path that a pair was open, mean over the zone's pairs; of candidates it grows with "
+            "their number, as stuck and slipping shares fall",
+        ),
         Column("stick", "float64", "1", "share of the path that a pair stuck"),
         Column("slip", "float64", "1", "share of the path that a pair slipped"),
     ),
     "Motion of the zones along their surfaces; no rows where only normals are modelled. Without friction nothing slips "
     "under load and no path is followed: all but `rms_tangential` is NaN. Pairs that a zone states count alike, "
-    "candidates by their area.",
-    version=2,
+    "candidates by their area, and for slip under load by friction's work.",
+    version=3,
 )
 MEASUREMENTS = _dataset(
     "measurements",
@@ -498,9 +505,20 @@ MEASUREMENT_STATISTICS = _statistic(
         ),
         *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ, of these (upper - mean) / 3σ"),
         *_estimate("share_outside", "1", "share of the samples outside the limits"),
+        Column(
+            "improved",
+            "str",
+            "",
+            "what the following rest on: `linear` or `quadratic` regression on the deviations, whose moments are known "
+            "(`mic.results.regression`); `plain` where none is narrower, or the samples are too few, and the figures "
+            "are empty",
+        ),
+        Column("explained", "float64", "1", "share of the variance that the regression explains"),
+        *_estimate("improved_mean", "mm", "mean by regression"),
+        *_estimate("improved_six_sigma", "mm", "six standard deviations by regression"),
     ),
     "Key characteristics against their limits.",
-    version=2,
+    version=3,
 )
 PROFILE_STATISTICS = _statistic(
     "profiles",
@@ -630,6 +648,25 @@ CONTRIBUTORS = _statistic(
     "linear analysis says. Estimates are not cut to 0 … 1: what lies outside is noise. Empty where a characteristic "
     "does not vary.",
 )
+SENSITIVITIES = _statistic(
+    "sensitivities",
+    "one law, key characteristic and input",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("input", "str", "", "a deviation, or where in the scene what is held fixed stands"),
+        Column("step", "float64", "N, mm or 1", "by how much it is moved: a deviation by its standard deviation"),
+        Column("samples", "int64", "", "samples that the range rests on, the mean assembly among them"),
+        Column("effect", "float64", "mm", "what that changes of the mean assembly: the derivative times the step"),
+        Column("effect_low", "float64", "mm", "the smallest over the samples"),
+        Column("effect_high", "float64", "mm", "the largest"),
+        Column(
+            "reach", "float64", "1", "steps until a contact of the mean assembly changes its state; inf if none does"
+        ),
+    ),
+    "What steps of the inputs change: exact derivatives through contact and memory (`mic.process.sensitivity`). "
+    "Written by `mic sensitivity`.",
+)
 LINEARITY = _statistic(
     "linearity",
     "one law and key characteristic",
@@ -710,7 +747,7 @@ DENSITY = _statistic(
     "How much hangs on how dense the contact pairs are.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
-STUDIES = (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)
+STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)
 #: The CSV tables of statistics.
 STATISTICS = (
     ZONE_STATISTICS,
