@@ -41,7 +41,8 @@ from mic.process.plan import plan_assembly
 from mic.process.words import opening, sentences
 from mic.proposal import write_scene
 from mic.rare import rare as rare_events
-from mic.results.folder import RunFolder
+from mic.results.excel import write_excel
+from mic.results.folder import EXCEL, RunFolder
 from mic.results.forecast import forecast
 from mic.results.identity import identity
 from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, SENSITIVITIES
@@ -110,11 +111,15 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
 
 
 @_on_first
-def report(folder):
+def report(folder, excel):
     """``mic report``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     try:
         _report(console, conclude(folder, listener=_Listener(console)))
+        if excel:
+            with hold(folder, _Listener(console)):
+                book = write_excel(folder, folder / EXCEL)
+            console.print(f"Excel: [bold]{plain(book)}[/]", soft_wrap=True)
     except (KeyboardInterrupt, Stopped) as stop:
         console.print(f"Interrupted: the samples in {plain(folder)} stand untouched; call mic report again.")
         raise typer.Exit(_status(stop)) from None
@@ -264,8 +269,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
     model = _at_hand(assembly)
-    shapes = _print_sources(console, assembly, model)
     _print_doubts(console, assembly, model)
+    shapes = _print_sources(console, assembly, model)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)

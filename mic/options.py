@@ -107,9 +107,10 @@ def report(
     folder: Annotated[
         Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
     ],
+    excel: Annotated[bool, typer.Option("--excel", help="Write its tables into tables.xlsx as well.")] = False,
 ):
     """Write the statistics, fields and report of a results folder again."""
-    _commands().report(folder)
+    _commands().report(folder, excel)
 
 
 @app.command()

@@ -484,6 +484,7 @@ def test_there_are_a_hundred_and_fifty_of_them_and_every_rule_has_one():
         "overlap-closed",
         "overlap-kept",
         "parts-cross",
+        "bend-coarse",
         "samples-twice",
         "samples-narrow",
     }
@@ -662,6 +663,32 @@ def plates(lower=(100.0, 40.0, 5.0), upper=(100.0, 40.0, 5.0), height=1.0, tilt=
     return Case(scene, meshes, np.zeros((0, 1)))
 
 
+def bent(facets: int) -> Case:
+    """Two sheets about one axis, 1 mm apart, through 120° in so many facets."""
+    angle = np.radians(np.linspace(-60, 60, facets + 1))
+    case = plates()
+    meshes, locators = {}, []
+    for part, radius in (("lower", 40.0), ("upper", 41.0)):
+        at = lambda x, turn, radius=radius: (x, *(radius * np.array([np.sin(turn), np.cos(turn)])))
+        profile = np.column_stack([radius * np.sin(angle), radius * np.cos(angle)])
+        meshes[part] = extrude(profile, 0.0, 100.0, 7.5)[:2]
+        places = [(10, -0.9, "z"), (10, 0.9, "z"), (90, 0, "z"), (10, 0, "y"), (90, 0, "y"), (10, 0.5, "x")]
+        locators += [
+            {
+                "name": f"{part}{i}",
+                "part": part,
+                "point": at(x, turn),
+                "direction": {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[axis],
+                "radius": 0.0,
+            }
+            for i, (x, turn, axis) in enumerate(places)
+        ]
+    clamps = [clamp | {"point": (50.0, 0.0, height)} for clamp, height in zip(case.table["clamps"], (40.0, 41.0))]
+    stages = [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "release"}]
+    table = case.table | {"locators": locators, "clamps": clamps, "stages": stages, "welds": []}
+    return Case(table, meshes, case.deviations)
+
+
 #: What only another geometry shows: the plates, and what is said of them.
 SHAPED = {
     "as they should be": (plates(), None, ""),
@@ -679,6 +706,8 @@ SHAPED = {
         "weld-off-zone",
         "weld W",
     ),
+    "bent in many facets": (bent(32), None, ""),
+    "bent in few facets": (bent(12), "bend-coarse", "zone between"),
 }
 
 

@@ -43,15 +43,32 @@ def test_tangential_displacement_of_a_zone_is_the_rms_over_its_pairs(found):
     assert moved == pytest.approx(rms, rel=1e-12) and rms > 1e-5
 
 
+def as_candidates(model):
+    """The same pairs as candidates of different areas."""
+    contacts, area = model.contacts, np.linspace(1.0, 5.0, len(model.contacts))
+    return replace(model, contacts=replace(contacts, watched=np.ones(len(area), dtype=bool), area=area))
+
+
 def test_candidates_count_by_their_area(lap_model, evaluation):
-    area = np.linspace(1.0, 5.0, len(lap_model.contacts))
-    watched = np.ones(len(area), dtype=bool)
-    dense = replace(lap_model, contacts=replace(lap_model.contacts, watched=watched, area=area))
-    slips = tables(dense, evaluation)["slips"].query("stage == 'clamp'")
-    resolution = evaluation.resolutions["clamp"]
-    for column, motion in (("rms_tangential", resolution.displacement[:, :, 1:]), ("rms_slip", resolution.trace.slip)):
-        wanted = np.sqrt(np.average((motion**2).sum(axis=2), axis=1, weights=area))
+    slips = tables(as_candidates(lap_model), evaluation)["slips"].query("stage == 'clamp'")
+    moved = (evaluation.resolutions["clamp"].displacement[:, :, 1:] ** 2).sum(axis=2)
+    wanted = np.sqrt(np.average(moved, axis=1, weights=np.linspace(1.0, 5.0, len(lap_model.contacts))))
+    np.testing.assert_allclose(slips["rms_tangential"], wanted, rtol=1e-12)
+
+
+def test_slip_of_candidates_is_weighed_by_the_work_of_friction(lap_model, evaluation):
+    """So that it does not hang on how many of them touch nothing; where friction did no work, nothing slipped."""
+    trace = evaluation.resolutions["clamp"].trace
+    slips = tables(as_candidates(lap_model), evaluation)["slips"].query("stage == 'clamp'")
+    for column, squares in (("rms_slip", (trace.slip**2).sum(axis=2)), ("slip_length", trace.length**2)):
+        work = np.maximum(trace.work, 0.0)  # but for rounding
+        wanted = np.sqrt((squares * work).sum(axis=1) / work.sum(axis=1))
+        assert (wanted > 1.1 * np.sqrt(squares.mean(axis=1))).all()
         np.testing.assert_allclose(slips[column], wanted, rtol=1e-12)
+    idle = replace(evaluation.resolutions["clamp"], trace=replace(trace, work=0 * trace.work, slip=0 * trace.slip))
+    still = replace(evaluation, resolutions=dict(evaluation.resolutions) | {"clamp": idle})
+    slips = tables(as_candidates(lap_model), still)["slips"].query("stage == 'clamp'")
+    assert (slips["rms_slip"] == 0).all()
 
 
 def test_slip_of_a_zone_is_that_under_load(found, evaluation):
@@ -221,7 +238,7 @@ def test_a_flipped_number_inside_a_block_is_noticed(found, tmp_path):
 DECLARED = {
     "deviations": (1, "2113a270"),
     "resolutions": (5, "65cdecc3"),
-    "slips": (2, "802d26ed"),
+    "slips": (3, "802d26ed"),
     "measurements": (1, "00559d48"),
     "profiles": (1, "48ef7f01"),
     "contacts": (2, "f209fc4c"),

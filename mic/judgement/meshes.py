@@ -28,6 +28,7 @@ BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
 BODY = 3.0  # mm: no pad is thinner
 CROSSED = 0.05  # mm on either side
 SMALL = 20.0  # mm²
+CHORD = 0.1  # mm that a facet stands off the curved sheet
 
 PADS = ("locators", "clamps", "welds", "deviations", "measurements")
 
@@ -252,6 +253,30 @@ def zone_small(assembly) -> Iterator[Seen]:
         area = float(assembly.contacts.area[own].sum())
         if own.any() and area < SMALL:
             yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
+
+
+def bend_coarse(assembly) -> Iterator[Seen]:
+    """Zones on bends of few facets: a chord of length ℓ along which the sheet turns by θ stands ℓ θ / 8 off it."""
+    scene, contacts = assembly.scene, assembly.contacts
+    for i, zone in enumerate(scene.zones):
+        own = contacts.point[contacts.zone == i]
+        for part in assembly.parts if len(own) else ():
+            if part.name not in zone.parts:
+                continue
+            triangle = part.surface.project(own).triangle
+            chord, turn = (
+                np.roll(corners[triangle], -1, axis=1) - corners[triangle]
+                for corners in (part.surface.corners, part.surface.corner_normals)
+            )
+            off = np.abs(np.einsum("kij,kij->ki", chord, turn)) / 8
+            worst, edge = np.unravel_index(int(np.argmax(off)), off.shape)
+            if off[worst, edge] > CHORD:
+                length, share = np.linalg.norm(chord[worst, edge]), float((off.max(axis=1) > CHORD).mean())
+                said = (
+                    f"lies with {100 * share:.0f} % of its pairs on bends that part {part.name} draws by chords "
+                    f"{off[worst, edge]:.2g} mm off the curved sheet, {length:.2g} mm long"
+                )
+                yield of("zones", zone), said, tuple(own[worst].tolist())
 
 
 def samples_twice(assembly) -> Iterator[Seen]:

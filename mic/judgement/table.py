@@ -430,6 +430,13 @@ MESHES: tuple[Rule, ...] = (
         meshes.zone_small,
     ),
     Rule(
+        "bend-coarse",
+        f"at most {meshes.CHORD:g} mm",
+        "on coarser bends sheets touch where their facets' corners meet, and results hang on where pairs stand",
+        "mesh the bends finer, half the length is a quarter off; or leave them out of the zone by box or path",
+        meshes.bend_coarse,
+    ),
+    Rule(
         "samples-twice",
         "one row for each assembly",
         "what stands there twice counts twice",

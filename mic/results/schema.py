@@ -294,21 +294,27 @@ SLIPS = _dataset(
             "rms_slip",
             "float64",
             "mm",
-            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net; the "
-            "denser the pairs, the less of the zone touches",
+            "slip: root mean square over the zone's pairs of what each slipped under load in the stage, net; of "
+            "candidates weighed by the work of friction on each, for the denser they are, the less of the area touches",
         ),
         Column("slip_length", "float64", "mm", "the same of the length of the way that each slipped"),
         Column(
             "friction_work", "float64", "N mm", "work that friction dissipated in the stage, sum over the zone's pairs"
         ),
-        Column("open", "float64", "1", "share of the stage's path that a pair was open, mean over the zone's pairs"),
+        Column(
+            "open",
+            "float64",
+            "1",
+            "share of the stage's path that a pair was open, mean over the zone's pairs; of candidates it grows with "
+            "their number, as stuck and slipping shares fall",
+        ),
         Column("stick", "float64", "1", "share of the path that a pair stuck"),
         Column("slip", "float64", "1", "share of the path that a pair slipped"),
     ),
     "Motion of the zones along their surfaces; no rows where only normals are modelled. Without friction nothing slips "
     "under load and no path is followed: all but `rms_tangential` is NaN. Pairs that a zone states count alike, "
-    "candidates by their area.",
-    version=2,
+    "candidates by their area, and for slip under load by friction's work.",
+    version=3,
 )
 MEASUREMENTS = _dataset(
     "measurements",
@@ -770,6 +776,7 @@ def reference() -> str:
         "| `paper.toml` | published figures to compare with, where the scene has any |",
         "| `summary.json` | the statistics by law, zone and measurement, each with its interval |",
         "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
+        "| `tables.xlsx` | the tables in one workbook, where `mic report --excel` was called |",
     ]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*_samples_first(DATASETS), FORCES, FIELDS)]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY, *STUDIES)]

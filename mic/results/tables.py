@@ -124,7 +124,9 @@ def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
 def _motion(resolution: Resolution, contacts, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
     """The last columns of :data:`mic.results.schema.SLIPS` for one zone: (n,) each, NaN for what takes friction.
 
-    Pairs that the zone states count alike. Candidates stand nearer to each other along edges, and count by their area.
+    Pairs that the zone states count alike. Candidates stand nearer to each other along edges, and count by their area;
+    what they slip under load by the work that friction did on the way. The finer they are, the less of the area
+    touches, down to lines and points: a mean over it has no limit, one over the work has.
 
     Parameters
     ----------
@@ -138,9 +140,12 @@ def _motion(resolution: Resolution, contacts, own: np.ndarray, frictional: bool)
     weight = np.where(contacts.watched, contacts.area, 1.0)[own]
     weight = weight / weight.sum()
     share = weight @ trace.share[:, own]
+    work = np.maximum(trace.work[:, own], 0.0)
+    total = np.maximum(work.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    bearing = np.where(contacts.watched[own], work / total, weight)
     under_load = {
-        "rms_slip": np.sqrt((trace.slip[:, own] ** 2).sum(axis=2) @ weight),
-        "slip_length": np.sqrt(trace.length[:, own] ** 2 @ weight),
+        "rms_slip": np.sqrt(((trace.slip[:, own] ** 2).sum(axis=2) * bearing).sum(axis=1)),
+        "slip_length": np.sqrt((trace.length[:, own] ** 2 * bearing).sum(axis=1)),
         "friction_work": trace.work[:, own].sum(axis=1),
         **{STATES[state]: share[:, state] for state in (OPEN, STICK, SLIP)},
     }

@@ -1144,8 +1144,9 @@ class Correlation(_Table):
 class FollowedPath(_Table):
     """How closely friction's path is followed, in stages that ask for nothing else.
 
-    The tolerance is that of one step: the error of the contacts' tangential positions that it may leave, as a share of
-    the motion that the step of the process asks of the contacts (root mean squares over the contacts).
+    The tolerance is that of one step: the error that it may leave in the contacts' tangential positions, and in the
+    slip of those that open, as a share of the motion that the step of the process asks of the contacts (root mean
+    squares over the contacts).
     """
 
     tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Field(
