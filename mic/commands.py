@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shlex
 import sys
@@ -20,6 +21,7 @@ from rich.table import Table
 from mic import cache_folder, density, examples
 from mic import contributors as driving
 from mic import friction as rubbing
+from mic import sensitivity as slopes
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.console import plain
@@ -39,19 +41,22 @@ from mic.process.plan import plan_assembly
 from mic.process.words import opening, sentences
 from mic.proposal import write_scene
 from mic.rare import rare as rare_events
-from mic.results.folder import RunFolder
+from mic.results.excel import write_excel
+from mic.results.folder import EXCEL, RunFolder
 from mic.results.forecast import forecast
 from mic.results.identity import identity
-from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE
+from mic.results.schema import CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, SENSITIVITIES
 from mic.runs import Listener, conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
 from mic.store import replacing
 
-__all__ = ["check", "contributors", "friction", "init", "order", "rare", "report", "run"]
+__all__ = ["check", "contributors", "friction", "init", "order", "rare", "report", "run", "sensitivity"]
 
 ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
+NOTHING = 1e-6  # mm: a step that changes no more changes nothing
+FAR = 100.0  # steps: no contact that a step could change
 LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
 LISTED = 40  # sources that a check tells one by one
 
@@ -106,11 +111,15 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
 
 
 @_on_first
-def report(folder):
+def report(folder, excel):
     """``mic report``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     try:
         _report(console, conclude(folder, listener=_Listener(console)))
+        if excel:
+            with hold(folder, _Listener(console)):
+                book = write_excel(folder, folder / EXCEL)
+            console.print(f"Excel: [bold]{plain(book)}[/]", soft_wrap=True)
     except (KeyboardInterrupt, Stopped) as stop:
         console.print(f"Interrupted: the samples in {plain(folder)} stand untouched; call mic report again.")
         raise typer.Exit(_status(stop)) from None
@@ -260,8 +269,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
     model = _at_hand(assembly)
-    shapes = _print_sources(console, assembly, model)
     _print_doubts(console, assembly, model)
+    shapes = _print_sources(console, assembly, model)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
@@ -725,6 +734,52 @@ def _print_friction(console, found):
         console.print(table)
     for sentence in friction_words(found, rubbing.friction_needed(found)):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+
+@_on_first
+def sensitivity(source, samples, seed, law):
+    """``mic sensitivity``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    if not scene.measurements:
+        raise SceneError(f"scene {scene.name!r} has no measurements: nothing is asked for; give it some")
+    with _counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
+        found = slopes.effects(model, asked, samples, _seed_of(scene, seed), advance)
+    _print_sensitivity(console, found)
+    _keep_studies(console, folder, {SENSITIVITIES: found.table})
+
+
+def _print_sensitivity(console, found):
+    """What steps of the inputs change, one line each, the largest first."""
+    from mic.report.style import number  # drawing libraries are slow to import
+
+    names = found.table["measurement"].unique()
+    table = Table(
+        "input", "step", *map(plain, names), "contact changes after",
+        title="What a step changes, µm (over the samples)",
+    )  # fmt: skip
+    most = found.table.groupby("input")["effect"].apply(lambda x: x.abs().max()).sort_values(ascending=False)
+    for name in most.index[most > NOTHING]:
+        own = found.table[found.table["input"] == name].to_dict("records")
+        cells = [
+            f"{number(1e3 * row['effect'], 2)} ({number(1e3 * row['effect_low'], 2)} … "
+            f"{number(1e3 * row['effect_high'], 2)})"
+            for row in own
+        ]
+        reach = own[0]["reach"]
+        table.add_row(plain(name), number(own[0]["step"]), *cells, f"{number(reach, 2)} steps" if reach < FAR else "–")
+    console.print(table)
+    if math.isfinite(found.reach):
+        console.print(
+            f"The mean assembly is {number(found.reach, 2)} σ from the next change of a contact: {plain(found.where)}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if still := most.index[most <= NOTHING].tolist():
+        console.print(f"Nothing is changed by {plain(', '.join(still))}", highlight=False, soft_wrap=True)
+    if found.failed:
+        console.print(f"{found.failed} samples failed and are left out")
 
 
 @_on_first

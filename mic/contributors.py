@@ -77,7 +77,7 @@ def contributors(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples : int
-        N of each set; N (g + 2) + 2 p + 1 evaluations are made of g contributors and p deviations.
+        N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary.
     seed : int
     threads : int
     progress : callable, optional

@@ -10,7 +10,7 @@ from mic.errors import RunError, SceneError
 __all__ = ["copy", "folder", "names"]
 
 _ROOT = Path(__file__).with_name("example_scenes")  # in a checkout a link to meshes/
-_FILES = ("*.toml", "*.py", "*.md")
+_FILES = ("*.toml", "*.py", "*.md", "*.csv")
 
 
 def names() -> list[str]:

@@ -63,19 +63,19 @@ def friction_effects(
         raise ValueError(f"scene {scene.name!r} has no {'friction' if scene.measurements else 'measurements'}")
     deviations = draw(scene, seed, 0, samples)
 
-    def measured(own: ReducedModel) -> np.ndarray:
-        found = own.process(law, threads=threads).attempt(deviations)
+    def measured(own: ReducedModel, drawn: np.ndarray) -> np.ndarray:
+        found = own.process(law, threads=threads).attempt(drawn)
         progress(samples)
         return np.where(found.failed[:, None], np.nan, found.measurements)
 
-    base, frames = measured(model), []
+    base, frames = measured(model, deviations), []
     rubbing = [z for z, zone in enumerate(scene.zones) if zone.frictional]
     every = np.arange(len(scene.zones))
     variants = [("", every, factor) for factor in FACTORS]
     variants += [(scene.zones[z].name, np.array([z]), f) for z in rubbing for f in FACTORS if len(rubbing) > 1 and f]
     for name, zones, factor in variants:
         try:
-            other = measured(scaled(model, zones, factor))
+            other = measured(scaled(model, zones, factor), _scaled_deviations(scene, deviations, zones, factor))
         except SceneError:  # friction alone holds a part
             if factor > 0:
                 raise
@@ -92,6 +92,15 @@ def scaled(model: ReducedModel, zones: np.ndarray, factor: float) -> ReducedMode
     pressure = contacts.pressure.copy()
     pressure[own, :, 1:4] *= factor  # α, β and γ of μ(p)
     return replace(model, contacts=replace(contacts, friction=contacts.friction * by, pressure=pressure))
+
+
+def _scaled_deviations(scene, deviations: np.ndarray, zones: np.ndarray, factor: float) -> np.ndarray:
+    """Deviations (n, p) of which those of the zones' friction, which add to it, are multiplied as it is."""
+    found, names = deviations.copy(), {scene.zones[z].name for z in zones}
+    for j, item in enumerate(scene.deviations):
+        if item.kind == "friction" and {*([item.target] if isinstance(item.target, str) else item.target)} <= names:
+            found[:, j] *= factor
+    return found
 
 
 def _changes(scene, base: np.ndarray, other: np.ndarray) -> pd.DataFrame:

@@ -107,9 +107,10 @@ def report(
     folder: Annotated[
         Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
     ],
+    excel: Annotated[bool, typer.Option("--excel", help="Write its tables into tables.xlsx as well.")] = False,
 ):
     """Write the statistics, fields and report of a results folder again."""
-    _commands().report(folder)
+    _commands().report(folder, excel)
 
 
 @app.command()
@@ -235,6 +236,22 @@ def contributors(
     alone, and which with its interactions. Beside them what a linear analysis says, and a warning where it misleads.
     """
     _commands().contributors(source, samples, seed, law)
+
+
+@app.command()
+def sensitivity(
+    source: SourceArgument,
+    samples: Annotated[
+        int, typer.Option(min=0, help="Samples beside the mean assembly, over which the derivatives' range is told.")
+    ] = 20,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+):
+    """Say what a step of each deviation, locator, clamp and friction changes, and how far the next contact change is.
+
+    Exact derivatives of the key characteristics, through contact, friction and what the stages remember.
+    """
+    _commands().sensitivity(source, samples, seed, law)
 
 
 @app.command()

@@ -33,13 +33,14 @@ from mic.results.lock import locked
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.summary import write_path_study, write_summary, write_tables
 from mic.results.tables import tables
-from mic.sampling.montecarlo import monte_carlo
+from mic.sampling.montecarlo import blocks, monte_carlo
 from mic.sampling.ranks import communicator, on_first, shared
 from mic.scene import Scene
 from mic.store import clean
 
 __all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into"]
 
+GROWTH = 1.3  # of the samples, from one look at what they leave to the next
 LONG = 3600.0  # s; a run that takes longer says so before it begins
 
 
@@ -126,7 +127,8 @@ def run(
             for sentence in notes:
                 listener.say(f"note: {sentence}")
         with clock("Monte Carlo"):
-            found = _sample(folder, model, laws, samples, seed, listener)
+            found = _sampled(folder, model, laws, samples, seed, listener)
+            samples = on_first(world, lambda: RunFolder(folder).record()["samples"])
         if world is not None and world.rank > 0:
             return None
         for law, count in found.items():
@@ -171,7 +173,7 @@ def sample_into(
     folder, listener = Path(folder), listener or Listener()
     with hold(folder, listener):
         on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, listener, replace))
-        return _sample(folder, model, laws, samples, seed, listener)
+        return _sampled(folder, model, laws, samples, seed, listener)
 
 
 def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) -> tuple[Assembly, list[str]]:
@@ -215,6 +217,35 @@ def _prepare(
     }
     for sentence in RunFolder(folder).prepare(record, source.scene.report.fields, replace):
         listener.say(sentence)
+
+
+def _sampled(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:
+    """So many samples, or as many of them as the accuracy takes that the scene asks for: whole blocks, each time a
+    third more, so that the same are drawn however often a run is interrupted."""
+    accuracy, world = model.scene.monte_carlo.accuracy, communicator()
+    if accuracy is None:
+        return _sample(folder, model, laws, samples, seed, listener)
+    ends = [first + count for _, first, count in blocks(laws[:1], samples, len(model.contacts))]
+    store, judged = RunFolder(folder), 0
+    found: dict[str, int] = {}
+
+    def look() -> float:
+        """What the 6σ of so many samples leave; they are all that the folder has to hold from now on."""
+        store.write_record(store.record() | {"samples": judged})
+        return read_outcome(folder).uncertainty
+
+    for end in ends:
+        if end < GROWTH * judged and end < samples:
+            continue
+        judged = end
+        reused = _sample(folder, model, laws, end, seed, listener)
+        found = found or reused
+        left = on_first(world, look)
+        if left <= accuracy or end == samples:
+            enough = "" if left <= accuracy else "; more samples may be had by --samples"
+            listener.say(f"{end} samples: every 6σ is known to {left:.2%} ({accuracy:.2%} asked for){enough}")
+            break
+    return found
 
 
 def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:

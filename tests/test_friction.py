@@ -74,6 +74,20 @@ def test_the_zone_that_decides_and_how_well_its_friction_must_be_known(effects):
     assert "without friction its mean would be" in said and "above decides" in said
 
 
+def test_friction_that_varies_is_scaled_with_its_mean(dragged):
+    """μ of every sample goes by the factor, so the drag of every sample does."""
+    rough = {"name": "R", "kind": "friction", "target": "above", "sigma": 0.05}
+    items = [*dragged.scene.model_dump(mode="json")["deviations"], rough]
+    scene = mic.Scene(**dragged.scene.model_dump(mode="json") | {"deviations": items})
+    none = np.zeros((dragged.compliance.size, 3))
+    varied = replace(dragged, scene=scene, shape=none, shape_forces=none)
+    found = friction_effects(varied, "coulomb", 20, seed=2)
+    mean = varied.process("coulomb").evaluate(mic.sampling.draw.draw(scene, 2, 0, 20)).measurements.mean()
+    own = found[found["zone"] == ""].set_index("factor")
+    assert (own["samples"] == 20).all()  # none has less than no friction
+    np.testing.assert_allclose(own["mean_change"], [-mean, -mean / 2, mean], rtol=1e-8)
+
+
 def test_friction_that_changes_nothing_is_said_to_change_nothing(lap_model):
     found = friction_effects(lap_model, "coulomb", 6, seed=1)
     assert set(found["zone"]) == {""} and (found["six_sigma_change"] != 0).all()

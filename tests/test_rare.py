@@ -93,7 +93,7 @@ def test_samples_that_failed_are_no_misses_and_counted(closing, monkeypatch):
     found = rare(closing, "frictionless", samples=500, seed=4).iloc[0]
     assert found["failed"] > 0
     whole = float(ndtr(-2.6 / np.sqrt(0.5)))
-    assert found["outside"] < whole  # those of the misses that failed do not count
+    assert found["outside"] < 0.3 * whole  # most misses are among those that failed
 
 
 def test_normal_numbers_and_drawn_samples_have_one_distribution(closing):

@@ -83,7 +83,7 @@ def _results(scene, cache, folder, samples):
     """Everything that a run of a scene leaves behind, and its page."""
     model = run(_sampled(scene, samples), folder, cache).model
     write_fields(folder)
-    if scene.measurements:
+    if scene.measurements and scene.deviations:
         found = contributors(model, samples=16)
         CONTRIBUTORS.write(folder, found.table)
         LINEARITY.write(folder, found.linearity)
@@ -268,7 +268,7 @@ def test_every_picture_that_can_be_drawn_is_in_the_report():
 
 
 def test_a_picture_of_no_section_is_refused():
-    with pytest.raises(ValueError, match="section must be one of path, motion, slip, "):
+    with pytest.raises(ValueError, match="section must be one of drivers, path, motion, slip, "):
         Entry("lost", "nowhere", lambda outcome, context: None)
 
 

@@ -7,40 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.processes import on_processes
+from support.runs import Heard
 
 from mic.compliance.blocks import Blocks
 from mic.errors import RunError
 from mic.model.assembly import assemble
 from mic.results.identity import identity
 from mic.results.schema import DATASETS
-from mic.runs import Listener, conclude, read_run, run, sample_into
+from mic.runs import conclude, read_run, run, sample_into
 
 LAWS = ["coulomb", "frictionless"]
-
-
-class Heard(Listener):
-    """Keeps what a run says, and may stop it after a number of blocks."""
-
-    def __init__(self, stop_after=None):
-        self.sentences, self.left = [], stop_after
-
-    def say(self, sentence):
-        self.sentences.append(sentence)
-
-    def sampling(self, laws, samples):
-        return self
-
-    def __enter__(self):
-        return self.advance
-
-    def __exit__(self, *_):
-        return False
-
-    def advance(self, law, count):
-        if self.left is not None:
-            self.left -= 1
-            if self.left == 0:
-                raise KeyboardInterrupt
 
 
 def read(folder, table, law="coulomb"):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
@@ -11,11 +12,14 @@ from mic.contact.laws import find
 from mic.contact.tangent import Contact, Varied, retrace
 from mic.contact.trail import Trail
 from mic.errors import SceneError
+from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
 from mic.process.stage import PreparedStage
+from mic.results.schema import SENSITIVITIES
 from mic.sampling.draw import draw
 from mic.scene.schema import ClampDeviation, FrictionDeviation, LocatorDeviation
+from mic.sensitivity import effects, steps
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic
 STEP = 1e-5  # standard deviations
@@ -270,3 +274,39 @@ def test_friction_that_deviates_has_the_slope_of_its_zone(lap_model):
     np.testing.assert_allclose(found.jacobian[:, :, 0], found.jacobian[:, :, 1], rtol=1e-12)
     assert np.abs(found.jacobian).max() > 1e-5 and found.sigma.tolist() == [0.02, 0.0]
     np.testing.assert_allclose(found.measurements, model.evaluate(samples, "coulomb").measurements, rtol=0, atol=1e-4)
+
+
+def test_a_table_tells_what_a_step_of_each_input_changes(lap_model):
+    """A step is taken, and the key characteristics move by what the table says, to second order."""
+    model = on_the_way(lap_model, "one-step")
+    found = effects(model, "coulomb", 5, seed=1)
+    SENSITIVITIES.check(found.table, "memory", "mend it")
+    assert list(found.table["input"].unique()) == list(steps(model)) and found.failed == 0
+    assert set(found.table["samples"]) == {6}
+    assert (found.table["effect_low"] <= found.table["effect"]).all()
+    base = model.evaluate({}, "coulomb").measurements[0]
+    for deviation in model.scene.deviations:
+        step = {deviation.name: deviation.mean + 1e-3 * deviation.sigma}
+        moved = 1e3 * (model.evaluate(step, "coulomb").measurements[0] - base)
+        told = found.table.loc[found.table["input"] == deviation.name, "effect"].to_numpy()
+        np.testing.assert_allclose(told, moved, rtol=0, atol=1e-4 * np.abs(found.table["effect"]).max())
+    assert 0 < found.reach <= found.table.loc[found.table["input"].isin(model.parameters), "reach"].min()
+    assert found.where.split(": ")[0] in [stage.name for stage in model.scene.stages]
+
+
+def test_the_command_prints_the_table_and_the_reach(lap_model, tmp_path):
+    lap_model.save(tmp_path / "model.npz")
+    done = CliRunner().invoke(
+        app, ["sensitivity", str(tmp_path / "model.npz"), "--samples", "2"], env={"COLUMNS": "200"}
+    )
+    assert done.exit_code == 0, done.output
+    wanted = effects(lap_model, "coulomb", 2, lap_model.scene.monte_carlo.seed)
+    assert "What a step changes" in done.output and wanted.where in done.output
+    for name in wanted.table["input"].unique():
+        assert name in done.output
+
+
+def test_a_scene_that_measures_nothing_has_no_sensitivities(lap_model):
+    bare = replace(lap_model, scene=lap_model.scene.model_copy(update={"measurements": []}))
+    with pytest.raises(ValueError, match="has no measurements"):
+        effects(bare, "coulomb", 1)

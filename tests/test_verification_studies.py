@@ -19,6 +19,7 @@ from verification.law import study as law
 from verification.mesh import study as mesh
 from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
+from verification.path import study as path
 from verification.scenes import going, shipped
 from verification.study import Context, Team
 from verification.trade import study as trade
@@ -262,3 +263,18 @@ def test_cheapest_version_keeps_the_target():
 def test_pareto_front():
     lines = versions((0.2, 1, 0), (0.3, 2, 0), (0.1, 3, 0), (0.1, 4, 0), (0.01, 9, 0))
     assert trade.front(lines, 100) == [0, 2, 4]
+
+
+@pytest.mark.parametrize("elsewhere, kept", [(0.0, True), (1e-4, False)])
+def test_increments_that_near_another_end_than_the_judge_are_caught(elsewhere, kept):
+    """What they leave falls with their number, down to how far the other end is."""
+    counts = (64, 128, 256, 512)
+    nearing = pd.DataFrame(
+        [
+            {"scene": scene, "path": f"{count} increments", "off the judge, median, mm": np.hypot(0.01 / count, end)}
+            for scene, end in (("one", 0.0), ("another", elsewhere))
+            for count in counts
+        ]
+    )
+    limit = next(acceptance.limit for acceptance in path.STUDY.acceptance if acceptance.name == "nearing")
+    assert (path.fall(nearing, counts) >= limit) == kept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -85,7 +85,11 @@ class ReducedModel(Reduction):
         return self.process(law).evaluate(self.deviations(deviations))
 
     def sensitivities(
-        self, deviations: Any, law: str | None = None, inputs: Sequence[str] | None = None, steps: Steps | None = None
+        self,
+        deviations: Any,
+        law: str | None = None,
+        inputs: Sequence[str] | Mapping[str, float] | None = None,
+        steps: Steps | None = None,
     ) -> Sensitivities:
         """Exact derivatives of what :meth:`evaluate` finds (:mod:`mic.process.sensitivity`).
 
@@ -93,9 +97,9 @@ class ReducedModel(Reduction):
         ----------
         deviations, law
             As :meth:`evaluate` takes them.
-        inputs : sequence of str, optional
-            With respect to what: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction``;
-            default: all deviations.
+        inputs : sequence of str, or mapping of str to float, optional
+            With respect to what: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction``; with
+            standard deviations of their own, or those of the scene. Default: all deviations.
         steps : mapping, optional
             Steps of the paths, frozen: :attr:`mic.process.sensitivity.Sensitivities.steps` of samples nearby.
 

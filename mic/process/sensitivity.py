@@ -154,7 +154,10 @@ def known_inputs(model) -> dict[str, float]:
 
 @one_thread
 def sensitivities(
-    process, deviations: np.ndarray, inputs: Sequence[str] | None = None, steps: Steps | None = None
+    process,
+    deviations: np.ndarray,
+    inputs: Sequence[str] | Mapping[str, float] | None = None,
+    steps: Steps | None = None,
 ) -> Sensitivities:
     """Take assemblies through all stages, and their derivatives with them.
 
@@ -163,8 +166,9 @@ def sensitivities(
     process : mic.process.process.Process
     deviations : (n, p) array
         As :meth:`mic.model.reduction.Reduction.deviations` returns it.
-    inputs : sequence of str, optional
-        Names as :func:`known_inputs` has them; default: the scene's deviations.
+    inputs : sequence of str, or mapping of str to float, optional
+        Names as :func:`known_inputs` has them, and their standard deviations, should they be others than those;
+        default: the scene's deviations.
     steps : mapping, optional
         Steps of the paths, frozen: those of other samples nearby.
 
@@ -192,13 +196,14 @@ def sensitivities(
                     "finite ways, of which no derivative is taken; give it six locators there, or take differences of "
                     "evaluations"
                 )
-    sigma = np.array([known[name] for name in names])
+    own = inputs if isinstance(inputs, Mapping) else known
+    sigma = np.array([own[name] for name in names])
     size = sum(rows.shape[0] for rows in model.rows.values()) * (len(names) + 1)
     block = max(1, AT_ONCE // max(size, 1))
     pieces = []
-    for own, each in process.parted(deviations):
-        for first in range(own.start, own.stop, block):
-            some = slice(first, min(first + block, own.stop))
+    for run, each in process.parted(deviations):
+        for first in range(run.start, run.stop, block):
+            some = slice(first, min(first + block, run.stop))
             frozen = None if steps is None else {key: trail[some] for key, trail in steps.items()}
             pieces.append(_Sensitivity(each, deviations[some], names, sigma, frozen).found())
     return Sensitivities.join(pieces)

@@ -11,6 +11,7 @@ import pandas as pd
 from mic.contact.states import STATES
 from mic.model.nuggets import nuggets
 from mic.results.capability import outside
+from mic.results.regression import Regression
 from mic.results.schema import SLIPS
 from mic.results.statistics import Moments
 
@@ -128,6 +129,8 @@ class Digest:
     unseen : tuple of (float, str, int, int)
         Deepest penetration between the pairs, mm, the stage at whose end, the sample, and the model's point between the
         pairs; of the first where several are as deep, point −1 where there is none.
+    regression : Regression or None
+        Of the key characteristics on the deviations; None where the moments of these are not known.
     moments : dict of tuple to Moments
         Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("profiles", name)``, one per
         point of a measurement over many; ``("slips", stage, column)``, one
@@ -147,6 +150,7 @@ class Digest:
     rescued: list[int] = field(default_factory=list)
     unbuilt: list[int] = field(default_factory=list)
     unseen: tuple[float, str, int, int] = (0.0, "", -1, -1)
+    regression: Regression | None = None
     moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
     counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
     _numbers: list[np.ndarray] = field(default_factory=list)
@@ -187,6 +191,7 @@ class Digest:
         if items:
             x = np.column_stack([block.column("measurements", "value", measurement=item.name) for item in items])
             self._join(("measurements",), x)
+            self._regress(block, model, x)
             limits = np.array([(item.lower, item.upper) for item in items])
             self._count(("outside",), outside(x, *limits.T))
             self._count(("any outside",), np.array(((x < limits[:, 0]) | (x > limits[:, 1])).any(axis=1).sum()))
@@ -225,6 +230,13 @@ class Digest:
             reached = block.column("limits", "reached", stage=stage, name=name)
             self._count(("short", stage, name), np.array((~reached).sum()))
         self.rescued += [int(number) for number in block.numbers[rescued]]
+
+    def _regress(self, block: BlockSamples, model, y: np.ndarray) -> None:
+        if self.regression is None and self.found == block.found:  # the first block
+            self.regression = Regression.of(model.scene)
+        if self.regression is not None:
+            x = [block.column("deviations", "value", deviation=name) for name in model.parameters]
+            self.regression.add(block.numbers, np.column_stack(x), y)
 
     def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:
         moments = Moments.of(x)

@@ -56,15 +56,16 @@ from mic.store import (
     set_aside,
 )
 
-__all__ = ["FOREIGN", "PUBLISHED", "Block", "RunFolder", "versions"]
+__all__ = ["EXCEL", "FOREIGN", "PUBLISHED", "Block", "RunFolder", "versions"]
 
 PUBLISHED = "paper.toml"  # published figures beside a scene, to set beside its results
+EXCEL = "tables.xlsx"  # the tables in one workbook
 FOREIGN = ".other-run"  # stands behind the name of a block that belongs to another run and was set aside
 
 _AGAIN = "run the scene again into this folder"
 _REPLACE = "name another folder with --out, or remove the old results with --replace"
 _RUN = Format("record of a run", 4, _AGAIN)
-_SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", PUBLISHED)
+_SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", EXCEL, PUBLISHED)
 _TABLES = tuple(table.place for table in (*STATISTICS, ACCURACY, *STUDIES))
 _FIELDS = "fields/fields.npz"
 _PARTS = Format("set of parts", 2, _AGAIN)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
-from mic.results import summary
+from mic.results import statistics, summary
 from mic.results.digest import BlockSamples, Digest
 from mic.results.folder import Block, RunFolder
 from mic.results.identity import differences, inputs
@@ -109,6 +109,24 @@ class Outcome:
     def missing(self) -> dict[str, int]:
         """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
         return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
+
+    @property
+    def uncertainty(self) -> float:
+        """Half of the 95 % interval of the 6σ of a key characteristic, as a share of it: of the one that is known
+        worst under any law, by regression where that is narrower; infinite where one is not known."""
+        worst = 0.0
+        for law in self.laws:
+            digest = self.digests[law]
+            plain = statistics.six_sigma(digest.moments["measurements",])
+            value, low, high = (np.atleast_1d(part) for part in (plain.value, plain.low, plain.high))
+            better = digest.regression.improved() if digest.regression else None
+            if better is not None:
+                own = better.kind != "plain"
+                value, low, high = (np.where(own, 6 * s, x) for s, x in zip(better.sigma, (value, low, high)))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = np.where(value > 0, 0.5 * (high - low) / value, 0.0)
+            worst = max(worst, float(np.where(np.isnan(value) | np.isnan(share), np.inf, share).max(initial=0.0)))
+        return worst if self.laws else float("inf")
 
     @property
     def together(self) -> int:

@@ -61,6 +61,11 @@ class Improved:
     mean: np.ndarray
     sigma: np.ndarray
 
+    @classmethod
+    def none(cls, k: int) -> Improved:
+        """No regression is offered for any of k outputs."""
+        return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan))
+
 
 def kurtosis(item) -> float | None:
     """κ of a deviation whose distribution is symmetric and known; None for others.
@@ -130,7 +135,7 @@ class Regression:
         slopes = (inputs, inputs + inputs * (inputs + 1) // 2)
         k = sums.shape[1] - 1 - (slopes[1] if inputs <= QUADRATIC else inputs)
         plain = _estimates(sums, 0, k, level)
-        best = Improved(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan))
+        best = Improved.none(k)
         least = _width(plain[1])
         for kind, count in zip(KINDS, slopes):
             if count and (kind == "linear" or inputs <= QUADRATIC) and sums[:, 0, 0].sum() >= EACH * count + MORE:

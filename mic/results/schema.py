@@ -42,6 +42,7 @@ __all__ = [
     "RARE",
     "RESOLUTIONS",
     "SAMPLES",
+    "SENSITIVITIES",
     "SLIPS",
     "STATISTICS",
     "STUDIES",
@@ -504,9 +505,20 @@ MEASUREMENT_STATISTICS = _statistic(
         ),
         *_estimate("cpk", "1", "Cpk = min(upper - mean, mean - lower) / 3σ, of these (upper - mean) / 3σ"),
         *_estimate("share_outside", "1", "share of the samples outside the limits"),
+        Column(
+            "improved",
+            "str",
+            "",
+            "what the following rest on: `linear` or `quadratic` regression on the deviations, whose moments are known "
+            "(`mic.results.regression`); `plain` where none is narrower, or the samples are too few, and the figures "
+            "are empty",
+        ),
+        Column("explained", "float64", "1", "share of the variance that the regression explains"),
+        *_estimate("improved_mean", "mm", "mean by regression"),
+        *_estimate("improved_six_sigma", "mm", "six standard deviations by regression"),
     ),
     "Key characteristics against their limits.",
-    version=2,
+    version=3,
 )
 PROFILE_STATISTICS = _statistic(
     "profiles",
@@ -636,6 +648,25 @@ CONTRIBUTORS = _statistic(
     "linear analysis says. Estimates are not cut to 0 … 1: what lies outside is noise. Empty where a characteristic "
     "does not vary.",
 )
+SENSITIVITIES = _statistic(
+    "sensitivities",
+    "one law, key characteristic and input",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("input", "str", "", "a deviation, or where in the scene what is held fixed stands"),
+        Column("step", "float64", "N, mm or 1", "by how much it is moved: a deviation by its standard deviation"),
+        Column("samples", "int64", "", "samples that the range rests on, the mean assembly among them"),
+        Column("effect", "float64", "mm", "what that changes of the mean assembly: the derivative times the step"),
+        Column("effect_low", "float64", "mm", "the smallest over the samples"),
+        Column("effect_high", "float64", "mm", "the largest"),
+        Column(
+            "reach", "float64", "1", "steps until a contact of the mean assembly changes its state; inf if none does"
+        ),
+    ),
+    "What steps of the inputs change: exact derivatives through contact and memory (`mic.process.sensitivity`). "
+    "Written by `mic sensitivity`.",
+)
 LINEARITY = _statistic(
     "linearity",
     "one law and key characteristic",
@@ -716,7 +747,7 @@ DENSITY = _statistic(
     "How much hangs on how dense the contact pairs are.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
-STUDIES = (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)
+STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)
 #: The CSV tables of statistics.
 STATISTICS = (
     ZONE_STATISTICS,
@@ -745,6 +776,7 @@ def reference() -> str:
         "| `paper.toml` | published figures to compare with, where the scene has any |",
         "| `summary.json` | the statistics by law, zone and measurement, each with its interval |",
         "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
+        "| `tables.xlsx` | the tables in one workbook, where `mic report --excel` was called |",
     ]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*_samples_first(DATASETS), FORCES, FIELDS)]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY, *STUDIES)]

@@ -16,6 +16,7 @@ from mic.results import capability, statistics
 from mic.results.budget import whole_yield
 from mic.results.law_comparison import study_friction
 from mic.results.path_study import Effect, study_path
+from mic.results.regression import Improved
 from mic.results.schema import (
     CONTACT_STATISTICS,
     FRICTION,
@@ -49,6 +50,7 @@ __all__ = [
 SUMMARY = Format("summary of a run", 2, "call `mic report` on the run folder")
 GROUPS = 100  # of samples that are left out in turn: more tell the spread no better
 _MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
+_IMPROVED = ("improved_mean", "improved_six_sigma")
 _HANGING = ("mean", "six_sigma")  # what a path study is asked for
 _MOTIONS = ("rms_tangential", "rms_slip")
 _PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # of which pairs the forces are summed
@@ -135,6 +137,7 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
     rows = []
     for law in outcome.laws:
         digest = outcome.digests[law]
+        regression = digest.regression.improved() if digest.regression else None
         for k, item in enumerate(outcome.model.scene.measurements):
             x = digest.moments["measurements",].at(k)
             estimates: tuple[Estimate, ...] = (
@@ -160,8 +163,18 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
             effects = dict(zip(_HANGING, _effects(outcome, law, "measurement", item.name)))
             for name, estimate in found.items():
                 row |= _spread(name, estimate) | (_change(name, effects[name]) if name in effects else {})
-            rows.append(row)
+            rows.append(row | _improved(regression, k))
     return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
+
+
+def _improved(regression: Improved | None, k: int) -> dict[str, Any]:
+    """What a regression on the deviations makes of a key characteristic; empty without one."""
+    if regression is None:
+        regression = Improved.none(k + 1)
+    found = {"improved": str(regression.kind[k]), "explained": float(regression.explained[k])}
+    for name, values in (("mean", regression.mean), ("six_sigma", 6 * regression.sigma)):
+        found |= dict(zip((f"improved_{name}{end}" for end in ("", "_low", "_high")), values[:, k].tolist()))
+    return found
 
 
 def profile_statistics(outcome: Outcome) -> pd.DataFrame:
@@ -257,7 +270,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "zones": zones,
             "all_within": _all_within(outcome, law),
             "measurements": {
-                row["measurement"]: {"lower": row["lower"], "upper": row["upper"]} | _with_intervals(row, _MEASURED)
+                row["measurement"]: {"lower": row["lower"], "upper": row["upper"]}
+                | _with_intervals(row, _MEASURED)
+                | {"improved": row["improved"], "explained": row["explained"]}
+                | _with_intervals(row, _IMPROVED)
                 for row in _rows(outcome.measurement_statistics, law)
             },
             "limits": [

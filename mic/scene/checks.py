@@ -86,6 +86,8 @@ def check_references(scene) -> None:
                 found.append(f"{at}: a part cannot be joined to itself, name two different parts")
             elif set(item.parts) <= every - bodies:
                 found.append(f"{at}: at least one of the two must be a part, not a fixture")
+    if scene.monte_carlo.accuracy is not None and not (scene.measurements and scene.deviations):
+        found.append("monte_carlo.accuracy: is that of key characteristics that vary; give measurements and deviations")
     measured = {item.name for item in scene.measurements}
     for i, item in enumerate(scene.measurements):
         if getattr(item, "to", None) is not None:

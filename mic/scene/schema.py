@@ -1062,6 +1062,11 @@ class MonteCarlo(_Table):
     """Size and seed of the Monte Carlo, and who solves the contacts."""
 
     samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
+    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="how well every 6σ of a key characteristic is to be known: half of its 95 % interval, the plain "
+        "one or that by regression, as a share of it. Samples are drawn until it is, `samples` at most",
+    )
     seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
     design: Literal["independent", "antithetic", "latin-hypercube", "sobol"] = Field(
         "independent",
@@ -1086,6 +1091,10 @@ class MonteCarlo(_Table):
         given = "table" if self.table is not None else "values"
         if (self.table is not None or self.values is not None) and self.design != "independent":
             raise ValueError(f"design says how samples are drawn, and {given} gives them: remove one of them")
+        if self.accuracy is not None and (self.table is not None or self.values is not None):
+            raise ValueError(f"accuracy says how many samples are drawn, and {given} gives them: remove one of them")
+        if self.accuracy is not None and self.design != "independent":
+            raise ValueError("accuracy adds samples one by one, and a design makes them together: remove one of them")
         return self
 
 
@@ -1135,8 +1144,9 @@ class Correlation(_Table):
 class FollowedPath(_Table):
     """How closely friction's path is followed, in stages that ask for nothing else.
 
-    The tolerance is that of one step: the error of the contacts' tangential positions that it may leave, as a share of
-    the motion that the step of the process asks of the contacts (root mean squares over the contacts).
+    The tolerance is that of one step: the error that it may leave in the contacts' tangential positions, and in the
+    slip of those that open, as a share of the motion that the step of the process asks of the contacts (root mean
+    squares over the contacts).
     """
 
     tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Field(

@@ -1,7 +1,33 @@
-"""Results folders for tests: made by a run, then spoilt on purpose."""
+"""Runs that are listened to, and results folders for tests: made by a run, then spoilt on purpose."""
 
 from mic.results.parquet import read_table, write_table
 from mic.results.schema import CONTACTS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
+from mic.runs import Listener
+
+
+class Heard(Listener):
+    """Keeps what a run says, and may stop it after a number of blocks."""
+
+    def __init__(self, stop_after=None):
+        self.sentences, self.left = [], stop_after
+
+    def say(self, sentence):
+        self.sentences.append(sentence)
+
+    def sampling(self, laws, samples):
+        return self
+
+    def __enter__(self):
+        return self.advance
+
+    def __exit__(self, *_):
+        return False
+
+    def advance(self, law, count):
+        if self.left is not None:
+            self.left -= 1
+            if self.left == 0:
+                raise KeyboardInterrupt
 
 
 def edit(folder, table, law, change):

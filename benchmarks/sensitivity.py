@@ -1,0 +1,104 @@
+"""What exact derivatives cost, and how exact they are: beside evaluations, and beside central differences.
+
+    python benchmarks/sensitivity.py                               # the three example scenes, few pairs
+    python benchmarks/sensitivity.py --scenes lap_joint --samples 40
+
+One process, one thread, processor time, Coulomb's law, the scene's own deviations drawn with its seed. *6 inputs* are
+the scene's first (a copy of the last where it has fewer), *40 inputs* its deviations, locators, clamps and zones, and
+copies of the first up to forty; both as multiples of the time that evaluations of the same samples take. *differences*
+is the largest error against central differences of 1e-5 σ with the steps of the paths frozen, of the largest derivative
+of the key characteristic; samples whose forward and backward differences disagree by 1e-3 lie on a change of state and
+are *kinked*.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import mic
+from mic.process.sensitivity import known_inputs, sensitivities
+from mic.product import one_thread
+from mic.sampling.draw import draw
+from verification.scenes import few, folder
+
+SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
+WAYS = {"one step": {"path": "one-step"}, "8 increments": {"path": "increments", "increments": 8}, "followed": {}}
+STEP, KINK = 1e-5, 1e-3
+
+
+@one_thread
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--samples", type=int, default=10)
+    parser.add_argument("--checked", type=int, default=3, help="samples that are held against differences")
+    options = parser.parse_args()
+    table = Table("scene", "path", "ms a sample", "6 inputs", "40 inputs", "differences", "kinked", "exact")
+    for name in options.scenes.split(","):
+        model = mic.reduce(few(mic.load_scene(folder(name))))
+        for way, keys in WAYS.items():
+            table.add_row(name, way, *_row(_on(model, keys), options.samples, options.checked))
+    Console().print(table)
+
+
+def _on(model, keys):
+    """The model with every stage followed in one way."""
+    stages = [
+        stage.model_copy(update=keys) if stage.kind in ("clamp", "weld", "release") else stage
+        for stage in model.scene.stages
+    ]
+    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
+
+
+def _row(model, samples: int, checked: int) -> list[str]:
+    process = model.process("coulomb")
+    x = draw(model.scene, model.scene.monte_carlo.seed, 0, samples)
+    every = list(known_inputs(model))
+    six, forty = (_so_many(every, count) for count in (6, 40))
+    for warm in (lambda: process.evaluate(x[:1]), lambda: sensitivities(process, x[:1], six)):
+        warm()
+    plain = _seconds(lambda: process.evaluate(x))
+    times = [_seconds(lambda inputs=inputs: sensitivities(process, x, inputs)) / plain for inputs in (six, forty)]
+    error, kinked, exact = _errors(model, x[:checked])
+    cells = [f"{1e3 * plain / samples:.2f}", *(f"{ratio:.1f}" for ratio in times)]
+    return [*cells, f"{error:.1e}", f"{kinked} of {checked}", f"{exact} of {checked}"]
+
+
+def _so_many(names: list[str], count: int) -> list[str]:
+    return [names[i % len(names)] for i in range(count)]
+
+
+def _seconds(work) -> float:
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def _errors(model, x: np.ndarray) -> tuple[float, int, int]:
+    """Largest error of samples that are not kinked, how many are, and how many paths were solved for exactly."""
+    process = model.process("coulomb", 1e-12)
+    found, σ = sensitivities(process, x), np.array([one.sigma for one in model.scene.deviations])
+    n, p = x.shape
+    steps = {key: np.repeat(trail, p) for key, trail in found.steps.items()}
+
+    def beside(sign: int) -> np.ndarray:
+        moved = (x[:, None] + sign * STEP * np.diag(σ)).reshape(-1, p)
+        values = sensitivities(process, moved, model.parameters[:1], steps).measurements
+        return values.reshape(n, p, -1).transpose(0, 2, 1)
+
+    up, down, base = beside(1), beside(-1), found.measurements[:, :, None]
+    slope, scale = found.jacobian * σ, np.abs(found.jacobian * σ).max(axis=(0, 2))[:, None]
+    kink = (np.abs(up + down - 2 * base) / STEP / scale).max(axis=(1, 2)) > KINK
+    error = (np.abs(slope - (up - down) / (2 * STEP)) / scale).max(axis=(1, 2))
+    return float(error[~kink].max(initial=0.0)), int(kink.sum()), int(found.exact.sum())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""The tables of a run as an Excel file."""
+
+import sys
+import zipfile
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mic.errors import RunError
+from mic.options import app
+from mic.results.excel import write_excel
+from mic.results.outcome import read_outcome
+from mic.results.schema import MEASUREMENT_STATISTICS
+from mic.runs import run
+
+SHEETS = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
+
+
+@pytest.fixture(scope="module")
+def folder(lap_scene, cache, tmp_path_factory):
+    scene = lap_scene.model_copy(
+        update={
+            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 5}),
+            "report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "fields": False}),
+        }
+    )
+    folder = tmp_path_factory.mktemp("excel") / "run"
+    run(scene, folder, cache)
+    return folder
+
+
+def sheets(path):
+    """Cells by sheet: rows of numbers and texts, None where a cell is empty."""
+    with zipfile.ZipFile(path) as book:
+        texts = ["".join(one.itertext()) for one in ElementTree.fromstring(book.read("xl/sharedStrings.xml"))]
+        names = [one.get("name") for one in ElementTree.fromstring(book.read("xl/workbook.xml")).iter(f"{SHEETS}sheet")]
+        found = {}
+        for number, name in enumerate(names, 1):
+            root = ElementTree.fromstring(book.read(f"xl/worksheets/sheet{number}.xml"))
+            rows = []
+            for row in root.iter(f"{SHEETS}row"):
+                cells = {}
+                for cell in row:
+                    value = cell.find(f"{SHEETS}v")
+                    letters = "".join(c for c in cell.get("r") if c.isalpha())
+                    if value is not None:
+                        cells[letters] = texts[int(value.text)] if cell.get("t") == "s" else float(value.text)
+                rows.append(list(cells.values()))
+            found[name] = rows
+    return found
+
+
+def test_every_table_is_a_sheet_with_its_units_and_numbers(folder, tmp_path):
+    pytest.importorskip("xlsxwriter")
+    found = sheets(write_excel(folder, tmp_path / "tables.xlsx"))
+    assert list(found) == ["columns", "zones", "contacts", "measurements"]
+    names, units, first, _ = found["measurements"]
+    assert names == MEASUREMENT_STATISTICS.names and first[:2] == ["frictionless", "M1"]
+    assert units == [column.unit for column in MEASUREMENT_STATISTICS.columns] and units[2] == "mm"
+    own = read_outcome(folder).measurement_statistics.iloc[0]
+    numbers = [value for value in first[2:] if not isinstance(value, str)]
+    wanted = [value for value in own.tolist()[2:] if np.isfinite(value)]
+    np.testing.assert_allclose(numbers, wanted, rtol=1e-8)
+    assert len(found["contacts"]) == 2 + len(read_outcome(folder).contact_statistics)
+    meanings = {(row[0], row[1]): row[-1] for row in found["columns"][1:]}
+    assert meanings["measurements", "cpk"].startswith("Cpk = min(")
+
+
+def test_the_report_writes_it_into_the_results_folder(folder):
+    pytest.importorskip("xlsxwriter")
+    done = CliRunner().invoke(app, ["report", str(folder), "--excel"])
+    assert done.exit_code == 0, done.output
+    assert (folder / "tables.xlsx").is_file() and "tables.xlsx" in done.output.replace("\n", "")
+
+
+def test_without_the_library_one_sentence_says_what_to_install(folder, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xlsxwriter", None)
+    with pytest.raises(RunError, match="pip install xlsxwriter"):
+        write_excel(folder, tmp_path / "tables.xlsx")
+
+
+def test_a_folder_without_tables_is_refused(tmp_path):
+    pytest.importorskip("xlsxwriter")
+    with pytest.raises(RunError, match="holds no tables"):
+        write_excel(tmp_path, tmp_path / "tables.xlsx")
