@@ -104,21 +104,6 @@ def test_a_candidate_reads_where_its_cell_is_nearest():
         assert np.ptp(read) <= 0.005 / np.tan(0.02) + 1e-6 and pair.gap <= np.tan(0.02) * x.min() + 0.005
 
 
-@pytest.mark.parametrize("spacing", [5.0, 3.0])
-def test_leaves_of_a_hem_have_candidates_of_their_own(spacing):
-    """Leaves 2 mm apart, a sheet between them that both touch: no candidate reads both."""
-    hem = Surface(*extrude([(0, 0), (21, 0), (21, 2), (0, 2)], 0.0, 20.0, 2.3)[:2])
-    pairs = find_pairs(zone(pairs=None, spacing=spacing), Side(hem, 1.0), Side(plane(1.0), 1.0))
-    upwards = np.array([pair.frame[2, 0] for pair in pairs])
-    area = np.array([pair.area for pair in pairs])
-    assert (np.abs(upwards) > 1 - 1e-9).all()
-    assert area[upwards > 0].sum() == pytest.approx(400, rel=0.02) == area[upwards < 0].sum()
-    for pair in pairs:
-        height = hem.at(pair.patches[0].triangle, pair.patches[0].barycentric)[:, 2]
-        np.testing.assert_allclose(height, 0.0 if pair.frame[2, 0] > 0 else 2.0, atol=1e-9)
-        assert pair.gap == pytest.approx(0.0, abs=1e-9)
-
-
 def test_no_candidate_reads_across_the_rim_of_a_nugget():
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     weld = Pressed(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)

@@ -196,19 +196,18 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
     edge = _edges(zone, sampled, other, spacing)
     edge = edge.take(np.flatnonzero(_fused(pressed, edge, tie) < 0))
     edge = edge.take(_ranking(edge.point, anchors, tie))
-    length, ends = edge.area.sum(), np.zeros((0, 6))
+    length, ends = edge.area.sum(), np.zeros((0, 3))
     if len(edge.area):
-        ends = _centres(_placed(edge, spacing), edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
-    along = _nearest(ends, _placed(edge, spacing), tie) if len(ends) else np.zeros(0, dtype=np.int64)
-    under = _placed(cloud.take(_under(pressed, cloud, spacing, tie)), spacing)
+        ends = _centres(edge.point, edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
+    along = _nearest(ends, edge.point, tie) if len(ends) else np.zeros(0, dtype=np.int64)
+    under = _under(pressed, cloud, spacing, tie)
     group = _grouped(pressed, cloud, fused, spacing, tie)
     pairs = []
     for number in np.unique(group):
         member = np.flatnonzero(group == number)
         nugget, free = fused[member[0]], number < 0
         whole = cloud.take(member)
-        place = _placed(whole, spacing)
-        own = under[cKDTree(whole.point).query(under[:, :3])[0] <= tie]
+        own = under[cKDTree(whole.point).query(under)[0] <= tie]
         taken = whole.area.sum()
         if free and len(ends):
             own = own[cKDTree(ends).query(own)[0] > spacing / 4 + tie]
@@ -216,9 +215,9 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
             own = np.vstack([ends, own])
         rest = taken / spacing**2 - (len(own) - (len(ends) if free else 0))
         count = min(max(1, len(own) + max(0, int(rest + 0.5 + EQUAL))), len(whole.area))
-        centres = _centres(place, whole.area, count, tie, own)
-        cell = _nearest(centres, place, tie)
-        for k, centre in enumerate(centres[:, :3]):
+        centres = _centres(whole.point, whole.area, count, tie, own)
+        cell = _nearest(centres, whole.point, tie)
+        for k, centre in enumerate(centres):
             member = whole.take(np.flatnonzero(cell == k))
             if not len(member.area):
                 continue
@@ -517,14 +516,9 @@ def _facing(zone, sampled, other, spacing):
     return cloud
 
 
-def _placed(cloud, spacing) -> np.ndarray:
-    """(n, 6) where points stand and look, mm: what looks another way is another place, as the leaves of a hem are."""
-    return np.column_stack([cloud.point, spacing * cloud.normal])
-
-
 def _under(pressed, cloud, spacing, tie) -> np.ndarray:
-    """(k,) points of the zone where something presses the sheets together, half a spacing or more apart."""
-    places: list[int] = []
+    """(k, 3) places of the zone where something presses the sheets together, half a spacing or more apart."""
+    places: list[np.ndarray] = []
     for one in pressed:
         step = cloud.point - one.point
         sideways = np.linalg.norm(step - np.einsum("ij,ij->i", step, cloud.normal)[:, None] * cloud.normal, axis=1)
@@ -532,9 +526,9 @@ def _under(pressed, cloud, spacing, tie) -> np.ndarray:
         at = _first(-sideways, tie)
         if sideways[at] > spacing / 4 + tie:
             continue
-        if all(np.linalg.norm(cloud.point[at] - cloud.point[place]) > spacing / 2 + tie for place in places):
-            places.append(at)
-    return np.array(places, dtype=np.int64)
+        if all(np.linalg.norm(cloud.point[at] - place) > spacing / 2 + tie for place in places):
+            places.append(cloud.point[at])
+    return np.array(places).reshape(-1, 3)
 
 
 def _in_region(zone, x, margin):
@@ -619,7 +613,7 @@ def _nearest(centres, point, tie):
 
 
 def _centres(point, weight, count, tie, fixed):
-    """Centres of `count` cells of about equal size, the `fixed` (k, d) among them: farthest-point start, then Lloyd's
+    """Centres of `count` cells of about equal size, the `fixed` (k, 3) among them: farthest-point start, then Lloyd's
     iteration."""
     if len(fixed):
         centres = [*fixed]
@@ -636,8 +630,7 @@ def _centres(point, weight, count, tie, fixed):
         total = np.bincount(cell, weight, count)
         empty = total == 0  # one that stands upon others
         total[empty] = 1.0
-        sums = [np.bincount(cell, weight * column, count) for column in point.T]
-        moved = np.column_stack(sums) / total[:, None]
+        moved = np.column_stack([np.bincount(cell, weight * point[:, i], count) for i in range(3)]) / total[:, None]
         moved[empty] = centres[empty]
         moved[: len(fixed)] = fixed
         if np.linalg.norm(moved - centres, axis=1).max() < tie:
