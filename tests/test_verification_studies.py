@@ -271,8 +271,8 @@ def test_increments_that_near_another_end_than_the_judge_are_caught(elsewhere, k
     counts = (64, 128, 256, 512)
     nearing = pd.DataFrame(
         [
-            {"scene": scene, "path": f"{count} increments", "off the judge, median, mm": np.hypot(0.01 / count, end)}
-            for scene, end in (("one", 0.0), ("another", elsewhere))
+            {"scene": scene, "path": f"{count} increments", "off the judge, median, mm": np.hypot(way / count, end)}
+            for scene, way, end in (("one", 0.01, 0.0), ("there", 1e-9, 1e-7), ("another", 0.01, elsewhere))
             for count in counts
         ]
     )

@@ -62,8 +62,8 @@ __all__ = ["follower"]
 # between, unless all of its motion is less than may be in error; and the shortest. Contacts may make most of their
 # motion within a hundredth of the path and less.
 LONGEST, SHORTEST = 0.5, 1e-6
-#: Steps before a path is given up.
-MOST = 4000
+#: Steps before a path is given up: one that is refined to rounding takes half as many.
+MOST = 10000
 #: Behind a closing a step goes on for this share of its length and of the path, or for this share of the motion that
 #: may be in error: what closes meanwhile does so together.
 BEHIND, TOGETHER, HARMLESS = 0.25, 1e-2, 0.5
@@ -188,14 +188,30 @@ def _opening(y0, w, motion, k, opened):
     return opened[k], min(abs(w[i] - motion[i]) / max(w[i], motion[i], 1e-300), 1.0)
 
 
-@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR, MATRIX, VECTOR))
-def _error(y0, state0, e0, loose, motion, y, w, state, shift, other, opened, gone, unit):
-    """Root mean square over the contacts of what a step may be wrong by in their tangential positions and in their slip
-    under load, a length.
+@jit(NUMBER(VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, VECTOR, MATRIX, VECTOR))
+def _unsure(y0, state0, motion, w, state, opened, gone, unit):
+    """Root mean square over the contacts of the way on which it is in doubt whether one that opens was still loaded, a
+    length: its position is right, its slip under load may not be."""
+    total = 0.0
+    for k in range(len(state)):
+        if state0[k] == OPEN or state[k] != OPEN:
+            continue
+        i = 3 * k
+        end, doubt = _opening(y0, w, motion, k, opened)
+        way = (1.0 - end) * np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
+        if opened[k] < 1.0:
+            way += np.sqrt((gone[k, 0] - end * w[i + 1]) ** 2 + (gone[k, 1] - end * w[i + 2]) ** 2)
+        total += (doubt * way * unit[k]) ** 2
+    return np.sqrt(total / max(len(state), 1))
+
+
+@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
+def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
+    """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
     its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``; and ``l Δφ/2`` where nobody
-    foresaw that it would slide.  Of one that opens, the way on which it is in doubt whether it was still loaded.
+    foresaw that it would slide.
     """
     total = 0.0
     for k in range(len(state)):
@@ -210,12 +226,6 @@ def _error(y0, state0, e0, loose, motion, y, w, state, shift, other, opened, gon
                 t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
                 turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
                 error += 0.5 * moved * np.sqrt(max(turn, 0.0))
-        elif state0[k] != OPEN and state[k] == OPEN:
-            end, doubt = _opening(y0, w, motion, k, opened)
-            way = (1.0 - end) * np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
-            if opened[k] < 1.0:
-                way += np.sqrt((gone[k, 0] - end * w[i + 1]) ** 2 + (gone[k, 1] - end * w[i + 2]) ** 2)
-            error += doubt * way
         total += (error * unit[k]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
@@ -1260,10 +1270,13 @@ def _compile(digest):
                                 phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
                             error = _motion(phi, unit)
                             break
-                        error = _error(y0, state0, e0, loose, motion, y, w, state, shift, other, opened, gone, unit)
-                        if solved == 1 and (turn == 1 if given else error <= allowed):
+                        placed = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
+                        unsure = _unsure(y0, state0, motion, w, state, opened, gone, unit)
+                        error = np.hypot(placed, unsure)
+                        # With none of the shifts nobody would know better when a contact opens.
+                        if solved == 1 and (turn == 1 if given else (placed if last else error) <= allowed):
                             break
-                        left = _error(y0, state0, e0, loose, motion, y, w, state, other, other, opened, gone, unit)
+                        left = np.hypot(_error(y0, state0, e0, loose, y, w, state, other, other, unit), unsure)
                         if turn == 0 and solved == 1 and (given or last or left <= allowed):
                             turn = 1
                             shift[:], touched[:] = other, late
