@@ -9,12 +9,13 @@ from typer.testing import CliRunner
 
 from mic.options import app
 from mic.report.page import write_report
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, SENSITIVITIES
 from mic.runs import run
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
 SECTIONS = {
     "Find out what drives a characteristic": (CONTRIBUTORS, LINEARITY),
+    "Find out what a step of each input changes": (SENSITIVITIES,),
     "Find out whether friction matters": (FRICTION_EFFECTS,),
     "Find out how often a limit is missed where that is rare": (RARE,),
 }
@@ -46,6 +47,8 @@ def test_what_the_page_asks_of_a_finished_run_stands_in_its_folder_and_report(la
             assert program == "mic"
             done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
             assert done.exit_code == 0, f"{arguments}: {done.output}{done.exception}"
+        for code in re.findall(r"```python\n(.*?)```", text, re.S):
+            exec(code, {})
         for table in tables:
             assert (folder / table.place).is_file() and table.place in text
     page = write_report(folder).read_text(encoding="utf-8")

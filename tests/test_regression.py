@@ -34,6 +34,7 @@ def repeated(n, times=400):
         yield x, response(x)
 
 
+@pytest.mark.slow
 def test_the_intervals_cover_as_often_as_they_claim():
     covered, kinds = [], set()
     for x, y in repeated(100):
@@ -44,6 +45,7 @@ def test_the_intervals_cover_as_often_as_they_claim():
     assert 0.92 <= np.mean(covered) <= 0.985
 
 
+@pytest.mark.slow
 def test_sixty_samples_do_what_thousands_would():
     """Plain, σ of 60 samples errs by 1/√120 = 9.1 %."""
     errors = np.array([(of(x, y).sigma[0, 0] / TRUTH - 1, y.std(ddof=1) / TRUTH - 1) for x, y in repeated(60)])

@@ -11,6 +11,8 @@ import pytest
 import mic
 from mic.judgement import judge
 from mic.model.assembly import assemble
+from mic.report.page import write_report
+from mic.results import statistics
 from mic.results.identity import identity
 from mic.runs import run
 from mic.sampling.draw import draw
@@ -225,3 +227,27 @@ def test_a_singular_correlation_is_one():
     mean, sigma = np.array([[item["mean"], item["sigma"]] for item in table["deviations"]]).T
     standard = (values - mean) / sigma
     np.testing.assert_allclose(standard[:, 0], standard[:, 1], atol=1e-12)
+
+
+def test_a_run_of_a_design_tells_the_intervals_that_hold(lap_scene, cache, tmp_path):
+    """Those of key characteristics come from its groups; others, which would take independent samples, are left out."""
+    asked = lap_scene.monte_carlo.model_copy(update={"design": "antithetic", "samples": 24})
+    laws = lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
+    outcome = run(lap_scene.model_copy(update={"monte_carlo": asked, "report": laws}), tmp_path / "out", cache)
+    own = outcome.measurement_statistics.iloc[0]
+    x = outcome.measured("coulomb", own["measurement"])
+    expected = statistics.grouped(x, np.arange(24) // 2, np.mean)
+    assert own["mean_low"] == pytest.approx(expected.low) and own["mean_high"] == pytest.approx(expected.high)
+    assert own["mean_high"] - own["mean_low"] < 0.5 * np.subtract(*_ends(statistics.mean(x)))
+    assert own["sigma_low"] < own["sigma"] < own["sigma_high"] and own["cp_low"] < own["cp"] < own["cp_high"]
+    for table in (outcome.zone_statistics, outcome.contact_statistics):
+        bounds = [name for name in table.columns if name.endswith(("_low", "_high"))]
+        assert bounds and table[bounds].isna().all(axis=None)
+        assert table[[name.removesuffix("_low") for name in bounds if name.endswith("_low")]].notna().any(axis=None)
+    page = write_report(tmp_path / "out").read_text(encoding="utf-8")
+    assert "2 samples at a time are made together" in page and "grouped jackknife" in page
+    assert "Clopper–Pearson" not in page and "(Wilks)" not in page
+
+
+def _ends(estimate):
+    return estimate.high, estimate.low

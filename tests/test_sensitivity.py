@@ -87,6 +87,7 @@ def test_derivatives_are_those_of_the_evaluation(lap_model, law, way):
         np.testing.assert_array_equal(contacts.state, evaluation.resolutions[stage].state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["coulomb", "associated"])
 def test_derivatives_are_those_of_the_hat(hat_model, law):
     model = on_the_way(hat_model, 8)
@@ -121,6 +122,7 @@ def frozen(process, steps):
     return values
 
 
+@pytest.mark.slow
 def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
     model = with_positions(lap_model)
     process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 4)
@@ -135,6 +137,17 @@ def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
     np.testing.assert_allclose(found.measurements, evaluation.measurements, rtol=0, atol=error)
     free = central(model, lambda x: process.evaluate(x).measurements, samples, 0.02)
     np.testing.assert_allclose(slope, free, rtol=0, atol=error / 0.02)
+
+
+@pytest.mark.slow
+def test_along_the_hats_followed_path_too(hat_model):
+    """Some hundred steps a sample, in which contacts close, open and slide round corners."""
+    process, samples = hat_model.process("coulomb", TIGHT), draw(hat_model.scene, 1, 0, 2)
+    found = sensitivities(process, samples)
+    assert found.exact.all() and min(len(trail.ends) for trails in found.steps.values() for trail in trails) > 1
+    assert sum(len(trails[0].ends) for trails in found.steps.values()) > 50
+    slope = found.jacobian * sigmas(hat_model)
+    assert off(slope, central(hat_model, frozen(process, found.steps), samples)) < EXACT
 
 
 @pytest.mark.parametrize("way", ["one-step", 8, "followed"])

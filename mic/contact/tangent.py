@@ -43,6 +43,8 @@ STEPS, SETTLED = 8, 1e-9
 #: Where Newton's method leads nowhere: tolerance of the ladder, how often the sliders' shifts are renewed, and until
 #: they change by no more than this share of the motion.
 EXACT, RENEWALS, RENEWED = 1e-12, 30, 1e-6
+#: By how much of the largest force a step may move them for the next to be the last.
+NEAR = 1e-5
 #: Changes of the contacts on their cones that slide when a step begins.
 PIVOTS = 10
 #: Of the imaginary step: no difference is taken, so that it may vanish beside everything.
@@ -279,16 +281,24 @@ class _Walk:
         df = np.zeros((a, m, size, p))
 
         def settled(todo: np.ndarray, steps: int) -> np.ndarray:
-            """Newton's method for the samples `todo`, and those of them that it leaves unsolved."""
+            """Newton's method for the samples `todo`, and those of them that it leaves unsolved; slopes are taken once
+            it is near, which in steps of first order it is from the beginning."""
+            near = ~second
             for _ in range(steps):
+                for own, slopes in ((todo[near[todo]], True), (todo[~near[todo]], False)):
+                    if not own.size:
+                        continue
+                    scale = np.maximum(np.abs(f[own]).max(axis=(1, 2)), 1e-300)
+                    state[own], f[own], slope, change = self._newton(
+                        moved[own], f[own], f0[own], slope0[own] if slopes else None, slides[own]
+                    )
+                    near[own] = change <= NEAR * scale
+                    if slopes:
+                        df[own] = slope
+                        # Where two states both hold, on the cone without slip, either has these forces and slopes.
+                        todo = np.setdiff1d(todo, own[change <= SETTLED * scale])
                 if not todo.size:
                     break
-                scale = np.maximum(np.abs(f[todo]).max(axis=(1, 2)), 1e-300)
-                state[todo], f[todo], df[todo], change = self._newton(
-                    moved[todo], f[todo], f0[todo], slope0[todo], slides[todo]
-                )
-                # Where two states both hold, on the cone without slip, either has these forces, and these slopes.
-                todo = todo[~(change <= SETTLED * scale)]
             return todo
 
         lost = settled(np.arange(a), STEPS)
@@ -306,8 +316,8 @@ class _Walk:
         return force, Varied(force.value @ self.S, np.matmul(self.S, force.slope)) + q
 
     def _newton(self, q: Varied, f, f0, slope0, slides):
-        """One step of Newton's method from f (a, m, size): states (a, m), forces and their slopes, and how far (a,) the
-        forces moved."""
+        """One step of Newton's method from f (a, m, size): states (a, m), forces and, unless `slope0` is None, their
+        slopes; and how far (a,) the forces moved."""
         a, m, size = len(f), self.m, self.size
         b = q.value.reshape(a, m, size)
         w = b + (f.reshape(a, m * size) @ self.S).reshape(a, m, size)
@@ -400,14 +410,14 @@ class _Walk:
 
     def _linear(self, idx, closed, q: Varied, residual, f, w, f0, slope0):
         """(a, m, size, 1 + p) a step of Newton's method to the solution of ``residual(f, w, f⁰, μ) = 0``, ``w = S f +
-        q``, and the slopes of f; those alone that values take where there are none of f⁰."""
-        a, m, size, p = len(f), self.m, self.size, self.p
+        q``, and the slopes of f; the step alone where there are no slopes of f⁰."""
+        a, m, size, p = len(f), self.m, self.size, 0 if slope0 is None else self.p
         solution = np.zeros((a, m, size, 1 + p))
         K = idx.shape[1]
         if not K:
             return solution
         i = np.arange(a)[:, None]
-        value, J = _derivative(residual, f[i, idx], w[i, idx], f0[i, idx], self.μ[idx])
+        value, J = _derivative(residual, f[i, idx], w[i, idx], f0[i, idx], self.μ[idx], slope0 is not None)
         P, Q, F0, M = J[..., :size], J[..., size : 2 * size], J[..., 2 * size : 3 * size], J[..., -1]
         matrix = np.matmul(Q, self.rows_of_S[idx]).reshape(a, K, size, m, size)
         matrix = matrix[i[:, :, None], np.arange(K)[:, None], :, idx[:, None, :]].transpose(0, 1, 3, 2, 4)
@@ -512,16 +522,17 @@ def _length(f: np.ndarray, where: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(where, f[..., 1] ** 2 + f[..., 2] ** 2, 1.0))
 
 
-def _derivative(residual, f, w, f0, μ) -> tuple[np.ndarray, np.ndarray]:
-    """What a residual (a, K, size) is, and its derivatives (a, K, size, 3 size + 1) with respect to f, w, f⁰ and μ:
-    each moved by an imaginary step, all at once."""
+def _derivative(residual, f, w, f0, μ, inputs: bool) -> tuple[np.ndarray, np.ndarray]:
+    """What a residual (a, K, size) is, and its derivatives (a, K, size, 2 size) with respect to f and w, with `inputs`
+    (a, K, size, 3 size + 1) f⁰ and μ as well: each moved by an imaginary step, all at once."""
     size = f.shape[-1]
-    count = 3 * size + 1
+    count = 3 * size + 1 if inputs else 2 * size
     moved = [np.broadcast_to(x, (count + 1, *x.shape)).astype(complex) for x in (f, w, f0, μ)]
-    for number, one in enumerate(moved[:3]):
+    for number, one in enumerate(moved[: 3 if inputs else 2]):
         for j in range(size):
             one[number * size + j, ..., j] += 1j * STEP
-    moved[3][count - 1] += 1j * STEP
+    if inputs:
+        moved[3][count - 1] += 1j * STEP
     R = residual(*moved)
     return R[-1].real, np.moveaxis(R[:-1].imag / STEP, 0, -1)
 

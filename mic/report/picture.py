@@ -23,7 +23,8 @@ __all__ = ["MOST_PANELS", "Picture", "law_legend", "panels", "png", "svg"]
 
 _DECIMALS = re.compile(rb'\b(?:d|x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
 _LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is seen by nobody
-_IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"')
+_IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"|<metadata>.*?</metadata>', re.S)
+_FONT = re.compile(rb";? ?font-family: [^;\"]*")  # of each text: it is the picture's own
 MOST_PANELS = 24  # more panels or labels than this nobody reads
 
 
@@ -81,12 +82,19 @@ def law_legend(fig: Figure, laws: Sequence[str]) -> None:
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
 
 
+def _terse(found: re.Match[bytes]) -> bytes:
+    """An attribute of places on paper, without the blanks and digits that nobody needs."""
+    return re.sub(rb"\s*([MLCQz])\s*", rb"\1", _LONG.sub(rb"\1", found.group()))
+
+
 def _save(fig, title, caption, kind, dpi, metadata):
     buffer = io.BytesIO()
     fig.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     data = buffer.getvalue()
     if kind == "svg":
-        data = _DECIMALS.sub(lambda found: _LONG.sub(rb"\1", found.group()), _IDLE.sub(b"", data))
+        data = _DECIMALS.sub(_terse, _IDLE.sub(b"", data))
+        data = _FONT.sub(b"", re.sub(rb">\s+<", b"><", data))
+        data = data.replace(b"<svg ", b"<svg font-family=\"'DejaVu Sans', Arial, sans-serif\" ", 1)
     else:
         indexed = io.BytesIO()
         few = Image.open(buffer).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)

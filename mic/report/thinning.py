@@ -8,7 +8,7 @@ from mic.geometry.surface import Surface
 
 __all__ = ["MOST", "thinned"]
 
-MOST = 4000  #: vertices of a part in a picture or view: two or three pixels from one to the next
+MOST = 3000  #: vertices of a part in a picture or view: two or three pixels from one to the next
 
 
 def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]:

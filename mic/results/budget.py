@@ -61,7 +61,7 @@ def whole_yield(outcome: Outcome, law: str) -> Estimate:
     digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
     beyond = int(digest.counts["any outside",]) if samples else 0
     found = statistics.share(samples - beyond, samples)
-    return found if outcome.together == 1 else replace(found, low=np.array(np.nan), high=np.array(np.nan))
+    return found if outcome.together == 1 else replace(found, low=np.nan * found.value, high=np.nan * found.value)
 
 
 def error_budget(outcome: Outcome, law: str) -> list[Source]:
