@@ -6,6 +6,7 @@ Nothing slow is imported here: whoever asks for help is not kept waiting for num
 from __future__ import annotations
 
 from enum import Enum
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -55,10 +56,11 @@ LawOption = Annotated[
 StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
 
 
-def _commands() -> Any:
-    from mic import commands  # only where one is carried out: numerics and tables take a second to import
-
-    return commands
+def _carry_out(name: str, *values: Any) -> None:
+    """Carry out a command with the values of its options."""
+    home = {"report": "run", "check": "check", "run": "run", "init": "init"}.get(name, "studies")
+    # Only now: numerics and tables take a second to import.
+    getattr(import_module(f"mic.commands.{home}"), name)(*values)
 
 
 @app.command()
@@ -99,7 +101,7 @@ def run(
     are kept: call again to complete an interrupted run, or with more samples to extend one. Under `mpirun -n N` the
     samples are shared out over N processes.
     """
-    _commands().run(scene, samples, seed, law, backend, out, replace, strict)
+    _carry_out("run", scene, samples, seed, law, backend, out, replace, strict)
 
 
 @app.command()
@@ -110,7 +112,7 @@ def report(
     excel: Annotated[bool, typer.Option("--excel", help="Write its tables into tables.xlsx as well.")] = False,
 ):
     """Write the statistics, fields and report of a results folder again."""
-    _commands().report(folder, excel)
+    _carry_out("report", folder, excel)
 
 
 @app.command()
@@ -165,7 +167,7 @@ def check(
     coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
     on how the parts are set down.
     """
-    _commands().check(scene, law, accuracy, converge, normals, overlap, strict, page)
+    _carry_out("check", scene, law, accuracy, converge, normals, overlap, strict, page)
 
 
 SourceArgument = Annotated[
@@ -218,7 +220,7 @@ def order(
     The key characteristics of the same samples under other orders: in reverse, locators first, clamps first, all
     together, parts that overlap settled before or while the first thing closes, and a few at random.
     """
-    _commands().order(source, samples, seed, law, permutations, variants, table)
+    _carry_out("order", source, samples, seed, law, permutations, variants, table)
 
 
 @app.command()
@@ -235,7 +237,7 @@ def contributors(
     Sobol's indices on the reduced model itself, with their intervals: which share of the variance each deviation makes
     alone, and which with its interactions. Beside them what a linear analysis says, and a warning where it misleads.
     """
-    _commands().contributors(source, samples, seed, law)
+    _carry_out("contributors", source, samples, seed, law)
 
 
 @app.command()
@@ -251,7 +253,7 @@ def sensitivity(
 
     Exact derivatives of the key characteristics, through contact, friction and what the stages remember.
     """
-    _commands().sensitivity(source, samples, seed, law)
+    _carry_out("sensitivity", source, samples, seed, law)
 
 
 @app.command()
@@ -265,7 +267,7 @@ def friction(
 
     All zones together and each alone, with the same samples; and how well each zone's coefficient must be known.
     """
-    _commands().friction(source, samples, seed, law)
+    _carry_out("friction", source, samples, seed, law)
 
 
 @app.command()
@@ -284,7 +286,7 @@ def rare(
     Subset simulation on the reduced model itself: no distribution is fitted, nothing is extrapolated. Each tenth of the
     probability takes about as many evaluations as there are samples.
     """
-    _commands().rare(source, measurement, samples, seed, law)
+    _carry_out("rare", source, measurement, samples, seed, law)
 
 
 @app.command()
@@ -326,4 +328,4 @@ def init(
     clamps and welds along these, points to measure at the free edges and a few deviations; every line says what it
     means. The scene runs as it is.
     """
-    _commands().init(meshes, example, out, thickness, welds, points)
+    _carry_out("init", meshes, example, out, thickness, welds, points)

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 
 import mic
 from mic.compliance.support import statically_determinate
-from mic.density import DENSER, denser
 from mic.errors import SceneError
 from mic.model.assembly import assemble
 from mic.options import app
 from mic.process.model import ReducedModel
+from mic.studies.density import DENSER, denser
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 

@@ -170,7 +170,7 @@ def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path
     def compute(*_):
         raise AssertionError("influence coefficients were asked for")
 
-    for module in ("mic.runs", "mic.commands"):
+    for module in ("mic.runs", "mic.commands.check", "mic.commands.studies"):
         monkeypatch.setattr(f"{module}.influence_coefficients", compute)
     where = ["--out", str(tmp_path / "out")] if order == "run" else []
     done = CliRunner().invoke(app, [order, scene, *where])
@@ -201,7 +201,7 @@ def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mic.commands.run_scene", interrupt)
+    monkeypatch.setattr("mic.commands.run.run_scene", interrupt)
     done = CliRunner().invoke(app, ["run", str(LAP), "--out", str(tmp_path)])
     assert done.exit_code == 130 and "run the same command again" in " ".join(done.output.split())
 
@@ -234,7 +234,7 @@ def test_whoever_asks_for_help_waits_for_no_numerics():
 
 def test_production_path_imports_no_finite_elements():
     script = (
-        "import sys, mic, mic.commands, mic.model.assembly, mic.runs, mic.report.page\n"
+        "import sys, mic, mic.commands.run, mic.model.assembly, mic.runs, mic.report.page\n"
         "fem = ('dolfinx', 'petsc4py', 'ufl', 'fem_reference', 'mpi4py', 'gmsh')\n"
         "bad = [name for name in sys.modules if name.split('.')[0] in fem]\n"
         "assert not bad, bad"

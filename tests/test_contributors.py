@@ -10,11 +10,11 @@ from scipy.stats import binom
 from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
-from mic.contributors import contributors, groups, joint_ranking
 from mic.options import app
 from mic.report.drivers import linear_words, named
 from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.results.sobol import Linear, sobol
+from mic.studies.contributors import contributors, groups, joint_ranking
 
 
 def nothing_linear(inputs, samples, outputs=1):

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from mic.errors import FormatError
 from mic.geometry import readers
 from mic.geometry.readers import READERS, program, read_mesh
-from mic.scene.schema import Part
+from mic.scene.part import Part
 
 DYNA = """$# LS-DYNA
 *KEYWORD

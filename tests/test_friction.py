@@ -8,10 +8,10 @@ from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 import mic
-from mic.friction import friction_effects, friction_needed, scaled
 from mic.options import app
 from mic.report.drivers import friction_words
 from mic.results.schema import FRICTION_EFFECTS
+from mic.studies.friction import friction_effects, friction_needed, scaled
 
 MU, LIFT, PULL = 0.3, 0.4, 2.0
 

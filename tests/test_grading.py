@@ -7,7 +7,7 @@ from support.curved import curved_assembly, curved_scene
 import mic
 from mic.geometry.grading import GROWTH, GradedSize
 from mic.geometry.load import finer_surface, load_part
-from mic.scene.schema import Part
+from mic.scene.part import Part
 
 GRADED = """
 import numpy as np

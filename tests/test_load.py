@@ -10,7 +10,8 @@ import pytest
 from mic.errors import SceneError
 from mic.geometry.load import fixture_surface, load_part
 from mic.geometry.script import load_script, named_sizes
-from mic.scene.schema import Fixture, Part
+from mic.scene.fixture import Fixture
+from mic.scene.part import Part
 
 STRIP = """
 import sys

@@ -16,7 +16,7 @@ from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
 from mic.options import app
-from mic.scene.schema import Part
+from mic.scene.part import Part
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 STEEL = "*Material, name=S\n*Elastic\n205000., 0.28\n"

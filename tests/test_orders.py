@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import mic
 from mic.options import app
-from mic.orders import STATED, compare, doubts, orders, variants
+from mic.studies.order import STATED, compare, doubts, orders, variants
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = 6

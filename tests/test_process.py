@@ -281,7 +281,7 @@ def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
         model = replace(lap_model, scene=lap_model.scene.model_copy(update=changes))
         return [stage.path for stage in model.process(law).stages if stage.plan.resolves]
 
-    closely = mic.scene.schema.FollowedPath(tolerance=2e-5)
+    closely = mic.scene.process.FollowedPath(tolerance=2e-5)
     for changes, tolerance in (({}, Followed.tolerance), ({"path": closely}, 2e-5)):
         followed = paths("coulomb", **changes)
         assert followed == [Followed(tolerance, FLOOR)] * 2

@@ -15,8 +15,9 @@ from mic.options import app
 from mic.proposal import write_scene
 from mic.sampling.draw import draw
 from mic.scene import load_scene
-from mic.scene.schema import Measurement, Weld
+from mic.scene.measurement import Measurement
 from mic.scene.tables import read_rows
+from mic.scene.weld import Weld
 
 
 def hat(z, width=90.0, foot=22.0, rise=20.0, x=0.0):

@@ -10,9 +10,9 @@ from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.rare import rare, subset_simulation
 from mic.results.schema import RARE
 from mic.sampling.draw import draw, numbers, placed
+from mic.studies.rare import rare, subset_simulation
 
 
 def normal(dimension, beta):

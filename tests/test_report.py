@@ -16,7 +16,6 @@ from support.runs import all_fail, edit, fail
 
 import mic.report
 from mic.contact import ContactSolver
-from mic.contributors import contributors
 from mic.geometry.surface import Surface
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, Entry, draw, draw_all
@@ -31,6 +30,7 @@ from mic.results.outcome import read_outcome
 from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
 from mic.scene import Scene
+from mic.studies.contributors import contributors
 
 WHEELHOUSE = Path(__file__).resolve().parents[1] / "meshes" / "wheelhouse"
 

@@ -15,7 +15,7 @@ from mic.model.assembly import assemble
 from mic.results.identity import identity, inputs
 from mic.results.outcome import read_outcome
 from mic.runs import Listener, conclude, read_run, sample_into
-from mic.scene.schema import Part
+from mic.scene.part import Part
 from mic.store import save_json
 
 pytestmark = pytest.mark.robustness

@@ -377,7 +377,7 @@ def test_the_scene_reference_is_what_the_schema_says():
 @pytest.mark.parametrize("table", [value for value in vars(schema).values() if hasattr(value, "model_fields")])
 def test_every_key_says_what_it_means(table):
     tables = schema.Scene.model_fields if table is schema.Scene else {}
-    own_section = {name for name, field in tables.items() if "mic.scene.schema." in str(field.annotation)}
+    own_section = {name for name, field in tables.items() if "mic.scene." in str(field.annotation)}
     for name, field in table.model_fields.items():
         assert field.description or name in own_section, (
             f"{table.__name__}.{name} has no description, so the scene reference cannot explain it"

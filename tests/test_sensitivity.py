@@ -18,8 +18,8 @@ from mic.process.sensitivity import known_inputs, sensitivities
 from mic.process.stage import PreparedStage
 from mic.results.schema import SENSITIVITIES
 from mic.sampling.draw import draw
-from mic.scene.schema import ClampDeviation, FrictionDeviation, LocatorDeviation
-from mic.sensitivity import effects, steps
+from mic.scene.deviation import ClampDeviation, FrictionDeviation, LocatorDeviation
+from mic.studies.sensitivity import effects, steps
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic
 STEP = 1e-5  # standard deviations

@@ -234,7 +234,8 @@ def write(folder, points, values=None, name="piece.csv", header=None):
 def scene_of(folder, **keys):
     """A scene of one part, with one deviation; enough for its shapes to be written out."""
     base = {"name": "S", "part": "a"}
-    kind = {"measured": mic.scene.schema.MeasuredDeviation, "field": mic.scene.schema.FieldDeviation}[keys["kind"]]
+    kinds = mic.scene.deviation
+    kind = {"measured": kinds.MeasuredDeviation, "field": kinds.FieldDeviation}[keys["kind"]]
     items = [kind(**base | keys)]
     part = SimpleNamespace(name="a", thickness=1.5)
     scene = SimpleNamespace(folder=folder, deviations=items, parts=[part], correlations=[])

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from mic.orders import Order, variants
 from mic.sampling.draw import draw
+from mic.studies.order import Order, variants
 from verification.comparison import reduced_and_assembly
 from verification.order import study
 from verification.scenes import shipped

@@ -24,7 +24,7 @@ from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.refinement import halved
 from mic.geometry.script import build, named_sizes
 from mic.geometry.surface import Surface
-from mic.scene.schema import USUAL
+from mic.scene.part import USUAL
 from mic.store import Format, fingerprint
 
 __all__ = [
@@ -49,7 +49,7 @@ class LoadedPart:
 
     Attributes
     ----------
-    part : mic.scene.schema.Part
+    part : mic.scene.part.Part
         Thickness, offset and material filled in: as the scene has them, else as the mesh file tells.
     surface, drawn : Surface
         The middle of the sheet, moved by the offset; and as the mesh has it.
@@ -76,7 +76,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
 
     Parameters
     ----------
-    part : mic.scene.schema.Part
+    part : mic.scene.part.Part
     folder : Path
         Of the scene file; the part's paths are relative to it.
     cache : Path
@@ -144,7 +144,7 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
 
     Parameters
     ----------
-    fixture : mic.scene.schema.Fixture
+    fixture : mic.scene.fixture.Fixture
     folder : Path
         Of the scene file; the fixture's mesh is relative to it.
 

@@ -136,7 +136,7 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
 
     Parameters
     ----------
-    zone : mic.scene.schema.Zone
+    zone : mic.scene.zone.Zone
     first, second : Side
         The bodies in the order of ``zone.parts``.
     landmarks : (l, 3) array, optional

@@ -19,7 +19,7 @@ def told(asked: Any, part: Any, deck: Deck, surface: Surface) -> list[str]:
 
     Parameters
     ----------
-    asked, part : mic.scene.schema.Part
+    asked, part : mic.scene.part.Part
         As the scene has it, and with what the file tells filled in.
     deck : Deck
     surface : Surface

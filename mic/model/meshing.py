@@ -31,7 +31,7 @@ from mic.geometry.grading import GradedSize
 from mic.geometry.load import coarsest_size, load_part
 from mic.model.accuracy import estimate_accuracy
 from mic.scene import Scene
-from mic.scene.schema import ForceDeviation
+from mic.scene.deviation import ForceDeviation
 from mic.store import Format, fingerprint
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
 from mic.scene import Scene
 from mic.scene.checks import entry
-from mic.scene.schema import FieldDeviation, MeasuredDeviation, ShapeDeviation
+from mic.scene.deviation import FieldDeviation, MeasuredDeviation, ShapeDeviation
 from mic.store import fingerprint
 
 __all__ = ["MODES", "Written", "write_modes"]

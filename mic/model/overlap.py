@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mic.errors import SceneError
-from mic.scene.schema import Zone
+from mic.scene.zone import Zone
 
 __all__ = ["CLOSED", "closed", "frozen_gaps", "joined_by"]
 
@@ -66,12 +66,12 @@ def joined_by(zones: Sequence, of_pair: np.ndarray, points: np.ndarray, weld) ->
 
     Parameters
     ----------
-    zones : sequence of mic.scene.schema.Zone
+    zones : sequence of mic.scene.zone.Zone
     of_pair : (m,) int array
         Zone of each pair.
     points : (m, 3) array
         Of the pairs, mm.
-    weld : mic.scene.schema.Weld
+    weld : mic.scene.weld.Weld
     """
     alike = [i for i, zone in enumerate(zones) if set(zone.parts) == set(weld.parts)]
     own = np.flatnonzero(np.isin(of_pair, alike))

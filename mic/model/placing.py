@@ -31,7 +31,9 @@ from mic.geometry.surface import Surface
 from mic.model.rows import REACH
 from mic.scene import Scene
 from mic.scene.checks import problems
-from mic.scene.schema import NORMAL, ClampDeviation, Measurement
+from mic.scene.deviation import ClampDeviation
+from mic.scene.keys import NORMAL
+from mic.scene.measurement import Measurement
 
 __all__ = ["place"]
 

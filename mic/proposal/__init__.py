@@ -14,8 +14,9 @@ from mic.proposal.bodies import Body, part_name, read_bodies
 from mic.proposal.joints import NEAR, joined
 from mic.proposal.proposal import Proposal, propose
 from mic.proposal.writing import scene_text
-from mic.scene.schema import Measurement, Weld
+from mic.scene.measurement import Measurement
 from mic.scene.tables import read_rows
+from mic.scene.weld import Weld
 from mic.store import replacing
 
 __all__ = ["Proposal", "write_scene"]

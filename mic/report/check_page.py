@@ -24,7 +24,7 @@ from mic.report.source_pictures import shapes_picture
 from mic.report.style import MARK_COLOURS, number
 from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
-from mic.scene.schema import ClampDeviation, LocatorDeviation
+from mic.scene.deviation import ClampDeviation, LocatorDeviation
 from mic.store import write_text
 
 __all__ = ["write_check"]

@@ -6,9 +6,9 @@ from typing import Any
 
 import pandas as pd
 
-from mic.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
-from mic.friction import HOLDS
 from mic.report.style import number, percent
+from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
+from mic.studies.friction import HOLDS
 
 __all__ = ["friction_words", "linear_words", "named"]
 

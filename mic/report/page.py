@@ -12,8 +12,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
-from mic.contributors import joint_ranking
-from mic.friction import friction_needed
 from mic.report.answer import answer
 from mic.report.context import read_context
 from mic.report.drivers import friction_words, linear_words
@@ -25,6 +23,8 @@ from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY
 from mic.results.statistics import LEVEL, covered_share
 from mic.store import replacing, write_text
+from mic.studies.contributors import joint_ranking
+from mic.studies.friction import friction_needed
 
 __all__ = ["write_report"]
 

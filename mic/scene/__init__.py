@@ -1,9 +1,16 @@
 """What a user states about an assembly: the scene file, its settings and its checks."""
 
 from mic.errors import SceneError
+from mic.scene.deviation import Deviation
+from mic.scene.fixture import Clamp, Locator
 from mic.scene.load import load_scene
-from mic.scene.schema import Clamp, Deviation, Locator, Measurement, Part, Scene, Stage, Weld, Zone
+from mic.scene.measurement import Measurement
+from mic.scene.part import Part
+from mic.scene.process import Stage
+from mic.scene.schema import Scene
 from mic.scene.settings import SETTINGS
+from mic.scene.weld import Weld
+from mic.scene.zone import Zone
 
 __all__ = [
     "SETTINGS",

@@ -79,7 +79,7 @@ def _between_tables(table: dict[str, Any]) -> list[str]:
     """
     items: dict[str, Any] = {}
     for key, field in Scene.model_fields.items():
-        kinds = [kind for kind in get_args(field.annotation) if "mic.scene.schema" in str(kind)]
+        kinds = [kind for kind in get_args(field.annotation) if "mic.scene." in str(kind)]
         given = table.get(key)
         if not kinds or not isinstance(given, list):
             continue

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mic.scene.schema import Scene, Vector
+from mic.scene.keys import Vector
+from mic.scene.schema import Scene
 from mic.scene.settings import SETTINGS
 
 __all__ = ["reference"]

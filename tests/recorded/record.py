@@ -20,7 +20,7 @@ import mic
 from mic.contact import laws
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
-from mic.scene.schema import PressurePower
+from mic.scene.zone import PressurePower
 from verification.scenes import few
 
 ROOT = Path(__file__).resolve().parents[2]

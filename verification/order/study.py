@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from mic.contact.path import Followed
-from mic.orders import STATED, Order, variants
 from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
+from mic.studies.order import STATED, Order, variants
 from verification.comparison import zone_slip
 from verification.path.study import TIGHT, TIGHTER
 from verification.plots import panels

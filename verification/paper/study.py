@@ -10,9 +10,9 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.stats import gaussian_kde
 
-from mic.orders import variants
 from mic.results import statistics
 from mic.sampling.draw import draw
+from mic.studies.order import variants
 from verification.order.study import ORDERS, columns, evaluate, picture, table_of
 from verification.plots import panels
 from verification.scenes import going, shipped

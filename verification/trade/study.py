@@ -20,7 +20,7 @@ from mic.contact.path import Followed
 from mic.results import statistics
 from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
-from mic.scene.schema import FINEST, FollowedPath
+from mic.scene.process import FINEST, FollowedPath
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped

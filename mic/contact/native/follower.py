@@ -82,7 +82,7 @@ EVENTS, PASSES = 32, 32
 BISECTIONS = 40
 #: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step, of
 #: all contacts and of one: more, and they go round in a circle.
-SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS, TURNS = 10, 40, 10, 100, 3
+SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS, TURNS = 10, 40, 10, 100, 10
 #: A step with the inverse of one before, a tenth of the cost of a new one, must bring the error down by this, and of
 #: the contacts this share may have changed their status.
 CHORD, CHANGES = 0.3, 0.3

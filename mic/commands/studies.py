@@ -1,0 +1,332 @@
+"""The commands that ask a model more than a run tells: see :mod:`mic.studies`."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from mic import cache_folder
+from mic.commands.call import keep_studies, on_one_process
+from mic.compliance.cache import influence_coefficients
+from mic.console import plain
+from mic.contact.laws import LAWS
+from mic.errors import RunError, SceneError
+from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
+from mic.process.plan import plan_assembly
+from mic.results.folder import RunFolder
+from mic.results.identity import identity
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, SENSITIVITIES
+from mic.scene import load_scene
+from mic.studies import contributors as driving
+from mic.studies import friction as rubbing
+from mic.studies import sensitivity as slopes
+from mic.studies.order import PERMUTATIONS, STATED, compare, orders
+from mic.studies.order import variants as read_variants
+from mic.studies.rare import rare as rare_events
+
+__all__ = [
+    "contributors",
+    "friction",
+    "order",
+    "rare",
+    "sensitivity",
+]
+
+NOTHING = 1e-6  # mm: a step that changes no more changes nothing
+
+
+LISTED = 6  # inputs that a characteristic shows
+FAR = 100.0  # steps: no contact that a step could change
+
+
+@on_one_process
+def order(source, samples, seed, law, permutations, variants, table):
+    """``mic order``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    random = PERMUTATIONS if permutations is None else permutations
+    others = read_variants(scene, variants) if variants else orders(scene, random)
+    if len(others) == 1:
+        console.print("The process has one order only: nothing to compare.")
+        return
+    threads = len(os.sched_getaffinity(0))
+    with Progress(console=console) as progress:
+        bar = progress.add_task(f"{samples} samples under {asked}", total=len(others))
+        found = compare(
+            model,
+            others,
+            asked,
+            samples,
+            scene.monte_carlo.seed if seed is None else seed,
+            threads,
+            lambda name: progress.advance(bar),
+        )
+    _print_orders(console, others, found)
+    if table:
+        found.to_csv(table, index=False)
+        console.print(f"table: {plain(table)}")
+    keep_studies(console, folder, {ORDERS: found.assign(law=asked)[ORDERS.names].astype({"samples": "int64"})})
+
+
+def _model(console, source):
+    """The reduced model of a scene, or one that was saved."""
+    if source.is_file() and source.suffix == ".npz":
+        return ReducedModel.load(source)
+    scene = load_scene(source)
+    say = lambda line: console.print(f"{plain(line)} …", highlight=False)
+    assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
+    plan_assembly(assembly)
+    coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
+    return ReducedModel.build(assembly, coefficients)
+
+
+def _print_orders(console, others, found):
+    """By order, the quantity that changes most; by quantity, the order that changes it most."""
+
+    def change(row, key):
+        share = f" ({100 * abs(row[key]) / row['tolerance']:.1f} %)" if row["tolerance"] > 0 else ""
+        return f"{1000 * row[key]:+.1f} ± {1000 * row[f'{key[:-6]}error']:.1f}{share}".replace("-", "−")
+
+    def largest(rows, key):
+        return rows.loc[rows[key].abs().idxmax()]
+
+    keys = ("mean_change", "six_sigma_change")
+    measured, slips = found[found["tolerance"] > 0], found[found["tolerance"].isna()]
+    for rows, title in (
+        (measured, "Key characteristics: largest change (of the tolerance)"),
+        (slips, "Slip under load"),
+    ):
+        table = Table("order", "mean, µm", "of", "6σ, µm", "of", title=title)
+        for name, own in rows[rows["order"] != STATED].groupby("order", sort=False):
+            worst = [largest(own, key) for key in keys]
+            cells = (cell for row, key in zip(worst, keys) for cell in (change(row, key), row["quantity"]))
+            table.add_row(name, *cells)
+        if table.row_count:
+            console.print(table)
+    table = Table("as stated", "mean, mm", "6σ, mm", "largest change of mean, µm", "of 6σ, µm", title="By quantity")
+    rest = found[found["order"] != STATED]
+    for _, stated in found[found["order"] == STATED].iterrows():
+        own = rest[rest["quantity"] == stated["quantity"]]
+        cells = [f"{change(row, key)}: {row['order']}" for key in keys for row in [largest(own, key)]]
+        table.add_row(stated["quantity"], f"{stated['mean']:.4f}", f"{stated['six_sigma']:.4f}", *cells)
+    console.print(table)
+    for other in others:
+        if other.name.startswith("random"):
+            groups = [f"{stage.name}: order = {json.dumps(stage.order)}" for stage in other.scene.stages if stage.order]
+            console.print(f"{other.name}: {plain('; '.join(groups))}", highlight=False, soft_wrap=True)
+
+
+@on_one_process
+def contributors(source, samples, seed, law):
+    """``mic contributors``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    if not scene.measurements or not scene.deviations:
+        what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
+        raise SceneError(f"scene {scene.name!r} has no {what}; give it some")
+    if scene.monte_carlo.values is not None:
+        raise SceneError(
+            f"scene {scene.name!r}: it states its samples in a table, which does not say what each deviation does "
+            "alone; take monte_carlo.table out, so that they are drawn"
+        )
+    count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
+    with _counting(console, f"evaluations under {asked}", count) as advance:
+        found = driving.contributors(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
+    _print_contributors(console, scene, found)
+    keep_studies(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
+
+
+def _print_contributors(console, scene, found):
+    """By characteristic, what makes its variance; what hurts most overall; where a linear analysis misleads."""
+    from mic.report.drivers import linear_words, named  # drawing libraries are slow to import
+    from mic.report.style import number, percent
+
+    table = Table(
+        "characteristic", "σ, µm", "driven by (share of the variance, with interactions)", "linear analysis", "R²",
+        title="What drives the key characteristics",
+    )  # fmt: skip
+    for row in found.linearity.to_dict("records"):
+        own = found.table[found.table["measurement"] == row["measurement"]].sort_values("total", ascending=False)
+        linear = own.sort_values("regression", ascending=False)
+        driven = "\n".join(
+            f"{plain(each['contributor'])} {percent(each['total'])} "
+            f"({percent(each['total_low'])} … {percent(each['total_high'])})"
+            for each in own.head(3).to_dict("records")
+        )
+        said = "\n".join(
+            f"{plain(each['contributor'])} {percent(each['regression'])}" for each in linear.head(3).to_dict("records")
+        )
+        table.add_row(plain(row["measurement"]), number(1e3 * row["sigma"]), driven, said, number(row["r_squared"]))
+    console.print(table)
+    ranked = driving.joint_ranking(found.table, found.linearity, scene)
+    console.print(f"Over all key characteristics: {plain(named(ranked, 'total'))}")
+    for sentence in linear_words(found.table, found.linearity):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+    one = found.linearity.iloc[0]
+    console.print(
+        f"{one['evaluations']} evaluations, {one['failed']} of {one['samples'] + one['failed']} samples left out"
+    )
+
+
+@on_one_process
+def friction(source, samples, seed, law):
+    """``mic friction``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    if not (
+        scene.measurements and LAWS[asked].frictional and model.contacts.dimension == 3 and model.contacts.frictional
+    ):
+        why = "nothing is measured" if not scene.measurements else "nothing has friction, or the law has none"
+        raise SceneError(f"scene {scene.name!r}: there is no friction to ask for: {why}")
+    zones = sum(zone.frictional for zone in scene.zones)
+    count = samples * (1 + len(rubbing.FACTORS) + (zones > 1) * 2 * zones)
+    with _counting(console, f"evaluations under {asked}", count) as advance:
+        found = rubbing.friction_effects(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
+    _print_friction(console, found)
+    keep_studies(console, folder, {FRICTION_EFFECTS: found})
+
+
+def _print_friction(console, found):
+    from mic.report.drivers import friction_words  # drawing libraries are slow to import
+    from mic.report.style import number
+
+    factors = list(found.loc[found["zone"] == "", "factor"].unique())
+    for figure, word in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
+        table = Table(
+            "characteristic", "6σ, µm", *(f"µ × {factor:g}" for factor in factors), title=f"Change of {word}, µm"
+        )
+        for name, own in found[found["zone"] == ""].groupby("measurement", sort=False):
+            cells = [
+                f"{number(1e3 * row[figure], 2)} ({number(1e3 * row[f'{figure}_low'], 2)} … "
+                f"{number(1e3 * row[f'{figure}_high'], 2)})"
+                for row in own.to_dict("records")
+            ]
+            table.add_row(plain(name), number(1e3 * own["six_sigma"].iloc[0]), *cells)
+        console.print(table)
+    for sentence in friction_words(found, rubbing.friction_needed(found)):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+
+
+@on_one_process
+def sensitivity(source, samples, seed, law):
+    """``mic sensitivity``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked = model.scene, _law_of(model, law)
+    if not scene.measurements:
+        raise SceneError(f"scene {scene.name!r} has no measurements: nothing is asked for; give it some")
+    with _counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
+        found = slopes.effects(model, asked, samples, _seed_of(scene, seed), advance)
+    _print_sensitivity(console, found)
+    keep_studies(console, folder, {SENSITIVITIES: found.table})
+
+
+def _print_sensitivity(console, found):
+    """What steps of the inputs change in each characteristic, the largest first."""
+    from mic.report.style import number  # drawing libraries are slow to import
+
+    table = Table(
+        "characteristic", "input", "step", "µm (over the samples)", "contact changes after",
+        title="What a step changes",
+    )  # fmt: skip
+    most = found.table.groupby("input")["effect"].apply(lambda x: x.abs().max()).sort_values(ascending=False)
+    for name, own in found.table.groupby("measurement", sort=False):
+        own = own[own["effect"].abs() > NOTHING]
+        order = own["effect"].abs().sort_values(ascending=False, kind="stable").index
+        for i, row in enumerate(own.loc[order[:LISTED]].to_dict("records")):
+            effect, low, high = (number(1e3 * row[key], 2) for key in ("effect", "effect_low", "effect_high"))
+            reach = f"{number(row['reach'], 2)} steps" if row["reach"] < FAR else "–"
+            first = "" if i else plain(str(name))
+            table.add_row(first, plain(row["input"]), number(row["step"], 3), f"{effect} ({low} … {high})", reach)
+        if len(own) > LISTED:
+            table.add_row("", f"… {len(own) - LISTED} others", "", "less", "")
+        table.add_section()
+    console.print(table)
+    if math.isfinite(found.reach):
+        console.print(
+            f"The mean assembly is {number(found.reach, 2)} σ from the next change of a contact: {plain(found.where)}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if still := most.index[most <= NOTHING].tolist():
+        console.print(f"Nothing is changed by {plain(', '.join(still))}", highlight=False, soft_wrap=True)
+    if found.failed:
+        console.print(f"{found.failed} samples failed and are left out")
+
+
+@on_one_process
+def rare(source, measurement, samples, seed, law):
+    """``mic rare``, with the values of its options (:mod:`mic.options`)."""
+    from mic.report.style import number  # drawing libraries are slow to import
+
+    console = Console()
+    model, folder = _studied(console, source)
+    scene, asked, names = model.scene, _law_of(model, law), measurement or []
+    known = [item.name for item in scene.measurements]
+    unknown = [name for name in names if name not in known]
+    if unknown or not known:
+        what = (
+            f"no measurement {unknown[0]!r}; it has: {', '.join(known)}" if known else "no measurements; give it some"
+        )
+        raise SceneError(f"scene {scene.name!r} has {what}")
+    if not scene.deviations or scene.monte_carlo.values is not None:
+        why = "its samples stand in a table; take monte_carlo.table out" if scene.deviations else "nothing varies"
+        raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
+    with _counting(console, f"evaluations under {asked}", None) as advance:
+        found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), _threads(), advance)
+    for row in found.to_dict("records"):
+        what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
+        share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
+        how = "a plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
+        console.print(
+            f"{plain(what)} in {share} of a million ({low} to {high}): {how}, {row['evaluations']} evaluations"
+            + f", {row['failed']} of which failed and do not count" * bool(row["failed"]),
+            highlight=False,
+            soft_wrap=True,
+        )
+    keep_studies(console, folder, {RARE: found})
+
+
+def _studied(console, source):
+    """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
+    if not (source / "run.json").is_file():
+        return _model(console, source), None
+    record, path = RunFolder(source).record(), source / "model.npz"
+    if not path.is_file():
+        raise RunError(f"{path}: is missing; run the scene again into this folder")
+    model = ReducedModel.load(path)
+    if identity(model, record["seed"]) != record["identity"]:
+        raise RunError(f"{path}: belongs to another run; run the scene again into this folder")
+    return model, source
+
+
+def _law_of(model, law):
+    """The law asked for; else the scene's first with friction, else its first."""
+    laws = model.scene.report.laws
+    return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
+
+
+def _seed_of(scene, seed):
+    return scene.monte_carlo.seed if seed is None else seed
+
+
+def _threads():
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def _counting(console, what, count):
+    """A bar; what it gives is called with the number of evaluations done."""
+    with Progress(console=console) as progress:
+        bar = progress.add_task(what, total=count)
+        yield lambda done: progress.advance(bar, done)

@@ -1,0 +1,168 @@
+"""The table of a key characteristic."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from mic.scene.keys import (
+    NORMAL,
+    TOWARDS,
+    UNPLACED,
+    Count,
+    Direction,
+    FiniteFloat,
+    Name,
+    NonNegative,
+    OnPart,
+    Place,
+    Positive,
+    Table,
+    Vector,
+    stands_once,
+)
+
+__all__ = [
+    "Measurement",
+    "OtherPoint",
+]
+
+
+class OtherPoint(Table):
+    """The second point of a characteristic between two: by `point`, `node`, `set` or `hole`, on a part."""
+
+    part: Name = Field(description="the part that it is on")
+    point: Place = Field(UNPLACED, description="where, mm, at most 5 mm off the part")
+    node: Count | None = Field(None, description="or a node by its number in the part's mesh file")
+    set: Annotated[str, Field(min_length=1)] | None = Field(
+        None, description="or a set of nodes by its name in the part's mesh file: their middle"
+    )
+    hole: Vector | None = Field(None, description="or a point near the centre of a hole: its rim is read")
+    radius: NonNegative = Field(2.5, description="of the probe, mm; 0 is nodal")
+
+    @model_validator(mode="after")
+    def _one_place(self):
+        return stands_once(self)
+
+
+class Measurement(OnPart):
+    """A key characteristic: how far a point is from nominal along a direction, or what `kind` makes of several, mm.
+
+    `point` is one point. `flush`, `gap` and `distance` are by how much the point `to` moves away from the first: along
+    the normal of the first's sheet, along the line between the two laid into that sheet, and along that line itself.
+    `parallelism` is the width between two planes across `direction` that hold all `points`, less what is nominal;
+    `profile` twice the largest deviation of any point along the normals there, as ISO 1101 counts both.
+    """
+
+    name: Name = Field(description="names the key characteristic in results")
+    kind: Literal["point", "flush", "gap", "distance", "parallelism", "profile"] = Field(
+        "point", description="what is made of the points"
+    )
+    part: Name = Field(description="the part that is measured")
+    direction: Direction = Field(
+        NORMAL,
+        description=f"in which the deviation counts positive: {TOWARDS}; of a `gap` left out, of `distance` and "
+        "`profile` not given",
+    )
+    radius: NonNegative = Field(2.5, description="of the probe, mm; 0 is nodal")
+    to: OtherPoint | None = Field(
+        None, description="`flush`, `gap`, `distance`: the other point, `{ part = NAME, point = [x, y, z] }`"
+    )
+    points: Annotated[list[Vector], Field(min_length=2)] | None = Field(
+        None, description="`parallelism`, `profile`: in place of `point`, where, mm, at most 5 mm off the part"
+    )
+    spacing: Positive | None = Field(
+        None, description="or points all over the part, none of which is farther than this from its neighbours, mm"
+    )
+    box: tuple[Vector, Vector] | None = Field(
+        None, description="with `spacing`: only inside of `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm"
+    )
+    best_fit: Annotated[list[Name], Field(min_length=1)] | None = Field(
+        None,
+        description="measurements on which the assembly is aligned before this one is read, as a rigid body, with the "
+        "least sum of squares; of `parallelism` and `profile` it may be itself",
+    )
+    lower: FiniteFloat = Field(
+        description="lower limit of the tolerance, mm from nominal; of `parallelism` and `profile` 0, and left out"
+    )
+    upper: FiniteFloat = Field(description="upper limit of the tolerance, mm from nominal")
+
+    #: Kinds that are read at two points, and at any number.
+    BETWEEN: ClassVar[tuple[str, ...]] = ("flush", "gap", "distance")
+    OVER: ClassVar[tuple[str, ...]] = ("parallelism", "profile")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_zero(cls, table: Any):
+        if isinstance(table, dict) and table.get("kind") in cls.OVER:
+            none = ("direction",) if table.get("direction") is None else ()  # a profile, written out
+            return {"lower": 0.0} | {key: value for key, value in table.items() if key not in none}
+        return table
+
+    @model_validator(mode="after")
+    def _one_place(self):
+        given = [key for key in ("points", "spacing") if getattr(self, key) is not None]
+        if self.kind not in self.OVER:
+            if given:
+                raise ValueError(f"{given[0]} goes with kind {' or '.join(self.OVER)}; give point, or that kind")
+            return stands_once(self)
+        single = [key for key in ("point", "node", "set", "hole") if getattr(self, key) is not None]
+        if single:
+            raise ValueError(f"{self.kind} is read at many points: give points or spacing in place of {single[0]}")
+        if len(given) != 1:
+            raise ValueError(f"{self.kind} takes either points = [[x, y, z], …] or spacing (mm)")
+        return self
+
+    @model_validator(mode="after")
+    def _of_its_kind(self):
+        if (self.to is not None) != (self.kind in self.BETWEEN):
+            raise ValueError(
+                f"{self.kind} is read between two points: give the other as to = {{ part = …, point = … }}"
+                if self.to is None
+                else f"to goes with kind {', '.join(self.BETWEEN)}; {self.kind} has no other point, remove it"
+            )
+        if self.kind == "profile":
+            if self.direction != NORMAL:
+                raise ValueError("a profile is read along the normals at its points: remove direction")
+            object.__setattr__(self, "direction", UNPLACED)  # it has as many as points
+        if self.kind == "distance" and self.direction != NORMAL and not self._along_line():
+            raise ValueError("a distance is read along the line between its points: remove direction")
+        if self.box is not None and self.spacing is None:
+            raise ValueError("box goes with spacing: give the points themselves, or spacing (mm)")
+        if self.box is not None and any(low >= high for low, high in zip(*self.box)):
+            raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
+        return self
+
+    @model_validator(mode="after")
+    def _ordered(self):
+        if self.kind in self.OVER and self.lower != 0:
+            raise ValueError(f"{self.kind} is never negative and its lower limit is 0: remove lower")
+        if self.lower >= self.upper:
+            raise ValueError("lower must be smaller than upper")
+        return self
+
+    def _along_line(self) -> bool:
+        """Whether the direction is the line to the other point, as it is once both are placed."""
+        if self.to is None or self.to.point is None or self.point is None or isinstance(self.direction, str):
+            return False
+        line = np.subtract(self.to.point, self.point)
+        return bool(np.allclose(line / np.linalg.norm(line), self.direction, rtol=0, atol=1e-9))
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether its lower limit is that of the quantity itself, which no spread can cross."""
+        return self.kind in self.OVER
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Limits that its spread may cross, mm."""
+        return (-np.inf if self.one_sided else self.lower), self.upper
+
+    @property
+    def places(self) -> list[tuple[str, Vector]]:
+        """Parts and points where it is read, of those that are placed."""
+        found = [(self.part, point) for point in self.points or [self.point]]
+        found += [(self.to.part, self.to.point)] if self.to is not None else []
+        return [(part, point) for part, point in found if point is not None]
