@@ -16,7 +16,7 @@ from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.model.one_sigma import one_sigma
 from mic.options import app
-from mic.report.source_pictures import MOST, shapes_picture
+from mic.report.source_pictures import MOST, draw_shapes
 from mic.scene.load import read_table
 
 pytestmark = pytest.mark.fem
@@ -69,12 +69,12 @@ def test_the_shapes_are_those_of_the_full_solve(found):
 def test_they_are_drawn_each_on_its_part(found):
     assembly, shapes = found
     surfaces = {part.name: part.surface for part in assembly.parts}
-    picture = shapes_picture(surfaces, shapes)
+    picture = draw_shapes(surfaces, shapes)
     colours = Image.open(io.BytesIO(picture.data)).convert("RGB").getcolors(1 << 24) or []
     red = sum(count for count, (r, g, b) in colours if r > b + 60)
     blue = sum(count for count, (r, g, b) in colours if b > r + 60)
     assert red > 500 and blue > 500
-    assert f"The first {MOST} of 15 are shown" in shapes_picture(surfaces, 3 * shapes).caption
+    assert f"The first {MOST} of 15 are shown" in draw_shapes(surfaces, 3 * shapes).caption
     assert "are shown" not in picture.caption
 
 

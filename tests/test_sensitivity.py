@@ -315,8 +315,12 @@ def test_the_command_prints_the_table_and_the_reach(lap_model, tmp_path):
     assert done.exit_code == 0, done.output
     wanted = effects(lap_model, "coulomb", 2, lap_model.scene.monte_carlo.seed)
     assert "What a step changes" in done.output and wanted.where in done.output
-    for name in wanted.table["input"].unique():
-        assert name in done.output
+    assert set(wanted.table["measurement"]) == {"M1", "M2"}
+    for _, own in wanted.table.groupby("measurement"):
+        effect = own.set_index("input")["effect"].abs().sort_values(ascending=False)
+        effect = effect[effect > 1e-6]
+        assert all(name in done.output for name in effect.index[:6])
+        assert len(effect) > 6 and f"{len(effect) - 6} others" in done.output
 
 
 def test_a_scene_that_measures_nothing_has_no_sensitivities(lap_model):

@@ -20,7 +20,7 @@ from mic.model.assembly import Contacts
 from mic.model.one_sigma import Shape
 from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
-from mic.report.source_pictures import shapes_picture
+from mic.report.source_pictures import draw_shapes
 from mic.report.style import MARK_COLOURS, number
 from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
@@ -89,7 +89,7 @@ def write_check(
             (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
         ],
         verdict=verdict(warnings, errors),
-        shapes=shapes_picture(surfaces, shapes) if shapes else None,
+        shapes=draw_shapes(surfaces, shapes) if shapes else None,
         largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
         plotly=packed(get_plotlyjs()) if bodies else None,

@@ -15,13 +15,13 @@ from mic.report.picture import Picture, panels, png
 from mic.report.space_pictures import draw_surfaces
 from mic.report.style import number
 
-__all__ = ["MOST", "shapes_picture"]
+__all__ = ["MOST", "draw_shapes"]
 
 MOST = 12  # shapes of a picture
 COLUMNS = 3
 
 
-def shapes_picture(surfaces: Mapping[str, Surface], shapes: Sequence[Shape]) -> Picture:
+def draw_shapes(surfaces: Mapping[str, Surface], shapes: Sequence[Shape]) -> Picture:
     """Each shape on its parts, coloured by how far they are off along their normals, each on a scale of its own."""
     shown = shapes[:MOST]
     fig, axes = panels(len(shown), min(COLUMNS, len(shown)), (3.6, 2.9))

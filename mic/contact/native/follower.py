@@ -74,6 +74,8 @@ INNER = 1e-12
 NEAR = 1e-7
 #: Shrinking the step aims below the tolerance by this factor, the usual one of step control; and how much it may grow.
 SAFETY, GROWTH = 0.8, 4.0
+#: Of the largest force: a tangential force that is less is none.
+ROUNDING = 1e-12
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
 #: Contacts that open or break loose within one prediction before it is cut short, and changes of sliders after each.
@@ -465,7 +467,10 @@ def _let_go(inverse, a):
 
 @jit(int64(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, COUNTS, types.Array(types.boolean, 1, "C"), VECTOR, COUNTS))
 def _breaking(equation, parameters, y, still, state, held, phi, found):
-    """A contact that sticks and whose force has left the cone, but for those that were just held; -1 if none does."""
+    """A contact that sticks and whose force has left the cone, but for those that were just held; -1 if none does.
+
+    One that has no normal force left and a tangential one has left it before.
+    """
     asked = False
     for k in range(len(state)):
         asked = asked or (state[k] == STICK and not held[k])
@@ -473,9 +478,12 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
         return -1
     nothing = np.empty((0, 3, 3))
     equation(parameters, y, still, phi, nothing, nothing, found, False)
+    rounding = ROUNDING * np.abs(y).max()
     for k in range(len(state)):
-        if state[k] == STICK and not held[k] and found[k] == SLIP:
-            return k
+        if state[k] == STICK and not held[k]:
+            dragged = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2) > rounding
+            if found[k] == SLIP or (found[k] == OPEN and dragged):
+                return k
     return -1
 
 
