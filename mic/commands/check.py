@@ -142,7 +142,7 @@ def _print_process(console, assembly, plans):
 
 def _at_hand(assembly):
     """The reduced model, where the influence coefficients are cached and it is not large; else None."""
-    if all(is_cached(part, cache_folder()) for part in assembly.parts) and len(assembly.contacts) <= LOOKED_AT:
+    if len(assembly.contacts) <= LOOKED_AT and all(is_cached(part, cache_folder()) for part in assembly.parts):
         return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
     return None
 

@@ -41,23 +41,11 @@ class Table(BaseModel):
 
 # A number is a number: neither true, which Python takes for 1, nor the text of one.
 FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-
-
 Count = Annotated[int, Field(strict=True)]
-
-
 Flag = Annotated[bool, Field(strict=True)]
-
-
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.+-]+$")]
-
-
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-
-
 Positive = Annotated[FiniteFloat, Field(gt=0)]
-
-
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
@@ -96,20 +84,10 @@ def _vector_or_words(value: Any, handler: Any) -> Any:
 #: which everything comes after that reads them. In a scene as it is written a point or a part may be None, and a
 #: direction words.
 Place = Annotated[Vector, WrapValidator(_if_given)]
-
-
 Owner = Annotated[Name, WrapValidator(_if_given)]
-
-
 Direction = Annotated[Vector, WrapValidator(_vector_or_words)]
-
-
 UNPLACED: Any = None
-
-
 NORMAL: Any = "normal"
-
-
 TOWARDS = "`[x, y, z]`; or `normal` or `in-plane x`, y, z (the axis laid into the sheet), with a minus the other way"
 
 

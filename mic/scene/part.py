@@ -16,8 +16,6 @@ __all__ = [
 
 #: Suffixes of CAD files, which are meshed when they are read.
 CAD = (".step", ".stp", ".iges", ".igs", ".brep")
-
-
 #: What a sheet is where neither the scene nor a mesh file tells it: drawn in its middle, of steel; MPa.
 USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
 

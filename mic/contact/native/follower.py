@@ -478,11 +478,11 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
         return -1
     nothing = np.empty((0, 3, 3))
     equation(parameters, y, still, phi, nothing, nothing, found, False)
-    rounding = ROUNDING * np.abs(y).max()
     for k in range(len(state)):
         if state[k] == STICK and not held[k]:
-            dragged = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2) > rounding
-            if found[k] == SLIP or (found[k] == OPEN and dragged):
+            if found[k] == SLIP:
+                return k
+            if found[k] == OPEN and np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2) > ROUNDING * np.abs(y).max():
                 return k
     return -1
 
