@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mic.process.model import ReducedModel
     from mic.runs import read_run, run
     from mic.scene import Scene, load_scene
+    from mic.studies.comparison import compare
 
 __all__ = [
     "FormatError",
@@ -30,6 +31,7 @@ __all__ = [
     "SceneError",
     "StorageError",
     "cache_folder",
+    "compare",
     "load_scene",
     "read_run",
     "reduce",
@@ -87,6 +89,7 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
 _HOMES = {
     "ReducedModel": "mic.process.model",
     "Scene": "mic.scene",
+    "compare": "mic.studies.comparison",
     "load_scene": "mic.scene",
     "read_run": "mic.runs",
     "run": "mic.runs",

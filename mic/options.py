@@ -58,7 +58,7 @@ StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for 
 
 def _carry_out(name: str, *values: Any) -> None:
     """Carry out a command with the values of its options."""
-    home = {"report": "run", "check": "check", "run": "run", "init": "init"}.get(name, "studies")
+    home = {"report": "run", "check": "check", "compare": "compare", "run": "run", "init": "init"}.get(name, "studies")
     # Only now: numerics and tables take a second to import.
     getattr(import_module(f"mic.commands.{home}"), name)(*values)
 
@@ -187,6 +187,41 @@ StudySeed = Annotated[
     int | None,
     typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
 ]
+
+
+@app.command()
+def compare(
+    before: SourceArgument,
+    after: SourceArgument,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=3,
+            help="Samples to evaluate on both sides. Default: 200; two results folders are compared as they stand.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: StudySeed = None,
+    law: Annotated[
+        list[Law] | None,
+        typer.Option(
+            "--law",
+            help="Contact law of both; repeat it for the second's. Default: the scene's first with friction, or its "
+            "first.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for page and tables. Default: results/BEFORE_AFTER.", show_default=False),
+    ] = None,
+):
+    """Compare two scenes, models or runs on the same samples: before and after a change.
+
+    Differences of each mean, 6σ, Cpk and share outside, with the interval that pairing leaves; what the scenes say
+    otherwise; and, of two runs with fields, maps of what changes where.
+    """
+    _carry_out("compare", before, after, samples, seed, law, out)
 
 
 @app.command()

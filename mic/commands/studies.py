@@ -33,10 +33,13 @@ from mic.studies.rare import rare as rare_events
 
 __all__ = [
     "contributors",
+    "counting",
     "friction",
     "order",
     "rare",
     "sensitivity",
+    "studied",
+    "threads",
 ]
 
 NOTHING = 1e-6  # mm: a step that changes no more changes nothing
@@ -50,14 +53,13 @@ FAR = 100.0  # steps: no contact that a step could change
 def order(source, samples, seed, law, permutations, variants, table):
     """``mic order``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
-    model, folder = _studied(console, source)
+    model, folder = studied(console, source)
     scene, asked = model.scene, _law_of(model, law)
     random = PERMUTATIONS if permutations is None else permutations
     others = read_variants(scene, variants) if variants else orders(scene, random)
     if len(others) == 1:
         console.print("The process has one order only: nothing to compare.")
         return
-    threads = len(os.sched_getaffinity(0))
     with Progress(console=console) as progress:
         bar = progress.add_task(f"{samples} samples under {asked}", total=len(others))
         found = compare(
@@ -66,7 +68,7 @@ def order(source, samples, seed, law, permutations, variants, table):
             asked,
             samples,
             scene.monte_carlo.seed if seed is None else seed,
-            threads,
+            threads(),
             lambda name: progress.advance(bar),
         )
     _print_orders(console, others, found)
@@ -128,7 +130,7 @@ def _print_orders(console, others, found):
 def contributors(source, samples, seed, law):
     """``mic contributors``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
-    model, folder = _studied(console, source)
+    model, folder = studied(console, source)
     scene, asked = model.scene, _law_of(model, law)
     if not scene.measurements or not scene.deviations:
         what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
@@ -139,8 +141,8 @@ def contributors(source, samples, seed, law):
             "alone; take monte_carlo.table out, so that they are drawn"
         )
     count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
-    with _counting(console, f"evaluations under {asked}", count) as advance:
-        found = driving.contributors(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
+    with counting(console, f"evaluations under {asked}", count) as advance:
+        found = driving.contributors(model, asked, samples, _seed_of(scene, seed), threads(), advance)
     _print_contributors(console, scene, found)
     keep_studies(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
 
@@ -181,7 +183,7 @@ def _print_contributors(console, scene, found):
 def friction(source, samples, seed, law):
     """``mic friction``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
-    model, folder = _studied(console, source)
+    model, folder = studied(console, source)
     scene, asked = model.scene, _law_of(model, law)
     if not (
         scene.measurements and LAWS[asked].frictional and model.contacts.dimension == 3 and model.contacts.frictional
@@ -190,8 +192,8 @@ def friction(source, samples, seed, law):
         raise SceneError(f"scene {scene.name!r}: there is no friction to ask for: {why}")
     zones = sum(zone.frictional for zone in scene.zones)
     count = samples * (1 + len(rubbing.FACTORS) + (zones > 1) * 2 * zones)
-    with _counting(console, f"evaluations under {asked}", count) as advance:
-        found = rubbing.friction_effects(model, asked, samples, _seed_of(scene, seed), _threads(), advance)
+    with counting(console, f"evaluations under {asked}", count) as advance:
+        found = rubbing.friction_effects(model, asked, samples, _seed_of(scene, seed), threads(), advance)
     _print_friction(console, found)
     keep_studies(console, folder, {FRICTION_EFFECTS: found})
 
@@ -221,11 +223,11 @@ def _print_friction(console, found):
 def sensitivity(source, samples, seed, law):
     """``mic sensitivity``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
-    model, folder = _studied(console, source)
+    model, folder = studied(console, source)
     scene, asked = model.scene, _law_of(model, law)
     if not scene.measurements:
         raise SceneError(f"scene {scene.name!r} has no measurements: nothing is asked for; give it some")
-    with _counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
+    with counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
         found = slopes.effects(model, asked, samples, _seed_of(scene, seed), advance)
     _print_sensitivity(console, found)
     keep_studies(console, folder, {SENSITIVITIES: found.table})
@@ -270,7 +272,7 @@ def rare(source, measurement, samples, seed, law):
     from mic.report.style import number  # drawing libraries are slow to import
 
     console = Console()
-    model, folder = _studied(console, source)
+    model, folder = studied(console, source)
     scene, asked, names = model.scene, _law_of(model, law), measurement or []
     known = [item.name for item in scene.measurements]
     unknown = [name for name in names if name not in known]
@@ -282,8 +284,8 @@ def rare(source, measurement, samples, seed, law):
     if not scene.deviations or scene.monte_carlo.values is not None:
         why = "its samples stand in a table; take monte_carlo.table out" if scene.deviations else "nothing varies"
         raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
-    with _counting(console, f"evaluations under {asked}", None) as advance:
-        found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), _threads(), advance)
+    with counting(console, f"evaluations under {asked}", None) as advance:
+        found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), threads(), advance)
     for row in found.to_dict("records"):
         what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
         share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
@@ -297,7 +299,7 @@ def rare(source, measurement, samples, seed, law):
     keep_studies(console, folder, {RARE: found})
 
 
-def _studied(console, source):
+def studied(console, source):
     """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
     if not (source / "run.json").is_file():
         return _model(console, source), None
@@ -320,12 +322,13 @@ def _seed_of(scene, seed):
     return scene.monte_carlo.seed if seed is None else seed
 
 
-def _threads():
+def threads():
+    """How many threads may work."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
-def _counting(console, what, count):
+def counting(console, what, count):
     """A bar; what it gives is called with the number of evaluations done."""
     with Progress(console=console) as progress:
         bar = progress.add_task(what, total=count)

@@ -19,6 +19,7 @@ from mic.store import replacing
 
 __all__ = [
     "ACCURACY",
+    "COMPARISON",
     "CONTACTS",
     "CONTACT_STATISTICS",
     "CONTRIBUTORS",
@@ -416,6 +417,15 @@ def _estimate(name, unit, meaning, optional=False) -> tuple[Column, ...]:
     )
 
 
+def _before_and_after(name, unit, meaning) -> tuple[Column, ...]:
+    """A figure on two sides, and how it changes."""
+    return (
+        Column(f"{name}_a", "float64", unit, f"{meaning}, before"),
+        Column(f"{name}_b", "float64", unit, f"{meaning}, after"),
+        *_estimate(f"{name}_change", unit, f"by how much `{name}_b` is more than `{name}_a`, of pairs of samples"),
+    )
+
+
 def _hanging(name, unit, meaning, optional=False) -> tuple[Column, ...]:
     """An estimate, its interval, and what a tighter path changes of it."""
     return (
@@ -745,6 +755,20 @@ DENSITY = _statistic(
         Column("failed", "int64", "", "samples that either lost"),
     ),
     "How much hangs on how dense the contact pairs are.",
+)
+COMPARISON = _statistic(
+    "comparison",
+    "one quantity that both sides have",
+    (
+        Column("quantity", "str", "", "key characteristic, or `slip STAGE ZONE`; empty for the whole assembly"),
+        Column("tolerance", "float64", "mm", "its limits apart, before; none for slip"),
+        _USED,
+        *_before_and_after("mean", "mm", "mean"),
+        *_before_and_after("six_sigma", "mm", "6σ"),
+        *_before_and_after("cpk", "1", "Cpk, each against its own limits"),
+        *_before_and_after("outside", "1", "share outside its limits, or with any characteristic outside"),
+    ),
+    "Two assemblies on the same samples, before and after. Written by `mic compare` into a folder of its own.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
 STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)

@@ -11,7 +11,7 @@ from mic.process.evaluation import Evaluation, Resolution
 from mic.process.plan import plan_stages
 from mic.results.schema import CONTACTS, DEVIATIONS, LIMITS, MEASUREMENTS, PROFILES, RESOLUTIONS, SAMPLES, SLIPS
 
-__all__ = ["tables"]
+__all__ = ["tables", "zone_motion"]
 
 AXES = ("n", "t1", "t2")
 
@@ -37,7 +37,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     measured = [item.name for item in model.scene.measurements][: evaluation.measurements.shape[1]]
     modelled = len(zones) if model.contacts.dimension == 3 else 0
     motions = [
-        _motion(resolution, model.contacts, model.contacts.zone == z, LAWS[evaluation.law].frictional)
+        zone_motion(resolution, model.contacts, model.contacts.zone == z, LAWS[evaluation.law].frictional)
         for resolution in resolutions
         for z in range(modelled)
     ]
@@ -121,7 +121,7 @@ def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
     return asked & (resolution.rung != "followed") & resolution.converged
 
 
-def _motion(resolution: Resolution, contacts, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
+def zone_motion(resolution: Resolution, contacts, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
     """The last columns of :data:`mic.results.schema.SLIPS` for one zone: (n,) each, NaN for what takes friction.
 
     Pairs that the zone states count alike. Candidates stand nearer to each other along edges, and count by their area;

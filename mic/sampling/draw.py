@@ -9,7 +9,7 @@ from scipy.stats import qmc
 from mic.scene.distribution import quantile
 from mic.scene.samples import DESIGNS
 
-__all__ = ["draw", "numbers", "placed"]
+__all__ = ["draw", "keys", "numbers", "placed"]
 
 EDGE = 1e-16  # probabilities are kept this far within (0, 1)
 GROUPS = 1  # word of the counter that tells the streams of groups from those of samples
@@ -49,9 +49,14 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
     return _values(scene, normal, flat, which)
 
 
+def keys(scene) -> list[tuple[str, str]]:
+    """What each independent number of a sample is for: ``("deviation", name)``, then ``("batch", name)`` of pieces."""
+    return [*(("deviation", item.name) for item in scene.deviations), *(("batch", name) for name in _batches(scene))]
+
+
 def numbers(scene) -> int:
     """How many independent numbers a sample takes: one for each deviation, and one for each batch of pieces."""
-    return len(scene.deviations) + len(_pieces(scene))
+    return len(keys(scene))
 
 
 def placed(scene, u: np.ndarray) -> np.ndarray:
@@ -124,8 +129,13 @@ def _correlated(scene, normal: np.ndarray) -> set[int]:
 
 def _pieces(scene) -> list[tuple[list[int], np.ndarray]]:
     """Of each batch of measured pieces, its deviations, and the scores (k, n) that its n pieces have in them."""
+    return [(own, np.array([scene.deviations[j].scores for j in own])) for own in _batches(scene).values()]
+
+
+def _batches(scene) -> dict[str, list[int]]:
+    """The deviations of each batch of measured pieces."""
     batches: dict[str, list[int]] = {}
     for j, item in enumerate(scene.deviations):
         if getattr(item, "scores", None) is not None:
             batches.setdefault(item.batch or item.name, []).append(j)
-    return [(own, np.array([scene.deviations[j].scores for j in own])) for own in batches.values()]
+    return batches

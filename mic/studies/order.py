@@ -24,11 +24,12 @@ from mic.errors import SceneError
 from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, moves_of, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.results.tables import zone_motion
 from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
 
-__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "orders", "variants"]
+__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "orders", "quantities", "variants"]
 
 STATED = "as stated"
 PERMUTATIONS = 4  #: random orders beside those that have a name
@@ -233,17 +234,17 @@ def compare(
     -------
     DataFrame
         One row for each order and quantity, the stated order first, then those that change most of a tolerance:
-        ``order``; ``quantity``, a key characteristic's name or ``"slip STAGE ZONE"``, the root mean square over a
-        zone's pairs of the net slip under load of a stage; ``tolerance`` (mm, NaN for slips); ``mean`` and
-        ``six_sigma`` (mm); ``mean_change`` and ``six_sigma_change`` (mm) with jackknife standard errors ``mean_error``
-        and ``six_sigma_error``; ``samples`` that neither order failed.
+        ``order``; ``quantity``, a key characteristic's name or ``"slip STAGE ZONE"``, a zone's RMS slip under load in a
+        stage; ``tolerance`` (mm, NaN for slips); ``mean`` and ``six_sigma`` (mm); ``mean_change`` and
+        ``six_sigma_change`` (mm) with jackknife standard errors ``mean_error`` and ``six_sigma_error``; ``samples``
+        that neither order failed.
     """
     deviations = draw(model.scene, seed, 0, samples)
     tables, base, base_failed = [], None, None
     for other in others:
         own = replace(model, scene=other.scene)
         evaluation = own.process(law, threads=threads).evaluate(deviations)
-        values = _quantities(own, evaluation)
+        values = quantities(own, evaluation)
         if base is None or base_failed is None:
             base, base_failed = values, evaluation.failed
         tables.append(_changes(other.name, values, base, ~(evaluation.failed | base_failed)))
@@ -254,17 +255,19 @@ def compare(
     return _by_largest(table)
 
 
-def _quantities(model, evaluation: Evaluation) -> pd.DataFrame:
-    """One column for each key characteristic and for the slip of each zone with friction in each stage, mm."""
+def quantities(model, evaluation: Evaluation) -> pd.DataFrame:
+    """One column for each key characteristic, under its name, and for the slip under load of each zone with friction in
+    each stage, as ``slip STAGE ZONE`` and as a run's results have it, mm."""
     names = [item.name for item in model.scene.measurements] if evaluation.measurements.size else []
     columns = dict(zip(names, evaluation.measurements.T))
     if LAWS[evaluation.law].frictional:
         for stage, resolution in evaluation.resolutions.items():
-            square = (resolution.trace.slip**2).sum(axis=-1)
             for i, zone in enumerate(model.scene.zones):
                 own = model.contacts.zone == i
                 if _rubs(model.contacts, stage)[own].any():
-                    columns[f"slip {stage} {zone.name}"] = np.sqrt(square[:, own].mean(axis=1))
+                    columns[f"slip {stage} {zone.name}"] = zone_motion(resolution, model.contacts, own, True)[
+                        "rms_slip"
+                    ]
     return pd.DataFrame(columns)
 
 

@@ -1,0 +1,198 @@
+"""The page of a comparison: before and after, what changes, and whether that is more than chance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import matplotlib.style
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mic.report.measurement_pictures import LIMIT_COLOUR
+from mic.report.picture import MOST_PANELS, Picture, panels, png, svg
+from mic.report.space_pictures import draw_surfaces
+from mic.report.style import RC, number, percent
+from mic.results.field_changes import FieldChange
+from mic.results.statistics import LEVEL, density
+from mic.store import write_text
+from mic.studies.comparison import Comparison
+
+__all__ = ["sentences", "write_comparison"]
+
+BEFORE, AFTER = "#58626e", "#0b5cad"
+NAMED = 3  # characteristics in a sentence
+DRAWN = 200  # points of a density
+
+
+def write_comparison(path: str | PathLike[str], found: Comparison, fields: Sequence[FieldChange] = ()) -> Path:
+    """Write the page of a comparison; nothing is solved.
+
+    Parameters
+    ----------
+    path : path-like
+    found : Comparison
+    fields : sequence of FieldChange
+        Of the two runs, where they have fields.
+    """
+    environment = Environment(
+        loader=PackageLoader("mic.report", ""),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    with matplotlib.style.context(["default", RC]):
+        pictures = [_forest(found), _densities(found), *([_maps(fields)] if fields else [])]
+    page = environment.get_template("comparison.html").render(
+        found=found,
+        sentences=sentences(found),
+        rows=[row for row in _records(found) if row["quantity"]],
+        pictures=pictures,
+        samples=int(found.table["samples"].iloc[0]),
+        level=f"{100 * LEVEL:.0f} %",
+        sure=_sure,
+        told=_told,
+    )
+    path = Path(path)
+    write_text(path, page)
+    return path
+
+
+def sentences(found: Comparison) -> list[str]:
+    """What a comparison says, the shortest first."""
+    rows = _records(found)
+    whole, own = rows[0], [row for row in rows if row["tolerance"] == row["tolerance"]]
+    good = [1 - whole[f"outside_{side}"] for side in "ab"]
+    gain, low, high = (-100 * whole[f"outside_change{end}"] for end in ("", "_high", "_low"))
+    said = f"{percent(good[1], 1)} of the assemblies are within all limits, {percent(good[0], 1)} before"
+    if gain or low > 0 or high < 0:
+        said += f" ({number(gain, 2)} points; {number(low, 2)} to {number(high, 2)})"
+    told = [said + "."]
+    for figure, word in (("six_sigma", "6σ"), ("mean", "mean")):
+        sure = [row for row in own if _sure(row, figure)]
+        sure.sort(key=lambda row: -abs(row[f"{figure}_change"]) / row["tolerance"])
+        if not sure:
+            told.append(f"No {word} of a key characteristic changes by more than chance.")
+            continue
+        each = ", ".join(
+            f"{row['quantity']} by {_micrometres(row[f'{figure}_change'])} "
+            f"({_micrometres(row[f'{figure}_change_low'])} to {_micrometres(row[f'{figure}_change_high'])})"
+            for row in sure[:NAMED]
+        )
+        rest = f", and {len(sure) - NAMED} more" if len(sure) > NAMED else ""
+        told.append(f"The {word} changes of {each}{rest}.")
+    if found.left_out:
+        told.append(f"{found.left_out} samples failed on one side or the other, and are left out.")
+    if found.alone:
+        told.append(f"On one side only, and not compared: {', '.join(found.alone)}.")
+    return told
+
+
+def _records(found: Comparison) -> list[dict[Any, Any]]:
+    return found.table.to_dict("records")
+
+
+def _sure(row: dict[Any, Any], figure: str) -> bool:
+    """Whether a change is not chance: its interval does not reach zero."""
+    return bool(row[f"{figure}_change_low"] > 0 or row[f"{figure}_change_high"] < 0)
+
+
+def _told(figure: str, value: float, digits: int = 3) -> str:
+    """A figure for people: mean and 6σ in µm, shares in per cent."""
+    if figure == "outside":
+        return percent(value, 1)
+    return number(value if figure == "cpk" else 1e3 * value, digits)
+
+
+def _micrometres(value: float) -> str:
+    return f"{'+' * (value > 0)}{number(1e3 * value, 2)} µm"
+
+
+def _forest(found: Comparison) -> Picture:
+    """Changes of mean and 6σ of each key characteristic with their intervals, in per cent of the tolerance."""
+    own = found.table[found.table["tolerance"].notna()]
+    size = own[["mean_change", "six_sigma_change"]].abs().max(axis=1) / own["tolerance"]
+    own = own.loc[size.sort_values(ascending=False, kind="stable").index[:MOST_PANELS]]
+    place = np.arange(len(own))
+    fig = Figure(figsize=(10.5, 1.1 + 0.26 * len(own)), layout="constrained")
+    for ax, (figure, word) in zip(fig.subplots(1, 2, sharey=True), (("mean", "mean"), ("six_sigma", "6σ"))):
+        value, low, high = (100 * own[f"{figure}_change{end}"] / own["tolerance"] for end in ("", "_low", "_high"))
+        ax.axvline(0, color="#58626e", lw=0.8)
+        spread = np.nan_to_num(np.array([value - low, high - value]))
+        ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=AFTER, elinewidth=1.4)
+        ax.set_xlabel(f"change of {word} (% of the tolerance)")
+        ax.set_yticks(place, own["quantity"])
+    ax.invert_yaxis()
+    many = found.table["tolerance"].notna().sum()
+    text = f"The {len(own)} of {many} that change most. " if many > len(own) else ""
+    text += f"Lines: intervals of {100 * LEVEL:.0f} % of the paired difference; where one reaches 0, it may be chance."
+    return svg(fig, "What changes", text)
+
+
+def _densities(found: Comparison) -> Picture:
+    """Distribution of each key characteristic, before and after, with the limits of after."""
+    own = found.table[found.table["tolerance"].notna()]
+    shown = own.sort_values("cpk_b", kind="stable")["quantity"].head(MOST_PANELS)
+    names = [name for name in own["quantity"] if name in set(shown)]
+    items = {item.name: item for item in found.b.scene.measurements}
+    columns = min(4, len(names))
+    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), 1.9))
+    for i, (ax, name) in enumerate(zip(axes, names)):
+        values = [side.values[name].dropna().to_numpy() for side in (found.a, found.b)]
+        every = np.concatenate(values)
+        room = 0.15 * (np.ptp(every) or 1e-3)
+        x = np.linspace(every.min() - room, every.max() + room, DRAWN)
+        for one, colour in zip(values, (BEFORE, AFTER)):
+            y = np.nan_to_num(density(one, x))
+            ax.fill_between(x, y, color=colour, alpha=0.14, lw=0)
+            ax.plot(x, y, color=colour, lw=1.3)
+        item = items[name]
+        for limit in (item.upper,) if item.one_sided else (item.lower, item.upper):
+            ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
+        ax.set_title(name)
+        ax.set_yticks([])
+        ax.set_ylim(0)
+        if i >= len(names) - columns:
+            ax.set_xlabel("deviation (mm)")
+    lines = ((BEFORE, f"before: {found.a.name}"), (AFTER, f"after: {found.b.name}"), (LIMIT_COLOUR, "limits, after"))
+    handles = [Line2D([], [], color=colour, lw=2, label=label) for colour, label in lines]
+    fig.legend(handles=handles, loc="outside upper left", ncols=3)
+    text = "" if len(names) == len(own) else f"The {len(names)} least capable of {len(own)}, after. "
+    return svg(fig, "Key characteristics, before and after", text + "Densities of the same samples on both sides.")
+
+
+def _maps(fields: Sequence[FieldChange]) -> Picture:
+    """Change of the mean displacement along the normals, and of 6σ, of every part."""
+    fig = Figure(figsize=(10.5, 7.2), layout="constrained")
+    axes = fig.subplots(2, len(fields), squeeze=False)
+    texts = []
+    for row, values, label in (
+        (axes[0], [change.mean_normal for change in fields], "mean along the normals"),
+        (axes[1], [change.six_sigma for change in fields], "6σ"),
+    ):
+        most = max(float(np.nanmax(np.abs(value), initial=0.0)) for value in values)
+        scale = Normalize(-(most or 1.0), most or 1.0)
+        for ax, change, value in zip(row, fields, values):
+            draw_surfaces(ax, [change.surface], [colormaps["RdBu_r"](scale(np.nan_to_num(value)))[:, :3]])
+            ax.set_title(change.part)
+        fig.colorbar(ScalarMappable(scale, "RdBu_r"), ax=list(row), label=f"change of {label} (mm)", shrink=0.8)
+        i = int(np.argmax([np.nanmax(np.abs(value), initial=0.0) for value in values]))
+        at = int(np.nanargmax(np.abs(values[i]))) if np.isfinite(values[i]).any() else 0
+        x, y, z = fields[i].surface.points[at]
+        texts.append(
+            f"the {label} changes most, by {number(values[i][at])} mm, on {fields[i].part} at "
+            f"({x:.0f}, {y:.0f}, {z:.0f})"
+        )
+    text = "; ".join(texts) + "."
+    other = [change.part for change in fields if not change.same_mesh]
+    if other:
+        text += f" Meshes differ, so that vertices are compared with the nearest ones: {', '.join(other)}."
+    return png(fig, "Where the displacement changes", text[0].upper() + text[1:], 100)
