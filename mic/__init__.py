@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mic.runs import read_run, run
     from mic.scene import Scene, load_scene
     from mic.studies.comparison import compare
+    from mic.studies.explanation import explain
 
 __all__ = [
     "FormatError",
@@ -32,6 +33,7 @@ __all__ = [
     "StorageError",
     "cache_folder",
     "compare",
+    "explain",
     "load_scene",
     "read_run",
     "reduce",
@@ -90,6 +92,7 @@ _HOMES = {
     "ReducedModel": "mic.process.model",
     "Scene": "mic.scene",
     "compare": "mic.studies.comparison",
+    "explain": "mic.studies.explanation",
     "load_scene": "mic.scene",
     "read_run": "mic.runs",
     "run": "mic.runs",

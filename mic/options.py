@@ -58,9 +58,10 @@ StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for 
 
 def _carry_out(name: str, *values: Any) -> None:
     """Carry out a command with the values of its options."""
-    home = {"report": "run", "check": "check", "compare": "compare", "run": "run", "init": "init"}.get(name, "studies")
+    home = {"report": "run"} | {own: own for own in ("check", "compare", "explain", "init", "run")}
+    module = f"mic.commands.{home.get(name, 'studies')}"
     # Only now: numerics and tables take a second to import.
-    getattr(import_module(f"mic.commands.{home}"), name)(*values)
+    getattr(import_module(module), name)(*values)
 
 
 @app.command()
@@ -222,6 +223,46 @@ def compare(
     otherwise; and, of two runs with fields, maps of what changes where.
     """
     _carry_out("compare", before, after, samples, seed, law, out)
+
+
+@app.command()
+def explain(
+    source: SourceArgument,
+    measured: Annotated[
+        Path,
+        typer.Option(
+            help="CSV file of what was measured on one assembly: columns `measurement` (a key characteristic), `value` "
+            "(mm from nominal) and `gauge` (its standard deviation, mm).",
+            show_default=False,
+        ),
+    ],
+    gauge: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the gauge, mm, of all for which the file says none.", show_default=False
+        ),
+    ] = None,
+    friction: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6,
+            help="Standard deviation of the zones' coefficients of friction, should they be unknown as well.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for page and tables. Default: results/SCENE_MEASURED.", show_default=False),
+    ] = None,
+):
+    """Go back from the measured key characteristics of one assembly to the most probable sources.
+
+    How far each deviation was off and how surely that is known, which of them the measurement cannot tell apart, and
+    which further key characteristic would tell most.
+    """
+    _carry_out("explain", source, measured, gauge, friction, seed, law, out)
 
 
 @app.command()

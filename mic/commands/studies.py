@@ -35,8 +35,10 @@ __all__ = [
     "contributors",
     "counting",
     "friction",
+    "law_of",
     "order",
     "rare",
+    "seed_of",
     "sensitivity",
     "studied",
     "threads",
@@ -54,7 +56,7 @@ def order(source, samples, seed, law, permutations, variants, table):
     """``mic order``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     model, folder = studied(console, source)
-    scene, asked = model.scene, _law_of(model, law)
+    scene, asked = model.scene, law_of(model, law)
     random = PERMUTATIONS if permutations is None else permutations
     others = read_variants(scene, variants) if variants else orders(scene, random)
     if len(others) == 1:
@@ -131,7 +133,7 @@ def contributors(source, samples, seed, law):
     """``mic contributors``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     model, folder = studied(console, source)
-    scene, asked = model.scene, _law_of(model, law)
+    scene, asked = model.scene, law_of(model, law)
     if not scene.measurements or not scene.deviations:
         what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
         raise SceneError(f"scene {scene.name!r} has no {what}; give it some")
@@ -142,7 +144,7 @@ def contributors(source, samples, seed, law):
         )
     count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
     with counting(console, f"evaluations under {asked}", count) as advance:
-        found = driving.contributors(model, asked, samples, _seed_of(scene, seed), threads(), advance)
+        found = driving.contributors(model, asked, samples, seed_of(scene, seed), threads(), advance)
     _print_contributors(console, scene, found)
     keep_studies(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
 
@@ -184,7 +186,7 @@ def friction(source, samples, seed, law):
     """``mic friction``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     model, folder = studied(console, source)
-    scene, asked = model.scene, _law_of(model, law)
+    scene, asked = model.scene, law_of(model, law)
     if not (
         scene.measurements and LAWS[asked].frictional and model.contacts.dimension == 3 and model.contacts.frictional
     ):
@@ -193,7 +195,7 @@ def friction(source, samples, seed, law):
     zones = sum(zone.frictional for zone in scene.zones)
     count = samples * (1 + len(rubbing.FACTORS) + (zones > 1) * 2 * zones)
     with counting(console, f"evaluations under {asked}", count) as advance:
-        found = rubbing.friction_effects(model, asked, samples, _seed_of(scene, seed), threads(), advance)
+        found = rubbing.friction_effects(model, asked, samples, seed_of(scene, seed), threads(), advance)
     _print_friction(console, found)
     keep_studies(console, folder, {FRICTION_EFFECTS: found})
 
@@ -224,11 +226,11 @@ def sensitivity(source, samples, seed, law):
     """``mic sensitivity``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     model, folder = studied(console, source)
-    scene, asked = model.scene, _law_of(model, law)
+    scene, asked = model.scene, law_of(model, law)
     if not scene.measurements:
         raise SceneError(f"scene {scene.name!r} has no measurements: nothing is asked for; give it some")
     with counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
-        found = slopes.effects(model, asked, samples, _seed_of(scene, seed), advance)
+        found = slopes.effects(model, asked, samples, seed_of(scene, seed), advance)
     _print_sensitivity(console, found)
     keep_studies(console, folder, {SENSITIVITIES: found.table})
 
@@ -273,7 +275,7 @@ def rare(source, measurement, samples, seed, law):
 
     console = Console()
     model, folder = studied(console, source)
-    scene, asked, names = model.scene, _law_of(model, law), measurement or []
+    scene, asked, names = model.scene, law_of(model, law), measurement or []
     known = [item.name for item in scene.measurements]
     unknown = [name for name in names if name not in known]
     if unknown or not known:
@@ -285,7 +287,7 @@ def rare(source, measurement, samples, seed, law):
         why = "its samples stand in a table; take monte_carlo.table out" if scene.deviations else "nothing varies"
         raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
     with counting(console, f"evaluations under {asked}", None) as advance:
-        found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), threads(), advance)
+        found = rare_events(model, asked, names, samples - samples % 10, seed_of(scene, seed), threads(), advance)
     for row in found.to_dict("records"):
         what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
         share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
@@ -312,13 +314,14 @@ def studied(console, source):
     return model, source
 
 
-def _law_of(model, law):
+def law_of(model, law):
     """The law asked for; else the scene's first with friction, else its first."""
     laws = model.scene.report.laws
     return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
 
 
-def _seed_of(scene, seed):
+def seed_of(scene, seed):
+    """The seed asked for; else the scene's."""
     return scene.monte_carlo.seed if seed is None else seed
 
 

@@ -26,10 +26,12 @@ __all__ = [
     "DATASETS",
     "DENSITY",
     "DEVIATIONS",
+    "EXPLANATION",
     "FIELDS",
     "FORCES",
     "FRICTION",
     "FRICTION_EFFECTS",
+    "FURTHER",
     "LIMITS",
     "LIMIT_STATISTICS",
     "LINEARITY",
@@ -769,6 +771,34 @@ COMPARISON = _statistic(
         *_before_and_after("outside", "1", "share outside its limits, or with any characteristic outside"),
     ),
     "Two assemblies on the same samples, before and after. Written by `mic compare` into a folder of its own.",
+)
+EXPLANATION = _statistic(
+    "explanation",
+    "one source",
+    (
+        Column("source", "str", "", "name of the deviation"),
+        Column("prior_mean", "float64", "N, mm or 1", "its mean in the scene"),
+        Column("prior_sigma", "float64", "N, mm or 1", "its standard deviation in the scene"),
+        Column("mean", "float64", "N, mm or 1", "its mean, given what was measured"),
+        Column("sigma", "float64", "N, mm or 1", "its standard deviation, given what was measured"),
+        Column("low", "float64", "N, mm or 1", "below which it lies with a probability of 0.025"),
+        Column("high", "float64", "N, mm or 1", "above which it lies with a probability of 0.025"),
+        Column("off", "float64", "1", "by how many of the scene's standard deviations its mean is off"),
+        Column("told", "float64", "1", "share of its variance that the measurement takes away"),
+    ),
+    "The most probable sources of a measured assembly. Written by `mic explain` into a folder of its own.",
+)
+FURTHER = _statistic(
+    "further",
+    "one key characteristic that was not measured",
+    (
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("sigma", "float64", "mm", "how well it is known already, a standard deviation"),
+        Column("bits", "float64", "1", "information that measuring it would give"),
+        Column("source", "str", "", "the source of which it would tell most"),
+        Column("told", "float64", "1", "share of that source's remaining variance that it would take away"),
+    ),
+    "What else could be measured, with a gauge like those used. Written by `mic explain` into a folder of its own.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
 STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)

@@ -1,0 +1,209 @@
+"""From what was measured back to its sources: closed forms, coverage, what cannot be told, what to measure next."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from support.springs import at_face, six, spring_model
+from typer.testing import CliRunner
+
+from mic.commands.explain import read_measured
+from mic.errors import SceneError
+from mic.options import app
+from mic.report.explanation_page import sentences
+from mic.results.schema import EXPLANATION, FURTHER
+from mic.sampling.normal import from_normal, normal_slopes
+from mic.studies.explanation import explain, posterior
+
+MU, LIFT, PULL, SIGMA, GAUGE = 0.3, 0.4, 2.0, 0.1, 0.002
+SLOPE = MU / 8  # of M, per mm of the locator
+
+
+def dragged(**changes):
+    """b is lifted by h = P/2 at its face and presses on t, which moves along x by D and drags it by μ h/4."""
+    scene = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
+        "locators": [*six("b"), *six("t")],
+        "clamps": [at_face("t", (1, 0, 0), name="T", stroke=0.0)],
+        "zones": [{"name": "z", "parts": ["b", "t"], "friction": MU, "pairs": 1}],
+        "measurements": [
+            at_face("b", (1, 0, 0), name="M", lower=-1, upper=1),
+            at_face("t", (1, 0, 0), name="N", lower=-5, upper=5),
+        ],
+        "deviations": [
+            {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": SIGMA},
+            {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
+        ],
+        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    }
+    return spring_model([0.0], **scene | changes)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return dragged()
+
+
+def row(found, name):
+    return found.table.set_index("source").loc[name]
+
+
+def test_a_linear_cause_is_that_of_the_closed_form(model):
+    """Normal in, normal out: the posterior of P has precision 1/σ² + a²/s²; D does not move M at all."""
+    value = MU * LIFT / 4 + 0.004
+    found = explain(model, {"M": value}, GAUGE)
+    EXPLANATION.check(found.table, "memory", "mend it")
+    FURTHER.check(found.further, "memory", "mend it")
+    variance = 1 / (1 / SIGMA**2 + SLOPE**2 / GAUGE**2)
+    mean = 2 * LIFT + variance * SLOPE / GAUGE**2 * 0.004
+    best = from_normal(found.scene, found.posterior.best[None])[0]
+    assert best == pytest.approx([mean, PULL], abs=1e-6)
+    own, spread = row(found, "P"), np.sqrt(variance)
+    assert abs(own["mean"] - mean) < 4 * spread / np.sqrt(found.posterior.count)
+    assert own["sigma"] == pytest.approx(spread, rel=4 / np.sqrt(2 * found.posterior.count))
+    assert own["low"] == pytest.approx(mean - 1.96 * spread, abs=0.4 * spread)
+    assert own["off"] == pytest.approx((own["mean"] - 2 * LIFT) / SIGMA)
+    assert found.untold == ["D"] and found.table["source"].iloc[0] == "P" and not found.together
+    least = 0.5 * 0.004**2 / (SLOPE**2 * SIGMA**2 + GAUGE**2)
+    assert found.posterior.misfit.min() == pytest.approx(least, abs=0.05)
+    assert found.reached.set_index("measurement").loc["N", "mean"] == pytest.approx(PULL, abs=0.03)
+    assert found.further["measurement"].tolist() == ["N"] and found.further["source"].iloc[0] == "D"
+    assert found.further["told"].iloc[0] > 0.99
+
+
+def test_the_gauge_decides_how_much_is_told(model):
+    fine, coarse = (explain(model, {"M": MU * LIFT / 4}, gauge) for gauge in (1e-4, 1.0))
+    assert row(fine, "P")["told"] > 0.99 and abs(row(coarse, "P")["told"]) < 0.2
+    assert coarse.untold == ["D", "P"] or coarse.untold == ["P", "D"]
+
+
+def test_sources_that_only_a_difference_tells_are_named():
+    """Two locators that lift b alike."""
+    deviations = [
+        {"name": name, "kind": "locator", "target": target, "mean": LIFT, "sigma": SIGMA}
+        for name, target in (("P", "bl1"), ("Q", "bl2"))
+    ]
+    pulled = [at_face("t", (1, 0, 0), name="T", stroke=PULL)]
+    found = explain(dragged(deviations=deviations, clamps=pulled), {"M": MU * LIFT / 4 + 0.001}, 1e-5)
+    assert found.together == [("P", "Q")]
+    assert "P and Q cannot be told apart" in " ".join(sentences(found))
+
+
+def test_what_no_assembly_of_the_scene_would_be_is_not_explained(model):
+    found = explain(model, {"M": MU * LIFT / 4 + 10 * SLOPE * SIGMA}, 1e-4)
+    assert found.likely < 1e-10 and "does not explain" in " ".join(sentences(found))
+    assert row(found, "P")["off"] > 8
+    likely = explain(model, {"M": MU * LIFT / 4}, 1e-4)
+    assert likely.likely > 0.5 and "Nothing is unusual" in sentences(likely)[0]
+
+
+def test_friction_may_be_among_the_unknown(model):
+    """N and P are known well by what is measured at them; then M tells μ."""
+    still = [
+        {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": 1e-6},
+        {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
+    ]
+    found = explain(dragged(deviations=still), {"M": 0.2 * LIFT / 4}, 1e-5, friction=0.1)
+    own = row(found, "friction_of_z")
+    assert MU + own["mean"] == pytest.approx(0.2, abs=1e-3) and own["low"] < -0.1 < own["high"] and own["told"] > 0.99
+
+
+def touching():
+    """b rises to t across a gap that half of the samples close: what N and M read has a kink there."""
+    return spring_model(
+        [0.2],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
+        locators=[*six("b"), *six("t")],
+        zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.0, "pairs": 1}],
+        measurements=[at_face("t", name="N", lower=-1, upper=1), at_face("b", name="B", lower=-1, upper=1)],
+        deviations=[
+            {"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15},
+            {"name": "Q", "kind": "locator", "target": "tl1", "mean": 0.0, "sigma": 0.15},
+        ],
+        stages=[{"kind": "locate"}, {"kind": "measure"}],
+    )
+
+
+def test_the_truth_lies_in_the_region_as_often_as_claimed_where_contacts_change_state():
+    """120 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
+    model, draws, cases = touching(), np.random.default_rng(11), 120
+    z = draws.standard_normal((cases, 2))
+    h = model.process("frictionless").evaluate(from_normal(model.scene, z)).measurements[:, :1]
+    y, hits, counted = h + 0.01 * draws.standard_normal(h.shape), 0, 0
+    for i in range(cases):
+        found = posterior(model, [0], y[i], np.array([0.01]), "frictionless", seed=i)
+        misfit = 0.5 * (z[i] ** 2).sum() + 0.5 * ((h[i] - y[i]) ** 2).sum() / 0.01**2
+        hits += misfit <= found.level()
+        counted += found.count >= 50
+    assert counted == cases
+    assert abs(hits / cases - 0.95) < 3 * np.sqrt(0.95 * 0.05 / cases), hits / cases
+
+
+def test_slopes_of_distributions_are_those_of_their_quantiles(model):
+    """dx/dz = σ/s φ(z)/f(F⁻¹(Φ(z))), s the standard deviation of the distribution and f its density."""
+    items = model.scene.model_dump(mode="json")["deviations"]
+    items[0] |= {"distribution": "triang", "parameters": {"c": 0.3}}
+    scene = type(model.scene)(**model.scene.model_dump(mode="json") | {"deviations": items})
+    triangle, z = stats.triang(0.3), np.array([[0.3, -0.7], [-2.0, 1.0]])
+    slopes = normal_slopes(scene, z)
+    density = triangle.pdf(triangle.ppf(stats.norm.cdf(z[:, 0])))
+    np.testing.assert_allclose(slopes[:, 0, 0], SIGMA / triangle.std() * stats.norm.pdf(z[:, 0]) / density, rtol=1e-6)
+    np.testing.assert_allclose(slopes[:, 1, 1], 0.05, rtol=1e-8)
+    assert (slopes[:, 0, 1] == 0).all() and (slopes[:, 1, 0] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "this is no table"),
+        ("measurement,value,gauge\n", "no row below the header"),
+        ("measurement,value,sigma\nM,1,1\n", "there is no column 'sigma'"),
+        ("measurement,gauge\nM,1\n", "there is no column 'value'; add it"),
+        ("measurement,value\nM,1\n", "there is no column 'gauge'; add it, or give --gauge"),
+        ("measurement,value,gauge\nM,1,0\n", "row 2, column gauge: '0' is no number above 0"),
+        ("measurement,value,gauge\nM,1,-1\n", "row 2, column gauge: '-1' is no number above 0"),
+        ("measurement,value,gauge\nM,a,1\n", "row 2, column value: 'a' is no finite number"),
+        ("measurement,value,gauge\nM,nan,1\n", "row 2, column value: 'nan' is no finite number"),
+        ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3, column measurement: 'M' stands there twice"),
+        ("measurement,value,gauge\n,1,1\n", "row 2, column measurement: is empty"),
+        ("measurement,value,value\nM,1,1\n", "column 'value' stands there twice"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_a_sentence(text, said, tmp_path):
+    path = tmp_path / "measured.csv"
+    path.write_text(text)
+    with pytest.raises(SceneError) as refused:
+        read_measured(path, None)
+    assert said in str(refused.value) and str(path) in str(refused.value)
+
+
+def test_decimal_commas_and_a_gauge_for_all_are_read(tmp_path):
+    path = tmp_path / "measured.csv"
+    path.write_text("measurement;value;gauge\nM;0,5;\nN;-1,25;0,1\n\n")
+    assert read_measured(path, 0.02) == ({"M": 0.5, "N": -1.25}, {"M": 0.02, "N": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("measured", "gauge", "said"),
+    [
+        ({}, 0.1, "nothing was measured"),
+        ({"O": 1.0}, 0.1, "has no key characteristic 'O'; it has: M, N"),
+        ({"M": np.inf}, 0.1, "no finite number"),
+        ({"M": 1.0}, 0.0, "no standard deviation"),
+        ({"M": 1.0}, {"N": 0.1}, "no standard deviation"),
+    ],
+)
+def test_what_cannot_be_explained_is_refused(model, measured, gauge, said):
+    with pytest.raises(SceneError, match=said):
+        explain(model, measured, gauge)
+
+
+def test_the_command_writes_a_page_and_tables(model, tmp_path):
+    model.save(tmp_path / "model.npz")
+    (tmp_path / "measured.csv").write_text(f"measurement,value\nM,{MU * LIFT / 4 + 3.5 * SLOPE * SIGMA}\n")
+    asked = ["explain", str(tmp_path / "model.npz"), "--measured", str(tmp_path / "measured.csv"), "--gauge", "0.0005"]
+    done = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "out")], env={"COLUMNS": "160"})
+    assert done.exit_code == 0, done.output
+    assert "Most probable cause: P at" in done.output and "Measuring N as well" in done.output
+    assert EXPLANATION.read(tmp_path / "out", "")["source"].tolist() == ["P", "D"]
+    page = (tmp_path / "out" / "explanation.html").read_text(encoding="utf-8")
+    assert "Most probable cause: P at" in page and page.count("data:image/svg+xml") == 2
