@@ -71,8 +71,11 @@ def test_a_linear_cause_is_that_of_the_closed_form(model):
 
 
 def test_the_gauge_decides_how_much_is_told(model):
-    fine, coarse = (explain(model, {"M": MU * LIFT / 4}, gauge) for gauge in (1e-4, 1.0))
-    assert row(fine, "P")["told"] > 0.99 and abs(row(coarse, "P")["told"]) < 0.2
+    everything = {"M": MU * LIFT / 4, "N": PULL}
+    fine, coarse = (explain(model, measured, gauge) for measured, gauge in ((everything, 1e-4), ({"M": 0.0}, 1.0)))
+    FURTHER.check(fine.further, "memory", "mend it")
+    assert not len(fine.further) and not fine.untold
+    assert row(fine, "P")["told"] > 0.99 and row(coarse, "P")["told"] < 0.2
     assert coarse.untold == ["D", "P"] or coarse.untold == ["P", "D"]
 
 

@@ -47,6 +47,7 @@ ENOUGH = 200.0  # samples that count: shares of 0.95 are known to 0.015 then
 WIDE = 2.0  # of the covariance: a fifth of the samples are drawn so much wider, for tails
 WIDE_SHARE = 0.2
 TOGETHER = 0.9  # correlation of sources that the measurement cannot tell apart
+KNOWN = 0.75  # of its variance taken away: half of the standard deviation is left, and a source counts as known
 UNTOLD = 0.9  # of its standard deviation: what keeps more of it is not told
 
 
@@ -175,7 +176,7 @@ def explain(
                 "low": _quantile(x[:, j], w, (1 - LEVEL) / 2),
                 "high": _quantile(x[:, j], w, (1 + LEVEL) / 2),
                 "off": (mean[j] - item.mean) / item.sigma,
-                "told": 1 - (sigma[j] / item.sigma) ** 2,
+                "told": max(0.0, 1 - (sigma[j] / item.sigma) ** 2),  # below 0 it is noise
             }
             for j in varied
             for item in [scene.deviations[j]]
@@ -199,6 +200,7 @@ def explain(
     pairs = [
         (scene.deviations[varied[i]].name, scene.deviations[varied[j]].name)
         for i, j in np.argwhere(np.triu(np.abs(correlation) > TOGETHER, 1))
+        if max(told[scene.deviations[varied[k]].name] for k in (i, j)) < KNOWN
     ]
     return Explanation(
         law or scene.report.laws[0],
@@ -434,6 +436,8 @@ def _further(scene, names, measured, gauge: float, found: Posterior, x, varied) 
                 "told": told[most],
             }
         )
+    if not rows:
+        return FURTHER.empty()
     table = pd.DataFrame(rows, columns=FURTHER.names)
     return table.sort_values("bits", ascending=False, kind="stable", ignore_index=True)
 
