@@ -235,7 +235,9 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
     grown = Scene(**scene.model_dump() | {"deviations": deviations, "folder": scene.folder})
     none = np.zeros((model.shape.shape[0], len(items)))
     shape, forces = (np.column_stack([known, none]) for known in (model.shape, model.shape_forces))
-    return replace(model, scene=grown, shape=shape, shape_forces=forces)
+    found = replace(model, scene=grown, shape=shape, shape_forces=forces)
+    vars(found).update({name: getattr(model, name) for name in ("eliminations", "likely", "rest")})
+    return found
 
 
 def _judge(scene: Scene, measured, gauges, names) -> None:
