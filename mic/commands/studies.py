@@ -22,11 +22,23 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.results.folder import RunFolder
 from mic.results.identity import identity
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, SENSITIVITIES
+from mic.results.schema import (
+    CONTRIBUTORS,
+    FRICTION_EFFECTS,
+    LINEARITY,
+    ORDERS,
+    RARE,
+    REMEDIES,
+    REMEDY_EFFECTS,
+    SENSITIVITIES,
+)
 from mic.scene import load_scene
+from mic.store import write_text
 from mic.studies import contributors as driving
 from mic.studies import friction as rubbing
+from mic.studies import remedy as mending
 from mic.studies import sensitivity as slopes
+from mic.studies.adjustment import written
 from mic.studies.order import PERMUTATIONS, STATED, compare, orders
 from mic.studies.order import variants as read_variants
 from mic.studies.rare import rare as rare_events
@@ -36,6 +48,7 @@ __all__ = [
     "friction",
     "order",
     "rare",
+    "remedy",
     "sensitivity",
 ]
 
@@ -295,6 +308,63 @@ def rare(source, measurement, samples, seed, law):
             soft_wrap=True,
         )
     keep_studies(console, folder, {RARE: found})
+
+
+@on_one_process
+def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
+    """``mic remedy``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    if save is not None and (not source.is_file() or source.suffix != ".toml"):
+        raise SceneError(f"{source}: --save writes a changed copy of a scene file; name one, or leave --save out")
+    model, folder = _studied(console, source)
+    asked = _law_of(model, law)
+    try:
+        with _counting(console, f"assemblies under {asked}", None) as advance:
+            found = mending.remedies(
+                model, asked, samples, _seed_of(model.scene, seed), shim, force, adjust, capability, _threads(), advance
+            )
+    except ValueError as problem:
+        raise SceneError(str(problem)) from problem
+    _print_remedies(console, model.scene, found)
+    serving = [one for one in found.found if one.reached]
+    if save is not None and serving:
+        text = source.read_text(encoding="utf-8").rstrip("\n")
+        write_text(save, f"{text}\n\n# {serving[-1].name}\n{written(model.scene, serving[-1].changes)}")
+        console.print(f"scene: {plain(save)}")
+    keep_studies(console, folder, {REMEDIES: found.table, REMEDY_EFFECTS: found.effects})
+
+
+def _print_remedies(console, scene, found):
+    """By remedy: what to set, and what that does to each characteristic, of fresh samples."""
+    from mic.report.drivers import remedy_words  # drawing libraries are slow to import
+    from mic.report.style import number, percent
+
+    if found.found:
+        table = Table(
+            "remedy", "characteristic", "mean, µm", "6σ, µm", "Cpk", "outside", "gain of margin, µm",
+            title="What would mend it",
+        )  # fmt: skip
+        for one in found.found:
+            own = found.effects[found.effects["remedy"] == one.name]
+            own = own[own["fresh"] == own["fresh"].max()]
+            moves = "\n".join(f"{plain(a.name)} {a.now:g} → {a.now + x:g} {a.unit}" for a, x in one.changes.items())
+            for i, row in enumerate(own.to_dict("records")):
+                pairs = (
+                    f"{number(scale * row[f'{name}_before'], 3)} → {number(scale * row[name], 3)}"
+                    for name, scale in (("mean", 1e3), ("six_sigma", 1e3), ("cpk", 1.0))
+                )
+                share = f"{percent(row['outside_before'], 1)} → {percent(row['outside'], 1)}"
+                ends = (number(1e3 * row[f"gain{end}"], 2) for end in ("", "_low", "_high"))
+                gain = "{} ({} … {})".format(*ends)
+                table.add_row("" if i else moves, plain(row["measurement"]), *pairs, share, gain)
+            table.add_section()
+        console.print(table)
+    for sentence in remedy_words(found.table, found.effects, scene):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+    serving = [one for one in found.found if one.reached]
+    if serving:
+        console.print("In the scene file, at its end, the last of these that serves:")
+        console.print(plain(written(scene, serving[-1].changes)), highlight=False, soft_wrap=True)
 
 
 def _studied(console, source):

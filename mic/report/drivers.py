@@ -10,7 +10,7 @@ from mic.report.style import number, percent
 from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
 
-__all__ = ["friction_words", "linear_words", "named"]
+__all__ = ["friction_words", "linear_words", "named", "remedy_words"]
 
 TOLD = 3  # contributors that a sentence names
 LITTLE = 0.01  # of the variance: contributors of less are not named
@@ -90,3 +90,47 @@ def friction_words(effects: pd.DataFrame, needed: pd.DataFrame) -> list[str]:
     if not any(row["change"] > HOLDS for row in held):
         said.append("The answer holds to a tenth of 6σ for half to twice the friction that the scene says.")
     return said
+
+
+def remedy_words(table: pd.DataFrame, effects: pd.DataFrame, scene) -> list[str]:
+    """Which remedy serves, one sentence each, and by how much those fall short that do not."""
+    if not len(effects):
+        return ["All key characteristics are within their limits as the scene is: there is nothing to mend."]
+    said, width = [], {item.name: item.upper - item.lower for item in scene.measurements}
+    for remedy, rows in effects.groupby("remedy", sort=False):
+        moves = table[table["remedy"] == remedy].to_dict("records")
+        what = ", ".join(f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}" for one in moves)
+        own = rows[rows["fresh"] == rows["fresh"].max()].to_dict("records")
+        lacks = "margin" if remedy == "together" else "margin_before"  # alone it is for the worst
+        worst = min(own, key=lambda each: each[lacks] / width[each["measurement"]])
+        spoilt = [each["measurement"] for each in own if each["margin"] < 0 <= each["margin_before"]]
+        beyond = f", and takes {', '.join(spoilt)} out of theirs" if spoilt else ""
+        if not moves:
+            said.append("Nothing that may be adjusted brings the characteristics nearer to their limits.")
+        elif moves[0]["reached"]:
+            whom = "all characteristics" if remedy == "together" else "the worst characteristic"
+            said.append(f"{what} brings {whom} within limits{beyond}.")
+        else:
+            said.append(
+                f"{what} is not enough: {worst['measurement']} falls short by {number(-1e3 * worst['margin'], 2)} µm "
+                f"(Cpk {number(worst['cpk'], 2)}){beyond.replace('theirs', 'their limits')}."
+            )
+    first = effects[effects["remedy"] == effects["remedy"].iloc[0]]
+    for row in first[first["fresh"] == first["fresh"].max()].to_dict("records"):
+        if row["six_sigma_before"] > width[row["measurement"]]:
+            said.append(
+                f"{row['measurement']} spreads over {number(1e3 * row['six_sigma_before'])} µm (6σ), more than its "
+                f"tolerance of {number(1e3 * width[row['measurement']])} µm: no shift of its mean can mend that, and "
+                "what varies must vary less (mic contributors says what)."
+            )
+    return said
+
+
+def signed(value: float) -> str:
+    """A change with its sign: ``+0.25``, ``−40``."""
+    return f"{value:+.4g}".replace("-", "−")
+
+
+def unit_of(adjustment: str) -> str:
+    """``N`` of a force, else ``mm``."""
+    return "N" if adjustment.endswith(".force") else "mm"
