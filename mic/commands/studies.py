@@ -24,6 +24,7 @@ from mic.results.folder import RunFolder
 from mic.results.identity import identity
 from mic.results.schema import (
     CONTRIBUTORS,
+    DESIGN_POINTS,
     FRICTION_EFFECTS,
     LINEARITY,
     ORDERS,
@@ -297,17 +298,24 @@ def rare(source, measurement, samples, seed, law):
         raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
     with _counting(console, f"evaluations under {asked}", None) as advance:
         found = rare_events(model, asked, names, samples - samples % 10, _seed_of(scene, seed), _threads(), advance)
-    for row in found.to_dict("records"):
+    from mic.report.drivers import design_words
+
+    for row in found.table.to_dict("records"):
         what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
         share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
         how = "a plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
         console.print(
             f"{plain(what)} in {share} of a million ({low} to {high}): {how}, {row['evaluations']} evaluations"
-            + f", {row['failed']} of which failed and do not count" * bool(row["failed"]),
+            + f", {row['failed']} of which failed and do not count" * bool(row["failed"])
+            + f"; to first order {number(1e6 * row['first_order'], 2)}" * math.isfinite(row["first_order"]),
             highlight=False,
             soft_wrap=True,
         )
-    keep_studies(console, folder, {RARE: found})
+    for sentence in design_words(found.table, found.points):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+    if found.why_not:
+        console.print(f"No likeliest miss is told: {plain(found.why_not)}", highlight=False, soft_wrap=True)
+    keep_studies(console, folder, {RARE: found.table, DESIGN_POINTS: found.points})
 
 
 @on_one_process

@@ -94,6 +94,10 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str
         low, high = (number(1e6 * row[f"outside_{end}"], 2) for end in ("low", "high"))
         most = number(1e6 * row["outside"], 2)
         said.append(f"By subset simulation {most} ppm ({low} to {high}) of the assemblies miss a limit.")
+        if not row["agrees"] and np.isfinite(row["first_order"]):
+            said.append(
+                f"The likeliest misses alone would say {number(1e6 * row['first_order'], 2)}: limits are curved."
+            )
     linearity = outcome.study(LINEARITY)
     if linearity is None:
         said.append("What drives them is not measured: mic contributors tells, of this folder.")

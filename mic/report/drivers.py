@@ -10,9 +10,10 @@ from mic.report.style import number, percent
 from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
 
-__all__ = ["friction_words", "linear_words", "named", "remedy_words"]
+__all__ = ["design_words", "friction_words", "linear_words", "named", "remedy_words"]
 
 TOLD = 3  # contributors that a sentence names
+FAR = 6.0  # standard normal numbers: of misses farther off nothing is told
 LITTLE = 0.01  # of the variance: contributors of less are not named
 
 
@@ -122,6 +123,35 @@ def remedy_words(table: pd.DataFrame, effects: pd.DataFrame, scene) -> list[str]
                 f"{row['measurement']} spreads over {number(1e3 * row['six_sigma_before'])} µm (6σ), more than its "
                 f"tolerance of {number(1e3 * width[row['measurement']])} µm: no shift of its mean can mend that, and "
                 "what varies must vary less (mic contributors says what)."
+            )
+    return said
+
+
+def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
+    """The likeliest misses, by which deviations, and whether the first order can be believed."""
+    said = []
+    limits = points.groupby(["law", "measurement", "limit"], sort=False)
+    near = sorted((own for _, own in limits if own["beta"].iloc[0] < FAR), key=lambda own: own["beta"].iloc[0])
+    for own in near[:TOLD]:
+        one = own.iloc[0]
+        if not one["found"]:
+            said.append(
+                f"{one['measurement']}, {one['limit']} limit: no nearest miss was found; it turns with contact."
+            )
+            continue
+        most = own.sort_values("share", ascending=False, kind="stable").head(TOLD).to_dict("records")
+        where = ", ".join(f"{row['deviation']} {signed(row['sigmas'])} σ" for row in most if row["share"] > LITTLE)
+        said.append(
+            f"The likeliest miss of {one['measurement']}, {one['limit']} limit, is {number(one['beta'])} standard "
+            f"deviations off: {where}."
+        )
+    for row in table.to_dict("records"):
+        if not row["agrees"] and row["first_order"] == row["first_order"]:
+            what = row["measurement"] or "the assembly"
+            said.append(
+                f"Warning: {what}: to first order {number(1e6 * row['first_order'], 2)} of a million miss, outside of "
+                "the interval: the limit is curved, turns with contact, or has several likely misses. Take the "
+                "simulation's number."
             )
     return said
 

@@ -24,6 +24,7 @@ __all__ = [
     "CONTRIBUTORS",
     "DATASETS",
     "DENSITY",
+    "DESIGN_POINTS",
     "DEVIATIONS",
     "FIELDS",
     "FORCES",
@@ -712,8 +713,36 @@ RARE = _statistic(
         Column("levels", "int64", "", "levels of the subset simulation; 1 is a plain Monte Carlo"),
         Column("evaluations", "int64", "", "evaluations of the reduced model"),
         Column("failed", "int64", "", "of these, such that failed; none counts as outside"),
+        Column(
+            "first_order", "float64", "1", "probability to first order (FORM); empty where there are no derivatives"
+        ),
+        Column(
+            "agrees", "bool", "", "whether the two agree; where not, limits are curved or the miss has several ways"
+        ),
     ),
     "How often limits are missed where that is rare, by subset simulation on the reduced model.",
+)
+DESIGN_POINTS = _statistic(
+    "design_points",
+    "one law, limit of a key characteristic and deviation",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("limit", "str", "", "`lower` or `upper`"),
+        Column(
+            "beta",
+            "float64",
+            "1",
+            "distance of the likeliest miss, in standard normal numbers; negative if missed at the mean",
+        ),
+        Column("probability", "float64", "1", "of missing that limit to first order, Φ(-β)"),
+        Column("found", "bool", "", "whether the search ended on such a point"),
+        Column("deviation", "str", "", "name of the deviation"),
+        Column("value", "float64", "N or mm", "its value there"),
+        Column("sigmas", "float64", "1", "that less its mean, in standard deviations"),
+        Column("share", "float64", "1", "of the square of the direction to that point, as an importance"),
+    ),
+    "The likeliest miss of every limit, by exact derivatives (`mic.studies.form`). Written by `mic rare`.",
 )
 REMEDIES = _statistic(
     "remedies",
@@ -792,7 +821,18 @@ DENSITY = _statistic(
     "How much hangs on how dense the contact pairs are.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
-STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, REMEDIES, REMEDY_EFFECTS, ORDERS, DENSITY)
+STUDIES = (
+    CONTRIBUTORS,
+    LINEARITY,
+    SENSITIVITIES,
+    FRICTION_EFFECTS,
+    RARE,
+    DESIGN_POINTS,
+    REMEDIES,
+    REMEDY_EFFECTS,
+    ORDERS,
+    DENSITY,
+)
 #: The CSV tables of statistics.
 STATISTICS = (
     ZONE_STATISTICS,
