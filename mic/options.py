@@ -366,6 +366,36 @@ def rare(
 
 
 @app.command()
+def remedy(
+    source: SourceArgument,
+    adjust: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Locator or clamp that may be adjusted; may be repeated. Default: all but the locators that hold the "
+            "assembly while it is measured.",
+            show_default=False,
+        ),
+    ] = None,
+    shim: Annotated[float, typer.Option(help="The most by which a locator or clamp is moved, mm.")] = 0.5,
+    force: Annotated[float, typer.Option(help="The most by which a clamp's force is multiplied, or divided.")] = 2.0,
+    capability: Annotated[float, typer.Option(min=0.0, help="Cpk that is asked for.")] = 1.0,
+    samples: Annotated[int, typer.Option(min=3, help="Samples of each set.")] = 40,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Write the scene with the last remedy that serves to this file.", show_default=False),
+    ] = None,
+):
+    """Say which shim, locator move or clamp force would bring the assembly within its limits.
+
+    From exact derivatives, one adjustment at a time for the worst characteristic, and the smallest changes of all
+    together for all of them; each is evaluated in full on other samples before it is told.
+    """
+    _carry_out("remedy", source, adjust or [], shim, force, capability, samples, seed, law, save)
+
+
+@app.command()
 def init(
     meshes: Annotated[
         list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)

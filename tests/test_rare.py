@@ -3,16 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.special import ndtr
-from scipy.stats import binom, chi2
+from scipy.stats import binom, chi2, multivariate_normal
 from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.results.schema import RARE
+from mic.report.drivers import design_words
+from mic.results.schema import DESIGN_POINTS, RARE
 from mic.sampling.draw import draw, numbers, placed
-from mic.studies.rare import rare, subset_simulation
+from mic.studies.form import either, nearest
+from mic.studies.rare import agree, rare, subset_simulation
 
 
 def normal(dimension, beta):
@@ -71,7 +74,18 @@ def closing():
 def test_a_rare_miss_through_contact_is_found_and_no_normal_would_have_told_it(closing):
     """a comes down by z = (A1 + A2)/2 of σ √½ and presses b by (z − 0.6)/2, to −1 mm where z is 2.6 mm."""
     wanted = float(ndtr(-2.6 / np.sqrt(0.5)))  # 1.2e-4
-    found = rare(closing, "frictionless", ["M"], 500, seed=4)
+    both = rare(closing, "frictionless", ["M"], 500, seed=4)
+    found, points = both.table, both.points
+    DESIGN_POINTS.check(points, "memory", "mend it")
+    # z reaches 2.6 mm soonest where A1 and A2 are alike: 2.6/√½ from the mean, each 2.6 σ. Up, b is never pushed.
+    lower = points[points["limit"] == "lower"]
+    np.testing.assert_allclose(lower["beta"], 2.6 / np.sqrt(0.5), rtol=1e-3)
+    np.testing.assert_allclose(lower["sigmas"], -2.6, rtol=1e-2)
+    np.testing.assert_allclose(lower["share"], 0.5, atol=0.01)
+    assert lower["found"].all() and (points[points["limit"] == "upper"]["beta"] > 8).all()
+    np.testing.assert_allclose(found["first_order"], wanted, rtol=0.01)
+    assert found["agrees"].all()
+    assert any("A1 −2.6 σ" in each for each in design_words(found, points))
     RARE.check(found, "memory", "mend it")
     assert found["measurement"].tolist() == ["", "M"] and found["failed"].tolist() == [0, 0]
     for row in found.to_dict("records"):
@@ -79,6 +93,81 @@ def test_a_rare_miss_through_contact_is_found_and_no_normal_would_have_told_it(c
     plain = closing.process("frictionless").evaluate(draw(closing.scene, 1, 0, 2000)).measurements[:, 0]
     fitted = float(ndtr((-1.0 - plain.mean()) / plain.std()))
     assert fitted < found["outside_low"].max() / 100 or fitted > 100 * found["outside_high"].min()
+
+
+def test_the_nearest_point_of_a_curved_limit_and_of_a_plane():
+    """z₁ = 3 + z₂²/5 lies nearest at (3, 0); z₁ + 2 z₂ = 5 at (1, 2); and from its other side."""
+
+    def slopes(z, which):
+        curved = z[:, 0] - 3 - z[:, 1] ** 2 / 5, np.column_stack([np.ones(len(z)), -2 * z[:, 1] / 5])
+        flat = z @ [1.0, 2.0] - 5, np.tile([1.0, 2.0], (len(z), 1))
+        other = 2 * flat[0] + 20, 2 * flat[1]
+        pick = [curved, flat, other]
+        return np.array([pick[w][0][i] for i, w in enumerate(which)]), np.array(
+            [pick[w][1][i] for i, w in enumerate(which)]
+        )
+
+    found = nearest(slopes, np.array([[4.0, 1.0], [0.0, 0.0], [1.0, -1.0]]))
+    assert found.found.all()
+    np.testing.assert_allclose(found.z, [[3, 0], [1, 2], [-1, -2]], atol=0.01)
+    np.testing.assert_allclose(found.beta, [3, np.sqrt(5), -np.sqrt(5)], rtol=1e-3)
+
+
+def test_a_limit_with_a_kink_where_no_gradient_points_to_the_origin_is_not_called_found():
+    """max(z₁ + z₂/2, z₂ + z₁/2) = 3 is nearest where the two meet."""
+
+    def slopes(z, which):
+        first = z[:, 0] + z[:, 1] / 2 < z[:, 1] + z[:, 0] / 2
+        slope = np.where(first[:, None], [1.0, 0.5], [0.5, 1.0])
+        return (z * slope).sum(axis=1) - 3, slope
+
+    assert not nearest(slopes, np.array([[1.0, 1.2]])).found[0]
+
+
+def test_the_probability_of_a_union_of_half_spaces():
+    """Of two at an angle, against the bivariate normal; of two that are one and the same, and of opposite ones."""
+    r, beta = 0.6, np.array([2.5, 3.0])
+    direction = np.array([[1.0, 0.0], [r, np.sqrt(1 - r**2)]])
+    both = multivariate_normal([0, 0], [[1, r], [r, 1]]).cdf(-beta)
+    assert either(direction, beta) == pytest.approx(ndtr(-beta).sum() - both, rel=0.005)
+    assert either(direction[[0, 0]], beta[[0, 0]]) == pytest.approx(ndtr(-2.5))
+    assert either(np.array([[1.0], [-1.0]]), np.array([4.0, 4.0])) == pytest.approx(2 * ndtr(-4.0), rel=1e-6)
+
+
+def direct(deviations, correlations=(), lower=-9.0, upper=1.0):
+    """M = (A1 + A2)/2, no contact near."""
+    return spring_model(
+        [9.0],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ba"],
+        locators=[*six("b"), *six("a")],
+        zones=[{"name": "Z", "parts": ["b", "a"], "friction": 0.0, "pairs": 1}],
+        measurements=[at_face("b", (0, 0, 1), name="M", lower=lower, upper=upper)],
+        deviations=[
+            {"name": f"A{i}", "kind": "locator", "target": f"bl{i}"} | one for i, one in enumerate(deviations, 1)
+        ],
+        correlations=list(correlations),
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    )
+
+
+def test_correlated_and_other_distributions_are_seen_through():
+    """A1 + A2 of correlation 0.8 has the variance 3.6 σ²; a uniform one reaches 0.99 of its end at Φ⁻¹(0.995)."""
+    two = [{"sigma": 0.3}, {"sigma": 0.3}]
+    model = direct(two, [{"deviations": ["A1", "A2"], "matrix": [[1, 0.8], [0.8, 1]]}])
+    found = rare(model, "frictionless", samples=500, seed=1)
+    upper = found.points[found.points["limit"] == "upper"]
+    np.testing.assert_allclose(upper["beta"], 2 / (0.3 * np.sqrt(3.6)), rtol=1e-3)
+    np.testing.assert_allclose(upper["value"], 1.0, rtol=1e-2)
+    one = direct([{"sigma": 0.5, "distribution": "uniform"}, {"sigma": 0.0}], upper=0.99 * np.sqrt(3) * 0.25)
+    found = rare(one, "frictionless", samples=500, seed=1)
+    assert found.table["first_order"][0] == pytest.approx(0.005, rel=0.01)
+
+
+def test_where_a_limit_is_curved_the_two_disagree_and_it_is_said():
+    row = {"outside": 1e-5, "outside_low": 5e-6, "outside_high": 2e-5, "measurement": "", "agrees": True}
+    assert agree(row | {"first_order": 6e-6}) and not agree(row | {"first_order": 4e-6})
+    told = pd.DataFrame([row | {"first_order": 4e-6, "agrees": False}])
+    assert "the limit is curved" in design_words(told, DESIGN_POINTS.empty())[0]
 
 
 def test_samples_that_failed_are_no_misses_and_counted(closing, monkeypatch):
@@ -90,7 +179,7 @@ def test_samples_that_failed_are_no_misses_and_counted(closing, monkeypatch):
         return replace(found, failed=deviations[:, 0] < -2.0)
 
     monkeypatch.setattr(process, "attempt", some_fail)
-    found = rare(closing, "frictionless", samples=500, seed=4).iloc[0]
+    found = rare(closing, "frictionless", samples=500, seed=4).table.iloc[0]
     assert found["failed"] > 0
     whole = float(ndtr(-2.6 / np.sqrt(0.5)))
     assert found["outside"] < 0.3 * whole  # most misses are among those that failed

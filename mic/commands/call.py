@@ -1,23 +1,38 @@
-"""How a command is called: the scene as asked for, one process or all, what is shown meanwhile, how it ends."""
+"""How a command is called: the scene or model asked for, one process or all, what is shown meanwhile, how it ends."""
 
 from __future__ import annotations
 
+import os
 from contextlib import contextmanager
 from functools import wraps
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from mic import cache_folder
+from mic.compliance.cache import influence_coefficients
 from mic.console import plain
-from mic.errors import Stopped
+from mic.contact.laws import LAWS
+from mic.errors import RunError, Stopped
+from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
+from mic.process.plan import plan_assembly
+from mic.results.folder import RunFolder
+from mic.results.identity import identity
 from mic.runs import Listener, hold
 from mic.sampling.ranks import communicator
+from mic.scene import load_scene
 
 __all__ = [
     "OnConsole",
+    "counting",
     "keep_studies",
+    "law_of",
     "on_one_process",
     "requested",
+    "seed_of",
     "status",
+    "studied",
+    "threads",
 ]
 
 
@@ -61,6 +76,55 @@ class OnConsole(Listener):
         with Progress(*columns, TimeRemainingColumn(), console=self.console, disable=self.console.quiet) as progress:
             bars = {law: progress.add_task(f"{law} samples", total=samples) for law in laws}
             yield lambda law, count: progress.advance(bars[law], count)
+
+
+def studied(console, source):
+    """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
+    if not (source / "run.json").is_file():
+        return _model(console, source), None
+    record, path = RunFolder(source).record(), source / "model.npz"
+    if not path.is_file():
+        raise RunError(f"{path}: is missing; run the scene again into this folder")
+    model = ReducedModel.load(path)
+    if identity(model, record["seed"]) != record["identity"]:
+        raise RunError(f"{path}: belongs to another run; run the scene again into this folder")
+    return model, source
+
+
+def _model(console, source):
+    """The reduced model of a scene, or one that was saved."""
+    if source.is_file() and source.suffix == ".npz":
+        return ReducedModel.load(source)
+    scene = load_scene(source)
+    say = lambda line: console.print(f"{plain(line)} …", highlight=False)
+    assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
+    plan_assembly(assembly)
+    coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
+    return ReducedModel.build(assembly, coefficients)
+
+
+def law_of(model, law):
+    """The law asked for; else the scene's first with friction, else its first."""
+    laws = model.scene.report.laws
+    return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
+
+
+def seed_of(scene, seed):
+    """The seed asked for; else the scene's."""
+    return scene.monte_carlo.seed if seed is None else seed
+
+
+def threads():
+    """How many threads may work."""
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def counting(console, what, count):
+    """A bar; what it gives is called with the number of evaluations done."""
+    with Progress(console=console) as progress:
+        bar = progress.add_task(what, total=count)
+        yield lambda done: progress.advance(bar, done)
 
 
 def keep_studies(console, folder, tables):

@@ -8,8 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from mic.commands.call import on_one_process
-from mic.commands.studies import counting, studied, threads
+from mic.commands.call import counting, on_one_process, studied, threads
 from mic.console import plain
 from mic.results.field_changes import field_changes, write_field_changes
 from mic.results.outcome import read_outcome

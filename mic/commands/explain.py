@@ -9,8 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from mic.commands.call import on_one_process
-from mic.commands.studies import counting, law_of, seed_of, studied, threads
+from mic.commands.call import counting, law_of, on_one_process, seed_of, studied, threads
 from mic.console import plain
 from mic.errors import SceneError
 from mic.results.schema import EXPLANATION, FURTHER

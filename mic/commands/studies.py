@@ -4,49 +4,46 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mic import cache_folder
-from mic.commands.call import keep_studies, on_one_process
-from mic.compliance.cache import influence_coefficients
+from mic.commands.call import counting, keep_studies, law_of, on_one_process, seed_of, studied, threads
 from mic.console import plain
 from mic.contact.laws import LAWS
-from mic.errors import RunError, SceneError
-from mic.model.assembly import assemble
-from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
-from mic.results.folder import RunFolder
-from mic.results.identity import identity
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, SENSITIVITIES
-from mic.scene import load_scene
+from mic.errors import SceneError
+from mic.results.schema import (
+    CONTRIBUTORS,
+    DESIGN_POINTS,
+    FRICTION_EFFECTS,
+    LINEARITY,
+    ORDERS,
+    RARE,
+    REMEDIES,
+    REMEDY_EFFECTS,
+    SENSITIVITIES,
+)
+from mic.store import write_text
 from mic.studies import contributors as driving
 from mic.studies import friction as rubbing
+from mic.studies import remedy as mending
 from mic.studies import sensitivity as slopes
+from mic.studies.adjustment import written
 from mic.studies.order import PERMUTATIONS, STATED, compare, orders
 from mic.studies.order import variants as read_variants
 from mic.studies.rare import rare as rare_events
 
 __all__ = [
     "contributors",
-    "counting",
     "friction",
-    "law_of",
     "order",
     "rare",
-    "seed_of",
+    "remedy",
     "sensitivity",
-    "studied",
-    "threads",
 ]
 
 NOTHING = 1e-6  # mm: a step that changes no more changes nothing
-
-
 LISTED = 6  # inputs that a characteristic shows
 FAR = 100.0  # steps: no contact that a step could change
 
@@ -78,18 +75,6 @@ def order(source, samples, seed, law, permutations, variants, table):
         found.to_csv(table, index=False)
         console.print(f"table: {plain(table)}")
     keep_studies(console, folder, {ORDERS: found.assign(law=asked)[ORDERS.names].astype({"samples": "int64"})})
-
-
-def _model(console, source):
-    """The reduced model of a scene, or one that was saved."""
-    if source.is_file() and source.suffix == ".npz":
-        return ReducedModel.load(source)
-    scene = load_scene(source)
-    say = lambda line: console.print(f"{plain(line)} …", highlight=False)
-    assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
-    plan_assembly(assembly)
-    coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
-    return ReducedModel.build(assembly, coefficients)
 
 
 def _print_orders(console, others, found):
@@ -288,51 +273,78 @@ def rare(source, measurement, samples, seed, law):
         raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
     with counting(console, f"evaluations under {asked}", None) as advance:
         found = rare_events(model, asked, names, samples - samples % 10, seed_of(scene, seed), threads(), advance)
-    for row in found.to_dict("records"):
+    from mic.report.drivers import design_words
+
+    for row in found.table.to_dict("records"):
         what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
         share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
         how = "a plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
         console.print(
             f"{plain(what)} in {share} of a million ({low} to {high}): {how}, {row['evaluations']} evaluations"
-            + f", {row['failed']} of which failed and do not count" * bool(row["failed"]),
+            + f", {row['failed']} of which failed and do not count" * bool(row["failed"])
+            + f"; to first order {number(1e6 * row['first_order'], 2)}" * math.isfinite(row["first_order"]),
             highlight=False,
             soft_wrap=True,
         )
-    keep_studies(console, folder, {RARE: found})
+    for sentence in design_words(found.table, found.points):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+    if found.why_not:
+        console.print(f"No likeliest miss is told: {plain(found.why_not)}", highlight=False, soft_wrap=True)
+    keep_studies(console, folder, {RARE: found.table, DESIGN_POINTS: found.points})
 
 
-def studied(console, source):
-    """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
-    if not (source / "run.json").is_file():
-        return _model(console, source), None
-    record, path = RunFolder(source).record(), source / "model.npz"
-    if not path.is_file():
-        raise RunError(f"{path}: is missing; run the scene again into this folder")
-    model = ReducedModel.load(path)
-    if identity(model, record["seed"]) != record["identity"]:
-        raise RunError(f"{path}: belongs to another run; run the scene again into this folder")
-    return model, source
+@on_one_process
+def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
+    """``mic remedy``, with the values of its options (:mod:`mic.options`)."""
+    console = Console()
+    if save is not None and (not source.is_file() or source.suffix != ".toml"):
+        raise SceneError(f"{source}: --save writes a changed copy of a scene file; name one, or leave --save out")
+    model, folder = studied(console, source)
+    asked = law_of(model, law)
+    try:
+        with counting(console, f"assemblies under {asked}", None) as advance:
+            found = mending.remedies(
+                model, asked, samples, seed_of(model.scene, seed), shim, force, adjust, capability, threads(), advance
+            )
+    except ValueError as problem:
+        raise SceneError(str(problem)) from problem
+    _print_remedies(console, model.scene, found)
+    serving = [one for one in found.found if one.reached]
+    if save is not None and serving:
+        text = source.read_text(encoding="utf-8").rstrip("\n")
+        write_text(save, f"{text}\n\n# {serving[-1].name}\n{written(model.scene, serving[-1].changes)}")
+        console.print(f"scene: {plain(save)}")
+    keep_studies(console, folder, {REMEDIES: found.table, REMEDY_EFFECTS: found.effects})
 
 
-def law_of(model, law):
-    """The law asked for; else the scene's first with friction, else its first."""
-    laws = model.scene.report.laws
-    return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
+def _print_remedies(console, scene, found):
+    """By remedy: what to set, and what that does to each characteristic, of fresh samples."""
+    from mic.report.drivers import remedy_words  # drawing libraries are slow to import
+    from mic.report.style import number, percent
 
-
-def seed_of(scene, seed):
-    """The seed asked for; else the scene's."""
-    return scene.monte_carlo.seed if seed is None else seed
-
-
-def threads():
-    """How many threads may work."""
-    return len(os.sched_getaffinity(0))
-
-
-@contextmanager
-def counting(console, what, count):
-    """A bar; what it gives is called with the number of evaluations done."""
-    with Progress(console=console) as progress:
-        bar = progress.add_task(what, total=count)
-        yield lambda done: progress.advance(bar, done)
+    if found.found:
+        table = Table(
+            "remedy", "characteristic", "mean, µm", "6σ, µm", "Cpk", "outside", "gain of margin, µm",
+            title="What would mend it",
+        )  # fmt: skip
+        for one in found.found:
+            own = found.effects[found.effects["remedy"] == one.name]
+            own = own[own["fresh"] == own["fresh"].max()]
+            moves = "\n".join(f"{plain(a.name)} {a.now:g} → {a.now + x:g} {a.unit}" for a, x in one.changes.items())
+            for i, row in enumerate(own.to_dict("records")):
+                pairs = (
+                    f"{number(scale * row[f'{name}_before'], 3)} → {number(scale * row[name], 3)}"
+                    for name, scale in (("mean", 1e3), ("six_sigma", 1e3), ("cpk", 1.0))
+                )
+                share = f"{percent(row['outside_before'], 1)} → {percent(row['outside'], 1)}"
+                ends = (number(1e3 * row[f"gain{end}"], 2) for end in ("", "_low", "_high"))
+                gain = "{} ({} … {})".format(*ends)
+                table.add_row("" if i else moves, plain(row["measurement"]), *pairs, share, gain)
+            table.add_section()
+        console.print(table)
+    for sentence in remedy_words(found.table, found.effects, scene):
+        console.print(plain(sentence), highlight=False, soft_wrap=True)
+    serving = [one for one in found.found if one.reached]
+    if serving:
+        console.print("In the scene file, at its end, the last of these that serves:")
+        console.print(plain(written(scene, serving[-1].changes)), highlight=False, soft_wrap=True)

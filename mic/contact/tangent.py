@@ -288,7 +288,7 @@ class _Walk:
                 for own, slopes in ((todo[near[todo]], True), (todo[~near[todo]], False)):
                     if not own.size:
                         continue
-                    scale = np.maximum(np.abs(f[own]).max(axis=(1, 2)), 1e-300)
+                    scale = np.maximum(np.abs(f[own]).max(axis=(1, 2), initial=0.0), 1e-300)
                     state[own], f[own], slope, change = self._newton(
                         moved[own], f[own], f0[own], slope0[own] if slopes else None, slides[own]
                     )

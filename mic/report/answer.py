@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mic.report.drivers import named
+from mic.report.drivers import named, signed, unit_of
 from mic.report.style import change, number, percent
 from mic.results.budget import Source, error_budget, whole_yield
 from mic.results.outcome import Outcome
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES
 
 __all__ = ["SHOWN", "Answer", "answer"]
 
@@ -94,11 +94,24 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str
         low, high = (number(1e6 * row[f"outside_{end}"], 2) for end in ("low", "high"))
         most = number(1e6 * row["outside"], 2)
         said.append(f"By subset simulation {most} ppm ({low} to {high}) of the assemblies miss a limit.")
+        if not row["agrees"] and np.isfinite(row["first_order"]):
+            said.append(
+                f"The likeliest misses alone would say {number(1e6 * row['first_order'], 2)}: limits are curved."
+            )
     linearity = outcome.study(LINEARITY)
     if linearity is None:
         said.append("What drives them is not measured: mic contributors tells, of this folder.")
     elif not linearity[linearity["law"] == law]["linear"].all():
         said.append("A linear analysis would mislead here: see what drives it.")
+    table = outcome.study(REMEDIES)
+    serving = [] if table is None else table[(table["law"] == law) & table["reached"]].to_dict("records")
+    if serving:
+        last = [one for one in serving if one["remedy"] == serving[-1]["remedy"]]
+        moves = ", ".join(f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}" for one in last)
+        whom = "all of them" if last[0]["remedy"] == "together" else "the worst"
+        said.append(f"{moves} would bring {whom} within limits.")
+    elif table is None and any(row["verdict"] == "out" for row in rows):
+        said.append("What would mend it is not known: mic remedy tells.")
     if outcome.study(FRICTION_EFFECTS) is None and outcome.has_slip and outcome.model.contacts.frictional:
         said.append("Whether friction matters is not measured: mic friction tells.")
     return said

@@ -10,9 +10,10 @@ from mic.report.style import number, percent
 from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
 
-__all__ = ["friction_words", "linear_words", "named"]
+__all__ = ["design_words", "friction_words", "linear_words", "named", "remedy_words"]
 
 TOLD = 3  # contributors that a sentence names
+FAR = 6.0  # standard normal numbers: of misses farther off nothing is told
 LITTLE = 0.01  # of the variance: contributors of less are not named
 
 
@@ -90,3 +91,76 @@ def friction_words(effects: pd.DataFrame, needed: pd.DataFrame) -> list[str]:
     if not any(row["change"] > HOLDS for row in held):
         said.append("The answer holds to a tenth of 6σ for half to twice the friction that the scene says.")
     return said
+
+
+def remedy_words(table: pd.DataFrame, effects: pd.DataFrame, scene) -> list[str]:
+    """Which remedy serves, one sentence each, and by how much those fall short that do not."""
+    if not len(effects):
+        return ["All key characteristics are within their limits as the scene is: there is nothing to mend."]
+    said, width = [], {item.name: item.upper - item.lower for item in scene.measurements}
+    for remedy, rows in effects.groupby("remedy", sort=False):
+        moves = table[table["remedy"] == remedy].to_dict("records")
+        what = ", ".join(f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}" for one in moves)
+        own = rows[rows["fresh"] == rows["fresh"].max()].to_dict("records")
+        lacks = "margin" if remedy == "together" else "margin_before"  # alone it is for the worst
+        worst = min(own, key=lambda each: each[lacks] / width[each["measurement"]])
+        spoilt = [each["measurement"] for each in own if each["margin"] < 0 <= each["margin_before"]]
+        beyond = f", and takes {', '.join(spoilt)} out of theirs" if spoilt else ""
+        if not moves:
+            said.append("Nothing that may be adjusted brings the characteristics nearer to their limits.")
+        elif moves[0]["reached"]:
+            whom = "all characteristics" if remedy == "together" else "the worst characteristic"
+            said.append(f"{what} brings {whom} within limits{beyond}.")
+        else:
+            said.append(
+                f"{what} is not enough: {worst['measurement']} falls short by {number(-1e3 * worst['margin'], 2)} µm "
+                f"(Cpk {number(worst['cpk'], 2)}){beyond.replace('theirs', 'their limits')}."
+            )
+    first = effects[effects["remedy"] == effects["remedy"].iloc[0]]
+    for row in first[first["fresh"] == first["fresh"].max()].to_dict("records"):
+        if row["six_sigma_before"] > width[row["measurement"]]:
+            said.append(
+                f"{row['measurement']} spreads over {number(1e3 * row['six_sigma_before'])} µm (6σ), more than its "
+                f"tolerance of {number(1e3 * width[row['measurement']])} µm: no shift of its mean can mend that, and "
+                "what varies must vary less (mic contributors says what)."
+            )
+    return said
+
+
+def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
+    """The likeliest misses, by which deviations, and whether the first order can be believed."""
+    said = []
+    limits = points.groupby(["law", "measurement", "limit"], sort=False)
+    near = sorted((own for _, own in limits if own["beta"].iloc[0] < FAR), key=lambda own: own["beta"].iloc[0])
+    for own in near[:TOLD]:
+        one = own.iloc[0]
+        if not one["found"]:
+            said.append(
+                f"{one['measurement']}, {one['limit']} limit: no nearest miss was found; it turns with contact."
+            )
+            continue
+        most = own.sort_values("share", ascending=False, kind="stable").head(TOLD).to_dict("records")
+        where = ", ".join(f"{row['deviation']} {signed(row['sigmas'])} σ" for row in most if row["share"] > LITTLE)
+        said.append(
+            f"The likeliest miss of {one['measurement']}, {one['limit']} limit, is {number(one['beta'])} standard "
+            f"deviations off: {where}."
+        )
+    for row in table.to_dict("records"):
+        if not row["agrees"] and row["first_order"] == row["first_order"]:
+            what = row["measurement"] or "the assembly"
+            said.append(
+                f"Warning: {what}: to first order {number(1e6 * row['first_order'], 2)} of a million miss, outside of "
+                "the interval: the limit is curved, turns with contact, or has several likely misses. Take the "
+                "simulation's number."
+            )
+    return said
+
+
+def signed(value: float) -> str:
+    """A change with its sign: ``+0.25``, ``−40``."""
+    return f"{value:+.4g}".replace("-", "−")
+
+
+def unit_of(adjustment: str) -> str:
+    """``N`` of a force, else ``mm``."""
+    return "N" if adjustment.endswith(".force") else "mm"

@@ -14,13 +14,13 @@ from plotly.offline import get_plotlyjs
 from mic.contact.solution import Status
 from mic.report.answer import answer
 from mic.report.context import read_context
-from mic.report.drivers import friction_words, linear_words
+from mic.report.drivers import friction_words, linear_words, remedy_words, signed, unit_of
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, change, number, percent, zone_colour
 from mic.report.viewer import packed, viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, REMEDIES, REMEDY_EFFECTS
 from mic.results.statistics import LEVEL, covered_share
 from mic.store import replacing, write_text
 from mic.studies.contributors import joint_ranking
@@ -78,6 +78,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         level=f"{100 * LEVEL:.0f} %",
         answer=answer(outcome),
         drivers=_drivers(outcome),
+        remedies=_remedies(outcome),
         pictures=pictures,
         sections={
             section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
@@ -123,6 +124,23 @@ def _drivers(outcome: Outcome) -> dict[str, Any]:
     if effects is not None:
         found["friction"] = _records(effects)
         found["friction_words"] = friction_words(effects, friction_needed(effects))
+    return found
+
+
+def _remedies(outcome: Outcome) -> dict[str, Any]:
+    """What would bring it within its limits, of fresh samples, as far as it was asked."""
+    table, effects = outcome.study(REMEDIES), outcome.study(REMEDY_EFFECTS)
+    found: dict[str, Any] = {"rows": [], "words": []}
+    if table is None or effects is None:
+        return found
+    found["words"] = remedy_words(table, effects, outcome.model.scene)
+    for name, own in effects.groupby("remedy", sort=False):
+        moves = _records(table[table["remedy"] == name])
+        told = [
+            f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}, to {one['value']:.4g}"
+            for one in moves
+        ]
+        found["rows"].append({"moves": told, "effects": _records(own[own["fresh"] == own["fresh"].max()])})
     return found
 
 

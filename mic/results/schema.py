@@ -25,6 +25,7 @@ __all__ = [
     "CONTRIBUTORS",
     "DATASETS",
     "DENSITY",
+    "DESIGN_POINTS",
     "DEVIATIONS",
     "EXPLANATION",
     "FIELDS",
@@ -43,6 +44,8 @@ __all__ = [
     "PATH",
     "PATH_ERRORS",
     "RARE",
+    "REMEDIES",
+    "REMEDY_EFFECTS",
     "RESOLUTIONS",
     "SAMPLES",
     "SENSITIVITIES",
@@ -722,8 +725,79 @@ RARE = _statistic(
         Column("levels", "int64", "", "levels of the subset simulation; 1 is a plain Monte Carlo"),
         Column("evaluations", "int64", "", "evaluations of the reduced model"),
         Column("failed", "int64", "", "of these, such that failed; none counts as outside"),
+        Column(
+            "first_order", "float64", "1", "probability to first order (FORM); empty where there are no derivatives"
+        ),
+        Column(
+            "agrees", "bool", "", "whether the two agree; where not, limits are curved or the miss has several ways"
+        ),
     ),
     "How often limits are missed where that is rare, by subset simulation on the reduced model.",
+)
+DESIGN_POINTS = _statistic(
+    "design_points",
+    "one law, limit of a key characteristic and deviation",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        Column("limit", "str", "", "`lower` or `upper`"),
+        Column(
+            "beta",
+            "float64",
+            "1",
+            "distance of the likeliest miss, in standard normal numbers; negative if missed at the mean",
+        ),
+        Column("probability", "float64", "1", "of missing that limit to first order, Φ(-β)"),
+        Column("found", "bool", "", "whether the search ended on such a point"),
+        Column("deviation", "str", "", "name of the deviation"),
+        Column("value", "float64", "N or mm", "its value there"),
+        Column("sigmas", "float64", "1", "that less its mean, in standard deviations"),
+        Column("share", "float64", "1", "of the square of the direction to that point, as an importance"),
+    ),
+    "The likeliest miss of every limit, by exact derivatives (`mic.studies.form`). Written by `mic rare`.",
+)
+REMEDIES = _statistic(
+    "remedies",
+    "one law, remedy and adjustment",
+    (
+        _LAW,
+        Column("remedy", "str", "", "the adjustment that is made alone, or `together`"),
+        Column(
+            "adjustment", "str", "", "where it stands in the scene: `locators.NAME` (its shim), `clamps.NAME.force` …"
+        ),
+        Column("change", "float64", "N or mm", "by which it is changed, as it can be set"),
+        Column("value", "float64", "N or mm", "to which: position of a locator or clamp along its direction, or force"),
+        Column("reached", "bool", "", "whether fresh samples are within the limits: of the worst, `together` of all"),
+        Column("rounds", "int64", "", "how often the samples were taken through the process to find it"),
+    ),
+    "What would bring the key characteristics within their limits (`mic.studies.remedy`): single adjustments for the "
+    "worst, and the smallest changes of all together for all of them. Written by `mic remedy`.",
+)
+REMEDY_EFFECTS = _statistic(
+    "remedy_effects",
+    "one law, remedy, set of samples and key characteristic",
+    (
+        _LAW,
+        Column("remedy", "str", "", "as in `remedies`"),
+        Column("fresh", "bool", "", "whether the samples had no part in finding the remedy"),
+        Column("measurement", "str", "", "name of the key characteristic"),
+        _USED,
+        Column("failed", "int64", "", "samples left out, since one of their evaluations failed"),
+        Column("mean_before", "float64", "mm", "mean of these samples as the scene is"),
+        Column("mean", "float64", "mm", "with the remedy, evaluated in full"),
+        Column("six_sigma_before", "float64", "mm", "6σ as the scene is"),
+        Column("six_sigma", "float64", "mm", "with the remedy"),
+        Column("cpk_before", "float64", "1", "Cpk as the scene is"),
+        Column("cpk", "float64", "1", "with the remedy"),
+        Column(
+            "margin_before", "float64", "mm", "how far mean ± 3Cσ lies within the limits, negative beyond; C: asked for"
+        ),
+        Column("margin", "float64", "mm", "with the remedy"),
+        *_estimate("gain", "mm", "what it adds to the margin of the same samples"),
+        *_estimate("outside_before", "1", "share outside the limits as the scene is"),
+        *_estimate("outside", "1", "with the remedy"),
+    ),
+    "What each remedy does to every key characteristic.",
 )
 ORDERS = _statistic(
     "orders",
@@ -801,7 +875,18 @@ FURTHER = _statistic(
     "What else could be measured, with a gauge like those used. Written by `mic explain` into a folder of its own.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
-STUDIES = (CONTRIBUTORS, LINEARITY, SENSITIVITIES, FRICTION_EFFECTS, RARE, ORDERS, DENSITY)
+STUDIES = (
+    CONTRIBUTORS,
+    LINEARITY,
+    SENSITIVITIES,
+    FRICTION_EFFECTS,
+    RARE,
+    DESIGN_POINTS,
+    REMEDIES,
+    REMEDY_EFFECTS,
+    ORDERS,
+    DENSITY,
+)
 #: The CSV tables of statistics.
 STATISTICS = (
     ZONE_STATISTICS,

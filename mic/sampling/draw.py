@@ -9,7 +9,7 @@ from scipy.stats import qmc
 from mic.scene.distribution import quantile
 from mic.scene.samples import DESIGNS
 
-__all__ = ["draw", "keys", "numbers", "placed"]
+__all__ = ["draw", "keys", "numbers", "placed", "values_of"]
 
 EDGE = 1e-16  # probabilities are kept this far within (0, 1)
 GROUPS = 1  # word of the counter that tells the streams of groups from those of samples
@@ -46,7 +46,7 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
         stream = np.random.Generator(np.random.Philox(key=np.array([seed, first + i], dtype=np.uint64)))
         normal[i], flat[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
         which[i] = [stream.integers(length) for length in lengths]
-    return _values(scene, normal, flat, which)
+    return values_of(scene, normal, flat, which)
 
 
 def keys(scene) -> list[tuple[str, str]]:
@@ -72,11 +72,14 @@ def placed(scene, u: np.ndarray) -> np.ndarray:
     u = np.clip(u, EDGE, 1 - EDGE)
     lengths = [scores.shape[1] for _, scores in _pieces(scene)]
     which = np.minimum(u[:, p:] * lengths, np.array(lengths) - 1).astype(int)
-    return _values(scene, ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1), which)
+    return values_of(scene, ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1), which)
 
 
-def _values(scene, normal: np.ndarray, flat: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Deviations (n, p) of standard normal and uniform numbers (n, p) and of the pieces (n, b) that are taken."""
+def values_of(scene, normal: np.ndarray, flat: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Deviations (n, p) of numbers (n, p), standard normal and uniform on -√3 … √3, and of the pieces (n, b) taken.
+
+    A distribution takes one or the other; correlated deviations leave their correlation in `normal`.
+    """
     pieces = _pieces(scene)
     together = _correlated(scene, normal)
     values = np.empty(normal.shape)

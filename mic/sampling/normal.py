@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from mic.sampling.draw import placed
+from mic.sampling.draw import values_of
 
 __all__ = ["from_normal", "normal_slopes"]
 
@@ -29,7 +29,8 @@ def from_normal(scene, z: np.ndarray) -> np.ndarray:
         item.model_copy(update={"scores": None}) if getattr(item, "scores", None) is not None else item
         for item in scene.deviations
     ]
-    return placed(scene.model_copy(update={"deviations": items}), ndtr(z))
+    flat = np.sqrt(3) * (2 * ndtr(z) - 1)
+    return values_of(scene.model_copy(update={"deviations": items}), z.copy(), flat, np.empty((len(z), 0), dtype=int))
 
 
 def normal_slopes(scene, z: np.ndarray) -> np.ndarray:

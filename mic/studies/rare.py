@@ -5,6 +5,8 @@ tenth of the samples that exceed the one before [1]_:
 
     P = p₀^(m−1) P(g > 0 | g > b_{m−1}),        p₀ = 0.1.
 
+Beside it stands what the likeliest misses say to first order (:mod:`mic.studies.form`).
+
 Samples beyond a level come from those that are there already, by Markov chains whose moves leave the normal
 distribution as it is, ``z' = ρ z + √(1 − ρ²) ξ``, and are refused where they fall back below the level; ρ adapts to
 what is accepted [2]_.
@@ -26,13 +28,15 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtr, ndtri
 
+from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results import statistics
-from mic.results.schema import RARE
+from mic.results.schema import DESIGN_POINTS, RARE
 from mic.results.statistics import LEVEL
 from mic.sampling.draw import numbers, placed
+from mic.studies.form import design_points, differentiable, first_order
 
-__all__ = ["Subset", "rare", "subset_simulation"]
+__all__ = ["Misses", "Subset", "agree", "rare", "subset_simulation"]
 
 SAMPLES = 1000  #: a level
 SHARE = 0.1  # p₀: of a level's samples, those beyond the next
@@ -130,6 +134,29 @@ def _correlation(inside: np.ndarray) -> float:
     return max(0.0, 2 * float(sum((1 - k / s) * r for k, r in zip(range(1, s), lagged))) / (p * (1 - p)))
 
 
+@dataclass(frozen=True)
+class Misses:
+    """How often limits are missed under one law.
+
+    Attributes
+    ----------
+    table, points : DataFrame
+        As :data:`mic.results.schema.RARE` and :data:`mic.results.schema.DESIGN_POINTS` declare them.
+    why_not : str
+        Why there are no design points, where there are none.
+    """
+
+    table: pd.DataFrame
+    points: pd.DataFrame
+    why_not: str
+
+
+def agree(row) -> bool:
+    """Whether subset simulation and the first order say the same: within the interval, or a fifth."""
+    near = 0.8 * row["outside"] <= row["first_order"] <= 1.25 * row["outside"]
+    return bool(near or row["outside_low"] <= row["first_order"] <= row["outside_high"])
+
+
 def rare(
     model: ReducedModel,
     law: str | None = None,
@@ -138,7 +165,7 @@ def rare(
     seed: int = 0,
     threads: int = 1,
     progress: Callable[[int], None] = lambda count: None,
-) -> pd.DataFrame:
+) -> Misses:
     """How often the assembly misses any of its limits, and those of single key characteristics.
 
     Parameters
@@ -154,11 +181,6 @@ def rare(
     progress : callable, optional
         Called with the number of evaluations after each batch.
 
-    Returns
-    -------
-    DataFrame
-        As :data:`mic.results.schema.RARE` declares it.
-
     Raises
     ------
     ValueError
@@ -172,9 +194,9 @@ def rare(
     items = scene.measurements
     middle = np.array([(item.lower + item.upper) / 2 for item in items])
     half = np.array([(item.upper - item.lower) / 2 for item in items])
-    rows = []
-    for name in ("", *names):
-        own = [k for k, item in enumerate(items) if name in ("", item.name)]
+    rows, seen = [], []
+    groups = {name: [k for k, item in enumerate(items) if name in ("", item.name)] for name in ("", *names)}
+    for name, own in groups.items():
         failed = 0
 
         def g(z: np.ndarray, own=own) -> np.ndarray:
@@ -182,9 +204,27 @@ def rare(
             found = process.attempt(placed(scene, ndtr(z)))
             progress(len(z))
             failed += int(found.failed.sum())
+            seen.append((z, np.where(found.failed[:, None], np.nan, found.measurements)))
             off = (np.abs(found.measurements - middle) / half)[:, own].max(axis=1) - 1
             return np.where(found.failed, -np.inf, off)
 
         told = subset_simulation(g, numbers(scene), samples, seed)
-        rows.append((process.law, name, told.probability, told.low, told.high, told.levels, told.evaluations, failed))
-    return pd.DataFrame(rows, columns=RARE.names)
+        rows.append([process.law, name, told.probability, told.low, told.high, told.levels, told.evaluations, failed])
+    z, y = (np.concatenate(each) for each in zip(*seen))
+    table = pd.DataFrame(rows, columns=RARE.names[: len(rows[0])])
+    points, order, why_not = _first_order(model, process.law, z, y, list(groups.values()), progress)
+    table["first_order"] = order
+    table["agrees"] = [agree(row) for row in table.to_dict("records")]
+    return Misses(table, points, why_not)
+
+
+def _first_order(model, law, z, y, groups, progress):
+    """Design points, of each group of characteristics the probability to first order, and why there is none."""
+    nothing = np.full(len(groups), np.nan)
+    if not differentiable(model.scene):
+        return DESIGN_POINTS.empty(), nothing, "measured pieces are drawn as they are, and have no derivatives"
+    try:
+        points, found, limits = design_points(model, law, z, y, progress)
+    except SceneError as problem:
+        return DESIGN_POINTS.empty(), nothing, str(problem)
+    return points, np.array([first_order(found, limits, own) for own in groups]), ""
