@@ -14,9 +14,9 @@ import pandas as pd
 
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
-from mic.results import statistics
+from mic.results.paired import mean_change, six_sigma_change
 from mic.results.schema import FRICTION_EFFECTS
-from mic.results.statistics import LEVEL
+from mic.results.statistics import six_sigma
 from mic.sampling.draw import draw
 
 __all__ = ["FACTORS", "HOLDS", "friction_effects", "friction_needed", "scaled"]
@@ -24,7 +24,6 @@ __all__ = ["FACTORS", "HOLDS", "friction_effects", "friction_needed", "scaled"]
 SAMPLES = 60
 FACTORS = (0.0, 0.5, 2.0)  #: by which coefficients are multiplied
 HOLDS = 0.1  #: of 6σ: by less than that an answer may change and still hold
-RESAMPLES = 1000  # of the bootstrap
 
 
 def friction_effects(
@@ -105,32 +104,23 @@ def _scaled_deviations(scene, deviations: np.ndarray, zones: np.ndarray, factor:
 
 def _changes(scene, base: np.ndarray, other: np.ndarray) -> pd.DataFrame:
     known = np.isfinite(base).all(axis=1) & np.isfinite(other).all(axis=1)
-    a, b, n = base[known], other[known], int(known.sum())
-    mean = statistics.mean(b - a)
-    even = np.full((1, n), 1 / max(n, 1))
-    stream = np.random.Generator(np.random.Philox(key=n))
-    weights = stream.multinomial(n, even[0], size=RESAMPLES) / max(n, 1)
-    spread, spreads = (_six_sigma(b, w) - _six_sigma(a, w) for w in (even, weights))
-    low, high = np.quantile(spreads, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
-    columns = {
-        "measurement": [item.name for item in scene.measurements],
-        "samples": n,
-        "mean_change": mean.value,
-        "mean_change_low": mean.low,
-        "mean_change_high": mean.high,
-        "six_sigma_change": spread[0],
-        "six_sigma_change_low": low,
-        "six_sigma_change_high": high,
-        "six_sigma": _six_sigma(a, even)[0],
-    }
-    return pd.DataFrame(columns)
-
-
-def _six_sigma(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(r, k) 6σ of samples (n, k) under each of r weightings (r, n)."""
-    n = len(x)
-    off = x - x.mean(axis=0)
-    return 6 * np.sqrt(np.maximum(weights @ off**2 - (weights @ off) ** 2, 0.0) * n / max(n - 1, 1))
+    rows = []
+    for item, a, b in zip(scene.measurements, base[known].T, other[known].T):
+        mean, spread = mean_change(a, b), six_sigma_change(a, b)
+        rows.append(
+            {
+                "measurement": item.name,
+                "samples": int(known.sum()),
+                "mean_change": mean.value,
+                "mean_change_low": mean.low,
+                "mean_change_high": mean.high,
+                "six_sigma_change": spread.value,
+                "six_sigma_change_low": spread.low,
+                "six_sigma_change_high": spread.high,
+                "six_sigma": six_sigma(a).value,
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 def friction_needed(effects: pd.DataFrame) -> pd.DataFrame:
