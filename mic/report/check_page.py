@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from mic.errors import Problems
@@ -22,6 +21,7 @@ from mic.process.plan import StagePlan
 from mic.process.words import opening, sentences
 from mic.report.source_pictures import draw_shapes
 from mic.report.style import MARK_COLOURS, number
+from mic.report.template import rendered
 from mic.report.viewer import drawable, packed, view
 from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
@@ -72,15 +72,9 @@ def write_check(
         with Problems():  # one that cannot be read is among the errors already
             if fixture.part is None:  # else its part's mesh has not placed it
                 bodies[fixture.name] = fixture_surface(fixture, scene.folder)
-    environment = Environment(
-        loader=PackageLoader("mic.report", ""),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
     path = Path(path)
-    page = environment.get_template("check.html").render(
+    page = rendered(
+        "check.html",
         scene=scene,
         errors=errors,
         warnings=warnings,

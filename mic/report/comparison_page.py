@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib.style
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -20,6 +19,7 @@ from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import MOST_PANELS, Picture, panels, png, svg
 from mic.report.space_pictures import draw_surfaces
 from mic.report.style import RC, number, percent
+from mic.report.template import rendered
 from mic.results.field_changes import FieldChange
 from mic.results.statistics import LEVEL, density
 from mic.store import write_text
@@ -42,16 +42,10 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
     fields : sequence of FieldChange
         Of the two runs, where they have fields.
     """
-    environment = Environment(
-        loader=PackageLoader("mic.report", ""),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
     with matplotlib.style.context(["default", RC]):
         pictures = [_forest(found), _densities(found), *([_maps(fields)] if fields else [])]
-    page = environment.get_template("comparison.html").render(
+    page = rendered(
+        "comparison.html",
         found=found,
         sentences=sentences(found),
         rows=[row for row in _records(found) if row["quantity"]],

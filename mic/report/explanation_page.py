@@ -7,11 +7,11 @@ from pathlib import Path
 
 import matplotlib.style
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from mic.report.picture import MOST_PANELS, Picture, svg
 from mic.report.style import RC, number, percent
+from mic.report.template import rendered
 from mic.results.statistics import LEVEL
 from mic.store import write_text
 from mic.studies.explanation import Explanation
@@ -27,18 +27,10 @@ BEFORE, AFTER = "#9aa5b1", "#0b5cad"
 
 def write_explanation(path: str | PathLike[str], found: Explanation) -> Path:
     """Write the page of an explanation; nothing is solved."""
-    environment = Environment(
-        loader=PackageLoader("mic.report", ""),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    environment.filters["number"] = number
-    environment.filters["percent"] = percent
     with matplotlib.style.context(["default", RC]):
         pictures = [_sources(found), _reached(found)]
-    page = environment.get_template("explanation.html").render(
+    page = rendered(
+        "explanation.html",
         found=found,
         sentences=sentences(found),
         sources=found.table.to_dict("records"),

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
@@ -16,7 +15,8 @@ from mic.report.answer import answer
 from mic.report.context import read_context
 from mic.report.drivers import friction_words, linear_words, remedy_words, signed, unit_of
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
-from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, change, number, percent, zone_colour
+from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, zone_colour
+from mic.report.template import rendered
 from mic.report.viewer import packed, viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
@@ -60,17 +60,8 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
     pictures = draw_all(outcome, context)
     viewer = viewer_data(outcome, context)
     zones = _zones(outcome, context.stage, context.published)
-    environment = Environment(
-        loader=PackageLoader("mic.report", ""),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,  # a misspelt name is an error, not a gap in the page
-    )
-    environment.filters["number"] = number
-    environment.filters["percent"] = lambda value: percent(value, 1)
-    environment.filters["change"] = change
-    page = environment.get_template("report.html").render(
+    page = rendered(
+        "report.html",
         outcome=outcome,
         record=outcome.record,
         scene=outcome.model.scene,
