@@ -58,7 +58,7 @@ StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for 
 
 def _carry_out(name: str, *values: Any) -> None:
     """Carry out a command with the values of its options."""
-    home = {"report": "run"} | {own: own for own in ("check", "compare", "explain", "init", "run")}
+    home = {"report": "run"} | {own: own for own in ("check", "compare", "explain", "init", "predict", "run")}
     module = f"mic.commands.{home.get(name, 'studies')}"
     # Only now: numerics and tables take a second to import.
     getattr(import_module(module), name)(*values)
@@ -263,6 +263,40 @@ def explain(
     which further key characteristic would tell most.
     """
     _carry_out("explain", source, measured, gauge, friction, seed, law, out)
+
+
+@app.command()
+def predict(
+    source: SourceArgument,
+    parts: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file of measured parts, a row for each assembly: columns are the scene's deviations, an empty "
+            "cell is one that was not measured.",
+            show_default=False,
+        ),
+    ] = None,
+    watch: Annotated[
+        Path | None, typer.Option(help="Folder in which such files come in, until Ctrl-C.", show_default=False)
+    ] = None,
+    log: Annotated[
+        Path, typer.Option(help="CSV file to which each assembly is added; what stands in it is not done again.")
+    ] = Path("predictions.csv"),
+    adjust: Annotated[
+        list[str] | None,
+        typer.Option(help="Locator or clamp that may be adjusted; may be repeated.", show_default=False),
+    ] = None,
+    shim: Annotated[float, typer.Option(help="Largest move of a locator or clamp, mm.")] = 0.5,
+    force: Annotated[float, typer.Option(help="By which a clamp's force is multiplied or divided at most.")] = 2.0,
+    error: Annotated[float, typer.Option(min=0, help="Standard deviation of the model's error, mm.")] = 0.0,
+    law: StudyLaw = None,
+):
+    """Foretell assemblies one by one from their measured parts: accepted or not, and what to adjust.
+
+    Every key characteristic with the interval that unmeasured deviations leave. Rows farther off than six standard
+    deviations are refused. Each answer is on disk before the next row is read.
+    """
+    _carry_out("predict", source, parts, watch, log, adjust, shim, force, error, law)
 
 
 @app.command()

@@ -127,7 +127,10 @@ def test_samples_that_failed_are_told_beside_the_answer(copied):
 
 def test_a_rare_miss_is_told_as_it_was_computed(copied):
     row = {"law": "coulomb", "measurement": "", "outside": 2.5e-5, "outside_low": 1e-5, "outside_high": 6e-5}
-    RARE.write(copied, pd.DataFrame([row | {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2.4e-5, "agrees": True}]))
+    RARE.write(
+        copied,
+        pd.DataFrame([row | {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2.4e-5, "agrees": True}]),
+    )
     said = answer(read_outcome(copied)).sentences
     assert "By subset simulation 25 ppm (10 to 60) of the assemblies miss a limit." in said
 

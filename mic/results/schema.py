@@ -43,6 +43,7 @@ __all__ = [
     "PROFILE_STATISTICS",
     "PATH",
     "PATH_ERRORS",
+    "PREDICTIONS",
     "RARE",
     "REMEDIES",
     "REMEDY_EFFECTS",
@@ -873,6 +874,24 @@ FURTHER = _statistic(
         Column("told", "float64", "1", "share of that source's remaining variance that it would take away"),
     ),
     "What else could be measured, with a gauge like those used. Written by `mic explain` into a folder of its own.",
+)
+PREDICTIONS = _statistic(
+    "predictions",
+    "one assembly and key characteristic, or the whole of it",
+    (
+        Column("file", "str", "", "the file that told of its parts"),
+        Column("row", "int64", "", "in which row; the header is row 1"),
+        Column("model", "str", "", "fingerprint of the model"),
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic; empty for the whole assembly"),
+        Column("value", "float64", "mm", "foretold, from nominal"),
+        Column("low", "float64", "mm", "below which it lies with a probability of 0.025, by what is not known"),
+        Column("high", "float64", "mm", "above which it lies with a probability of 0.025"),
+        Column("verdict", "str", "", "`accepted`, `open`, `rejected`; `refused` or `failed` where nothing is foretold"),
+        Column("said", "str", "", "why, or which adjustment helps most and how far"),
+        Column("far", "float64", "1", "by how many standard deviations the farthest deviation is off its mean"),
+    ),
+    "Assemblies foretold from their measured parts, one after the other: the log of `mic predict`, a file of its own.",
 )
 #: The CSV tables that a command of its own adds to the folder of a run.
 STUDIES = (
