@@ -90,6 +90,7 @@ def test_yield_and_share_outside_are_counted_in_pairs(before):
     a, b = (side.values["M"].to_numpy() > limit for side in (found.a, found.b))
     whole = row(found, "")
     assert whole["outside_a"] == a.mean() and 0 < b.mean() < a.mean() and whole["outside_b"] == b.mean()
+    assert whole["outside_change"] == pytest.approx(b.mean() - a.mean())
     assert whole["outside_change_low"] < b.mean() - a.mean() < whole["outside_change_high"]
     assert sentences(found)[0].startswith(f"{100 * (1 - b.mean()):.1f} % of the assemblies are within all limits")
 

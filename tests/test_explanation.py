@@ -63,8 +63,9 @@ def test_a_linear_cause_is_that_of_the_closed_form(model):
     assert own["low"] == pytest.approx(mean - 1.96 * spread, abs=0.4 * spread)
     assert own["off"] == pytest.approx((own["mean"] - 2 * LIFT) / SIGMA)
     assert found.untold == ["D"] and found.table["source"].iloc[0] == "P" and not found.together
-    least = 0.5 * 0.004**2 / (SLOPE**2 * SIGMA**2 + GAUGE**2)
-    assert found.posterior.misfit.min() == pytest.approx(least, abs=0.05)
+    square = 0.004**2 / (SLOPE**2 * SIGMA**2 + GAUGE**2)  # of what was measured, in units of what was to be expected
+    assert found.posterior.least == pytest.approx(0.5 * square, rel=1e-5)
+    assert found.likely == pytest.approx(stats.chi2.sf(square, 1), rel=1e-5)
     assert found.reached.set_index("measurement").loc["N", "mean"] == pytest.approx(PULL, abs=0.03)
     assert found.further["measurement"].tolist() == ["N"] and found.further["source"].iloc[0] == "D"
     assert found.further["told"].iloc[0] > 0.99
@@ -75,6 +76,7 @@ def test_the_gauge_decides_how_much_is_told(model):
     fine, coarse = (explain(model, measured, gauge) for measured, gauge in ((everything, 1e-4), ({"M": 0.0}, 1.0)))
     FURTHER.check(fine.further, "memory", "mend it")
     assert not len(fine.further) and not fine.untold
+    assert coarse.further["told"].iloc[0] < 0.01 and coarse.further["bits"].iloc[0] < 0.01  # N varies by 0.05 mm
     assert row(fine, "P")["told"] > 0.99 and row(coarse, "P")["told"] < 0.2
     assert coarse.untold == ["D", "P"] or coarse.untold == ["P", "D"]
 

@@ -66,6 +66,8 @@ class Posterior:
         Their sum is 1.
     best : (p,) array
         The most probable z.
+    least : float
+        φ there.
     """
 
     z: np.ndarray
@@ -73,6 +75,7 @@ class Posterior:
     misfit: np.ndarray
     weight: np.ndarray
     best: np.ndarray
+    least: float
 
     @property
     def count(self) -> float:
@@ -207,7 +210,7 @@ def explain(
         table,
         _further(scene, names, measured, float(np.median(s)), found, x, varied),
         reached,
-        float(chi2.sf(2 * found.misfit.min(), len(own))),
+        float(chi2.sf(2 * found.least, len(own))),
         pairs,
         untold,
         found,
@@ -301,9 +304,9 @@ def posterior(
         q = logsumexp([_log_density(mixture, every) for mixture in mixtures], axis=0)
         log_weight = -φ - q
         weight = np.exp(log_weight - logsumexp(log_weight))
-        best = every[int(φ.argmin())] if φ.min() < modes[0][1] else modes[0][0]
+        best, least = (every[int(φ.argmin())], float(φ.min())) if φ.min() < modes[0][1] else modes[0][:2]
         known = np.isfinite(φ)
-        found = Posterior(every[known], np.concatenate(responses)[known], φ[known], weight[known], best)
+        found = Posterior(every[known], np.concatenate(responses)[known], φ[known], weight[known], best, least)
         if found.count >= ENOUGH:
             break
         components = [*components[: len(modes)], _fitted(found, modes[0][2])]
