@@ -35,7 +35,7 @@ from mic.scene import Scene
 
 __all__ = ["Explanation", "Posterior", "explain", "posterior", "with_friction"]
 
-STARTS = 6  # the means, and random ones
+STARTS = 4  # the means, and random ones
 STEPS = 40  # of Levenberg and Marquardt
 STEEP, FLAT = 10.0, 0.3  # by which λ grows after a step that failed, and shrinks after one that did not
 STILL = 1e-3  # of φ: a step that gains no more is the last; what a path leaves in φ is of that size
