@@ -68,12 +68,13 @@ def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, watched, se
 def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_path_factory):
     case = random_case(seed, watched=watched)
     other, _, unit = SAME[change](case, seed)
+    here, there = (tmp_path_factory.mktemp(name) for name in ("given", "changed"))  # coefficients serve both laws
     for law in ("coulomb", "frictionless"):
-        given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
+        given_one = case.measurements(here, law)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # lengths too, though no scene states them
             patch.setattr("mic.contact.watched.PENETRATION", PENETRATION / unit)
-            changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
+            changed = other.measurements(there, law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())
 
 
