@@ -33,7 +33,7 @@ from mic.process.model import ReducedModel
 from mic.results.schema import DESIGN_POINTS
 from mic.sampling.draw import numbers, placed
 
-__all__ = ["Designed", "design_points", "differentiable", "either", "first_order", "nearest"]
+__all__ = ["Designed", "design_points", "deviations_at", "differentiable", "either", "first_order", "nearest"]
 
 ROUNDS = 20
 ENOUGH = 1e-3  # of the limit's own scale, and of β: nearer than that a design point is found
@@ -187,7 +187,7 @@ def design_points(
     half = np.array([(item.upper - item.lower) / 2 for item in scene.measurements])[number]
 
     def slopes(at: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values, turned = _placed(scene, at)
+        values, turned = deviations_at(scene, at)
         found = model.sensitivities(values, law)
         progress(len(at))
         k, rows = number[which], np.arange(len(at))
@@ -203,7 +203,7 @@ def design_points(
     return _tabled(scene, law or scene.report.laws[0], found, limits), found, limits
 
 
-def _placed(scene, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def deviations_at(scene, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Deviations (n, p) at numbers (n, d), and their derivatives (n, p, d)."""
     d = z.shape[1]
     z = z.clip(-FARTHEST, FARTHEST)
@@ -214,7 +214,7 @@ def _placed(scene, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _tabled(scene, law: str, found: Designed, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
-    values, _ = _placed(scene, found.z)
+    values, _ = deviations_at(scene, found.z)
     rows = []
     for i, (k, side) in enumerate(limits):
         for j, item in enumerate(scene.deviations):
