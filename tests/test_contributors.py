@@ -15,6 +15,7 @@ from mic.report.drivers import linear_words, named
 from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.results.sobol import Linear, sobol
 from mic.studies.contributors import contributors, groups, joint_ranking
+from mic.studies.screening import bounds, left_out
 
 
 def nothing_linear(inputs, samples, outputs=1):
@@ -218,6 +219,51 @@ def test_of_a_nearly_linear_assembly_that_is_said_and_all_rank_alike(lap_model):
         assert own["first"].sum() == pytest.approx(1.0, abs=0.05)
     assert "nearly linear" in linear_words(found.table, found.linearity)[0]
     assert found.linearity["evaluations"].unique().tolist() == [32 * 5 + 6]
+
+
+@pytest.fixture(scope="module")
+def many():
+    """M = Σ x_i/2: three that matter, of shares 16, 9 and 4 of 29.27, and 27 others of a hundredth each."""
+    sigma = {"L": 0.4, "N": 0.3, "K": 0.2} | {f"S{i}": 0.01 for i in range(27)}
+    kinds = {"L": {"distribution": "uniform"}, "S0": {"distribution": "triang", "parameters": {"c": 0.3}}}
+    items = [
+        {"name": name, "kind": "locator", "target": "bl1", "sigma": own} | kinds.get(name, {})
+        for name, own in sigma.items()
+    ]
+    return sheets("ba", [90.0], ["ba"], items, friction=0.0, measured=("b", 0, 0, 1))
+
+
+def test_of_many_those_that_hardly_matter_count_as_one_and_their_bounds_hold(many):
+    found = contributors(many, "frictionless", 64, seed=1)
+    CONTRIBUTORS.check(found.table, "memory", "mend it")
+    own = found.table.set_index("contributor")
+    assert list(own.index[:4]) == ["L", "N", "K", "27 others"] and len(own) == 31
+    whole = 0.16 + 0.09 + 0.04 + 27e-4
+    np.testing.assert_allclose(own["total"][:4], np.array([0.16, 0.09, 0.04, 27e-4]) / whole, atol=2e-3)
+    assert own["total"][4:].isna().all()
+    each = np.array([0.16, 0.09, 0.04] + [1e-4] * 27) / whole
+    bound = own["bound"].drop("27 others").to_numpy()
+    assert (bound >= each).all() and (bound <= 3 * each).all()
+    assert found.linearity["evaluations"].tolist() == [64 * 6 + 60]
+    words = linear_words(found.table, found.linearity)
+    assert words[-1].startswith("27 contributors count as one: by their derivatives they make together at most")
+    assert named(found.table, "total").startswith("L 55 %, N 31 %, K 14 %")
+
+
+def test_bounds_hold_of_what_is_not_linear(closing):
+    """Where the gap closes in a fifth of the samples."""
+    own = groups(closing.scene)
+    bound = bounds(closing, "frictionless", own, 400, seed=1)[:, 0]
+    found = contributors(closing, "frictionless", 1000, seed=5).table.set_index("contributor")
+    assert (bound >= found["total"]).all()
+    assert (0.25 * bound[:2] < found["total"][:2]).all()  # and are not idle
+
+
+def test_what_is_left_out_makes_no_more_than_it_may():
+    bound = np.array([[0.9, 0.001], [0.02, 0.0], [0.02, 0.04], [0.005, 0.02], [np.inf, np.inf]])
+    assert left_out(bound, np.array([True, True])).tolist() == [False, True, False, True, False]
+    assert left_out(bound, np.array([True, False])).tolist() == [False, True, True, True, False]
+    assert not left_out(bound[[0, 1]], np.array([True, True])).any()  # one alone is no group
 
 
 def test_samples_of_a_table_do_not_tell_what_varies_alone(closing):

@@ -9,7 +9,16 @@ from typer.testing import CliRunner
 
 from mic.options import app
 from mic.report.page import write_report
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES, REMEDY_EFFECTS, SENSITIVITIES
+from mic.results.schema import (
+    CONTRIBUTORS,
+    DESIGN_POINTS,
+    FRICTION_EFFECTS,
+    LINEARITY,
+    RARE,
+    REMEDIES,
+    REMEDY_EFFECTS,
+    SENSITIVITIES,
+)
 from mic.runs import run
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
@@ -17,7 +26,7 @@ SECTIONS = {
     "Find out what drives a characteristic": (CONTRIBUTORS, LINEARITY),
     "Find out what a step of each input changes": (SENSITIVITIES,),
     "Find out whether friction matters": (FRICTION_EFFECTS,),
-    "Find out how often a limit is missed where that is rare": (RARE,),
+    "Find out how often a limit is missed where that is rare": (RARE, DESIGN_POINTS),
     "Find out what would mend it": (REMEDIES, REMEDY_EFFECTS),
 }
 

@@ -9,6 +9,8 @@ import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -136,9 +138,10 @@ def test_every_figure_is_there(page):
     pictures = [target for target in page.loads if target.startswith("data:")]
     assert len(pictures) == len(PICTURES)
     for picture in pictures:
-        kind, data = re.fullmatch(r"data:image/(svg\+xml|png);base64,(.*)", picture).groups()
-        raw = base64.b64decode(data, validate=True)
-        assert raw.startswith(b"\x89PNG") if kind == "png" else b"<svg" in raw
+        kind, how, data = re.fullmatch(r"data:image/(svg\+xml|png);(base64|charset=utf-8),(.*)", picture).groups()
+        assert (kind == "png") == (how == "base64")
+        raw = base64.b64decode(data, validate=True) if how == "base64" else unquote(data).encode()
+        assert raw.startswith(b"\x89PNG") if kind == "png" else ElementTree.fromstring(raw).tag.endswith("svg")
         assert len(raw) > 3000
 
 

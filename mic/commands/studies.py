@@ -33,6 +33,7 @@ from mic.studies.adjustment import written
 from mic.studies.order import PERMUTATIONS, STATED, compare, orders
 from mic.studies.order import variants as read_variants
 from mic.studies.rare import rare as rare_events
+from mic.studies.screening import MANY
 
 __all__ = [
     "contributors",
@@ -127,7 +128,8 @@ def contributors(source, samples, seed, law):
             f"scene {scene.name!r}: it states its samples in a table, which does not say what each deviation does "
             "alone; take monte_carlo.table out, so that they are drawn"
         )
-    count = samples * (len(driving.groups(scene)) + 2) + 2 * len(scene.deviations)
+    found = len(driving.groups(scene))
+    count = samples * (found + 2) + 2 * len(scene.deviations) if found <= MANY else None
     with counting(console, f"evaluations under {asked}", count) as advance:
         found = driving.contributors(model, asked, samples, seed_of(scene, seed), threads(), advance)
     _print_contributors(console, scene, found)

@@ -29,7 +29,7 @@ def contributor_picture(outcome: Outcome, context: Context) -> Picture | None:
     fig, axes = panels(len(told), columns, (10.5 / max(columns, 2), 1.9))
     for i, (ax, row) in enumerate(zip(axes, told.to_dict("records"))):
         own = table[(table["law"] == row["law"]) & (table["measurement"] == row["measurement"])]
-        own = own.sort_values("total", ascending=False, kind="stable").head(BARS)
+        own = own.dropna(subset=["total"]).sort_values("total", ascending=False, kind="stable").head(BARS)
         place = np.arange(len(own))
         low, high = (own["total"] - own["total_low"]).clip(0), (own["total_high"] - own["total"]).clip(0)
         ax.barh(place, own["total"].clip(0), color=TOGETHER, height=0.7, label="with others")

@@ -36,11 +36,24 @@ def linear_words(table: pd.DataFrame, linearity: pd.DataFrame) -> list[str]:
     if linearity["linear"].all() and linearity["r_squared"].notna().any():
         least = number(linearity["r_squared"].min())
         said.append(f"All key characteristics are nearly linear (R² {least} and more): a linear analysis ranks alike.")
-    return said
+    return said + _left_out(table)
+
+
+def _left_out(table: pd.DataFrame) -> list[str]:
+    """Which contributors were left out of Sobol's indices, and what they are at most."""
+    rest = table[table["total"].isna() & table["bound"].notna()]
+    if not len(rest):
+        return []
+    together = rest.groupby(["law", "measurement"])["bound"].sum().max()
+    most = rest.sort_values("bound").iloc[-1]
+    return [
+        f"{rest['contributor'].nunique()} contributors count as one: by their derivatives they make together at most "
+        f"{percent(together, 1)} of any variance, {most['contributor']} at most {percent(most['bound'], 1)}."
+    ]
 
 
 def _reasons(row: dict[Any, Any], own: list[dict[Any, Any]]) -> list[str]:
-    found = []
+    found, own = [], [each for each in own if each["total"] == each["total"]]
     if not row["r_squared"] >= R_SQUARED:
         found.append(f"R² is {number(row['r_squared'], 2)}")
     if row["interaction"] > INTERACTION:

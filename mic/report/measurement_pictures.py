@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 
 from mic.report.context import SHOWN, Context
@@ -35,8 +36,8 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
         low, high = everything.min(), everything.max()
         edges = np.linspace(*((low, high) if high - low > 1e-12 else (low - 1e-3, high + 1e-3)), 31).tolist()
         for law, x in values.items():
-            ax.hist(x, bins=edges, histtype="stepfilled", color=LAWS[law].colour, alpha=0.14, lw=0)
-            ax.hist(x, bins=edges, histtype="step", color=LAWS[law].colour, lw=1.2)
+            colour = LAWS[law].colour
+            ax.stairs(np.histogram(x, edges)[0], edges, fill=True, fc=to_rgba(colour, 0.14), ec=colour, lw=1.2)
         for limit in (item.upper,) if item.one_sided else (item.lower, item.upper):
             ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
         width = item.upper - item.lower

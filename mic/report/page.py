@@ -108,6 +108,7 @@ def _drivers(outcome: Outcome) -> dict[str, Any]:
     if table is not None and linearity is not None:
         for told in _records(linearity):
             own = table[(table["law"] == told["law"]) & (table["measurement"] == told["measurement"])]
+            own = own[own["total"].notna() | own["bound"].isna()]
             ordered = _records(own.sort_values("total", ascending=False, kind="stable"))
             found["rows"].append(told | {"contributors": ordered[:LISTED_CONTRIBUTORS]})
         found["words"] = linear_words(table, linearity)

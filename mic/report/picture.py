@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from markupsafe import Markup  # which jinja2 brings
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -21,8 +22,15 @@ from mic.report.style import LAWS
 
 __all__ = ["MOST_PANELS", "Picture", "law_legend", "panels", "png", "svg"]
 
-_DECIMALS = re.compile(rb'\b(?:d|x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
+_DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
 _LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is seen by nobody
+_LONGER = re.compile(rb"(\.\d)\d+")
+_OUTLINE = re.compile(rb'\bd="([^"]*)"')
+_NAMED = re.compile(rb'<g id="[\w.]+_\d+">')  # nothing names these groups
+_USE = rb'<use xlink:href="[^"]*" x="[^"]*" y="[^"]*" style="'
+_MARKS = re.compile(_USE + rb'([^"]*)"/>(?:' + _USE + rb'\1"/>)+')
+_STROKE = re.compile(r"([MLCQzZ])([^MLCQzZ]*)")
+_TENTHS = 10  # of a point, to which lines are told: a seventh of a pixel
 _IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"|<metadata>.*?</metadata>', re.S)
 _FONT = re.compile(rb";? ?font-family: [^;\"]*")  # of each text: it is the picture's own
 MOST_PANELS = 24  # more panels or labels than this nobody reads
@@ -49,8 +57,12 @@ class Picture:
     @property
     def uri(self) -> str:
         """The picture as a data URI, so that a page can hold it."""
-        mime = {"svg": "image/svg+xml", "png": "image/png"}[self.kind]
-        return f"data:{mime};base64,{base64.b64encode(self.data).decode()}"
+        if self.kind == "png":
+            return f"data:image/png;base64,{base64.b64encode(self.data).decode()}"
+        text = self.data.decode().replace("'", "&apos;").replace('"', "'")
+        for sign, told in (("%", "%25"), ("#", "%23"), ("&", "%26"), ("\n", "%0A")):
+            text = text.replace(sign, told)
+        return Markup("data:image/svg+xml;charset=utf-8," + text)  # no quote and no ampersand is left in it
 
 
 def svg(fig: Figure, title: str, caption: str) -> Picture:
@@ -82,18 +94,66 @@ def law_legend(fig: Figure, laws: Sequence[str]) -> None:
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
 
 
-def _terse(found: re.Match[bytes]) -> bytes:
-    """An attribute of places on paper, without the blanks and digits that nobody needs."""
-    return re.sub(rb"\s*([MLCQz])\s*", rb"\1", _LONG.sub(rb"\1", found.group()))
+def _short(found: re.Match[bytes]) -> bytes:
+    """An attribute of places on paper, without the digits that nobody needs."""
+    return _LONGER.sub(rb"\1", found.group())
+
+
+def _alike(found: re.Match[bytes]) -> bytes:
+    """Marks of one style as a group that has it."""
+    style = b' style="' + found.group(1) + b'"'
+    return b"<g" + style + b">" + found.group().replace(style, b"") + b"</g>"
+
+
+def _outline(found: re.Match[bytes]) -> bytes:
+    """An outline in few signs: straight lines by steps from place to place, curves as they are but for their digits."""
+    told: list[str] = []
+    x = y = 0
+    strokes = _STROKE.findall(found.group(1).decode())
+    if any(kind in "CQ" for kind, _ in strokes):
+        return re.sub(rb"\s*([MLCQz])\s*", rb"\1", _LONG.sub(rb"\1", found.group())).replace(b' "', b'"')
+    for kind, numbers in strokes:
+        if kind in "zZ":
+            told.append("z")
+            continue
+        to_x, to_y = (round(float(number) * _TENTHS) for number in numbers.split())
+        if kind == "M":
+            told.append("M" + _joined(to_x, to_y))
+        elif to_y == y and to_x == x:
+            continue
+        elif to_y == y:
+            told.append("h" + _joined(to_x - x))
+        elif to_x == x:
+            told.append("v" + _joined(to_y - y))
+        else:
+            told.append("l" + _joined(to_x - x, to_y - y))
+        x, y = to_x, to_y
+    if len(told) == 1:  # a point: round ends make it one
+        told.append("h0")
+    return f'd="{"".join(told)}"'.encode()
+
+
+def _joined(*tenths: int) -> str:
+    """Numbers of tenths, apart by a sign or a blank."""
+    each = [
+        f"{number / _TENTHS:g}".replace("0.", ".", 1) if abs(number) < _TENTHS else f"{number / _TENTHS:g}"
+        for number in tenths
+    ]
+    return "".join(one if i == 0 or one.startswith("-") else f" {one}" for i, one in enumerate(each))
 
 
 def _save(fig, title, caption, kind, dpi, metadata):
     buffer = io.BytesIO()
+    engine = fig.get_layout_engine()
+    if engine is not None:  # once and for all: saving would draw everything once more to find it
+        engine.execute(fig)
+        fig.set_layout_engine("none")
     fig.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     data = buffer.getvalue()
     if kind == "svg":
-        data = _DECIMALS.sub(_terse, _IDLE.sub(b"", data))
+        data = _OUTLINE.sub(_outline, _DECIMALS.sub(_short, _IDLE.sub(b"", data)))
         data = _FONT.sub(b"", re.sub(rb">\s+<", b"><", data))
+        data = _MARKS.sub(_alike, _NAMED.sub(b"<g>", data))
         data = data.replace(b"<svg ", b"<svg font-family=\"'DejaVu Sans', Arial, sans-serif\" ", 1)
     else:
         indexed = io.BytesIO()

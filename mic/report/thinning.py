@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mic.geometry.surface import Surface
@@ -36,8 +38,7 @@ def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]
         return kept, surface.triangles
     while True:
         cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-        _, cell = np.unique(cells, axis=0, return_inverse=True)
-        cell = cell.ravel()
+        _, cell = np.unique(_keys(cells, cells.max(axis=0) + 1), return_inverse=True)
         count = np.bincount(cell)
         if len(count) <= most:
             break
@@ -49,14 +50,22 @@ def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]
     place[cell[kept]] = np.arange(len(kept))
     triangles = place[cell[surface.triangles]]
     apart = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    _, first = np.unique(np.sort(triangles[apart], axis=1), axis=0, return_index=True)
+    _, first = np.unique(_keys(np.sort(triangles[apart], axis=1), [len(kept)] * 3), return_index=True)
     return kept, triangles[apart][np.sort(first)]
 
 
 def _on_edge(surface: Surface) -> np.ndarray:
     """(v,) which vertices lie on an edge of a single triangle."""
     edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    single, count = np.unique(edges, axis=0, return_counts=True)
+    _, first, count = np.unique(_keys(edges, [len(surface.points)] * 2), return_index=True, return_counts=True)
     on = np.zeros(len(surface.points), dtype=bool)
-    on[single[count == 1]] = True
+    on[edges[first[count == 1]]] = True
     return on
+
+
+def _keys(rows: np.ndarray, below: Sequence[int] | np.ndarray) -> np.ndarray:
+    """(n,) one number for each row (n, c) of numbers below others (c,), in the order of the rows."""
+    keys = rows[:, 0].astype(np.int64)
+    for column, size in zip(rows.T[1:], below[1:]):
+        keys = keys * int(size) + column
+    return keys

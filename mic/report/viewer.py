@@ -23,6 +23,8 @@ from mic.scene import Scene
 __all__ = ["drawable", "packed", "view", "viewer_data"]
 
 NOT_A_NUMBER = 2**16 - 1
+PLACES = NOT_A_NUMBER - 1  # steps of a coordinate
+SHADES = 2**10  # steps of a field: four for each colour
 
 
 def viewer_data(outcome: Outcome, context: Context) -> str | None:
@@ -30,7 +32,7 @@ def viewer_data(outcome: Outcome, context: Context) -> str | None:
 
     The parts are thinned (:mod:`mic.report.thinning`). Arrays are base64 of little-endian bytes: ``triangles`` (t, 3)
     as 2-byte integers; ``points`` (v, 3) and fields (v,) as ``data``, 2-byte integers i for ``low + i step`` mm, of
-    which the largest is NaN.
+    which 65535 is NaN.
     """
     surfaces, scene = context.surfaces, outcome.model.scene
     if not surfaces:
@@ -95,7 +97,7 @@ def _field(field, surface):
         "six_sigma": field.six_sigma_magnitude,
         "six_sigma_normal": field.six_sigma_normal,
     }
-    return {name: _numbers(value[kept]) for name, value in values.items()}
+    return {name: _numbers(value[kept], SHADES) for name, value in values.items()}
 
 
 def _arrows(scene):
@@ -146,11 +148,11 @@ def _marks(scene):
     ]
 
 
-def _numbers(values):
-    """Numbers to a 65 000th of their range."""
+def _numbers(values, steps=PLACES):
+    """Numbers to a share of their range."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    step = (high - low) / (NOT_A_NUMBER - 1) or 1.0
+    step = (high - low) / steps or 1.0
     whole = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - low) / step), NOT_A_NUMBER)
     return {"low": low, "step": step, "data": _encoded(whole.astype("<u2"))}
 

@@ -659,10 +659,11 @@ CONTRIBUTORS = _statistic(
         Column(
             "tangent", "float64", "1", "share by the differences at the mean, as a linear chain of tolerances has it"
         ),
+        Column("bound", "float64", "1", "what the total index is at most, by derivatives; empty where few contribute"),
     ),
     "What makes the variance of the key characteristics: Sobol's indices on the reduced model itself, beside what a "
     "linear analysis says. Estimates are not cut to 0 … 1: what lies outside is noise. Empty where a characteristic "
-    "does not vary.",
+    "does not vary, and of contributors that were left out: of many, those that hardly matter count as one.",
 )
 SENSITIVITIES = _statistic(
     "sensitivities",

@@ -19,6 +19,7 @@ from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.results.sobol import Indices, Linear, sobol
 from mic.sampling.draw import draw
 from mic.scene import Scene
+from mic.studies.screening import MANY, bounds, left_out
 
 __all__ = ["Contributors", "contributors", "groups", "joint_ranking"]
 
@@ -77,7 +78,8 @@ def contributors(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples : int
-        N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary.
+        N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary. Of more than
+        :data:`mic.studies.screening.MANY` contributors those count as one that hardly matter, by their derivatives.
     seed : int
     threads : int
     progress : callable, optional
@@ -109,13 +111,43 @@ def contributors(
     x_a, x_b = draw(scene, seed, 0, samples), draw(scene, seed, samples, samples)
     many = draw(scene, seed, 2 * samples, DRAWS)
     a, b = measured(x_a), measured(x_b)
+    every, bound = own, np.full((len(own), a.shape[1]), np.nan)
+    if len(own) > MANY:
+        found_bound = bounds(model, process.law, own, seed=seed, progress=progress)
+        if found_bound is not None:
+            varies = np.nanstd(a, axis=0) > SMALLEST
+            bound = np.where(varies, found_bound, np.nan)
+            own = _joined(own, left_out(found_bound, varies))
     mixed = np.stack([measured(_with(x_a, columns, x_b)) for columns in own.values()])
     slopes, r_squared = _regression(np.concatenate([x_a, x_b]), np.concatenate([a, b]))
     linear = Linear(_parts(x_a, own, slopes), _parts(x_b, own, slopes), *_moments(_parts(many, own, slopes)))
     found = sobol(a, b, mixed, linear)
     tangent, _ = _moments(_parts(many, own, _tangent(model, many.std(axis=0), measured)))
     evaluations = samples * (len(own) + 2) + 2 * int((many.std(axis=0) > 0).sum())
-    return _tabled(model, process.law, list(own), found, r_squared, linear.variance, tangent, evaluations)
+    done = _tabled(model, process.law, list(own), found, r_squared, linear.variance, tangent, evaluations)
+    return Contributors(_with_bounds(done.table, every, own, bound, process.law, scene), done.linearity)
+
+
+def _joined(own: dict[str, list[int]], out: np.ndarray) -> dict[str, list[int]]:
+    """Contributors of which those that are left out are one."""
+    names = list(own)
+    kept = {name: own[name] for name, left in zip(names, out) if not left}
+    others = sorted(j for name, left in zip(names, out) if left for j in own[name])
+    return kept | ({f"{int(out.sum())} others": others} if others else {})
+
+
+def _with_bounds(table, every, own, bound: np.ndarray, law: str, scene) -> pd.DataFrame:
+    """The table with the bounds, and rows of the contributors that were left out."""
+    told = {(item.name, name): bound[i, k] for i, name in enumerate(every) for k, item in enumerate(scene.measurements)}
+    keys = list(zip(table["measurement"], table["contributor"]))
+    table = table.assign(bound=[float(told.get(key, np.nan)) for key in keys])
+    rest = [
+        {"law": law, "measurement": item.name, "contributor": name, "bound": float(told[item.name, name])}
+        for item in scene.measurements
+        for name in every
+        if name not in own
+    ]
+    return pd.concat([table, pd.DataFrame(rest)], ignore_index=True)[CONTRIBUTORS.names] if rest else table
 
 
 def _with(x: np.ndarray, columns: Sequence[int], other: np.ndarray) -> np.ndarray:
@@ -196,7 +228,7 @@ def _tabled(model, law, names, found: Indices, r_squared, regression, tangent, e
             }
         )
     table, linearity = pd.DataFrame(rows), pd.DataFrame(told)
-    return Contributors(table[CONTRIBUTORS.names], linearity[LINEARITY.names])
+    return Contributors(table, linearity[LINEARITY.names])
 
 
 def _told(value: float, varies: bool) -> float:
