@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -15,7 +14,7 @@ from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
-from mic.model.sources import changed, sources
+from mic.model.sources import sources
 from mic.process.drive import Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
@@ -149,7 +148,11 @@ class Process:
         check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         rubs = obeyed.frictional
-        self._changing = [j for j, source in enumerate(sources(model.scene)) if source.changes and rubs]
+        self._changing = [
+            j
+            for j, source in enumerate(sources(model.scene))
+            if source.changes == "compliance" or (source.changes and rubs)
+        ]
         self._changed_by, self._limited = np.zeros(len(self._changing)), limited
         self._varied: dict[bytes, Process] = {}
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
@@ -266,14 +269,14 @@ class Process:
         ]
 
     def _changed(self, amplitudes: np.ndarray) -> Process:
-        """The process with contacts as these deviations change them; rows and compliance stay as they are."""
+        """The process with contacts and parts as these deviations change them; shapes stay as they are."""
         key = amplitudes.tobytes()
         if key not in self._varied:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
-            model = replace(self.model, contacts=changed(self.model.scene, self.model.contacts, deviations))
-            kept = {name: getattr(self.model, name) for name in ("eliminations", "likely", "rest")}
-            vars(model).update(kept)
+            model = self.model.changed(deviations)
+            kept = ["likely", "rest"] + ["eliminations"] * (model.compliance is self.model.compliance)
+            vars(model).update({name: getattr(self.model, name) for name in kept})
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
@@ -282,6 +285,7 @@ class Process:
             except SceneError as problem:  # what rests under the scene's friction may not under the sample's
                 raise ImpossibleSample(str(problem)) from problem
             process._changed_by = amplitudes
+            vars(process)["_unit_motions"] = self._unit_motions
             if len(self._varied) >= KEPT:
                 self._varied.clear()
             self._varied[key] = process
@@ -299,7 +303,7 @@ class Process:
         """The same process without limits of forces."""
         settings = {name: self._settings[name] for name in ("tol", "threads")}
         backend = "native" if self._settings["backend"] == "native" else "paper"
-        return Process(
+        process = Process(
             self.model,
             self.law,
             backend=backend,
@@ -308,6 +312,8 @@ class Process:
             limited=False,
             **settings,
         )
+        process._changed_by = self._changed_by  # the model's contacts are changed already
+        return process
 
     def attempt(self, deviations: np.ndarray) -> Evaluation:
         """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
@@ -369,7 +375,9 @@ class Process:
     def _unit_motions(self) -> np.ndarray:
         """(p, 6P) rigid motions of these shapes, beside the elastic readings of the forces that make them."""
         model = self.model
-        return model.compliance.fit(model.shape.T - model.compliance.displace(model.shape_forces.T))
+        moved = [not source.thickening() for source in sources(model.scene)]  # where faces move, the middle does not
+        shape = model.shape * np.array(moved, dtype=float)
+        return model.compliance.fit(shape.T - model.compliance.displace(model.shape_forces.T))
 
     @cached_property
     def _last_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -35,6 +35,7 @@ __all__ = [
     "MeasuredDeviation",
     "ShapeDeviation",
     "TemperatureDeviation",
+    "ThicknessDeviation",
 ]
 
 
@@ -159,6 +160,24 @@ class FrictionDeviation(_Deviation):
     mean: FiniteFloat = Field(0.0, description="added to the coefficient")
     sigma: NonNegative = Field(description="standard deviation of the coefficient")
     moves: ClassVar[str | None] = "zones"
+
+
+class ThicknessDeviation(_Deviation):
+    """``kind = "thickness"``: by how much a sheet is thicker all over than its part's `thickness`.
+
+    Its stiffness, its weight and its faces follow; the shape stays that of the middle of the sheet, and deviations of
+    shape stay as large as they are. Its samples are solved one by one. One that lies beyond six σ is counted as failed.
+    """
+
+    kind: Literal["thickness"] = Field(description='`"thickness"`')
+    part: Name = Field(description="the part whose thickness varies")
+    mean: FiniteFloat = Field(0.0, description="mm, added to the part's `thickness`")
+    sigma: NonNegative = Field(description="standard deviation, mm")
+    skin: Literal[-1, 0, 1] = Field(
+        0,
+        description="what of the sheet stays where it is drawn, and is located, clamped and measured: 0 its middle, 1 "
+        "the skin on the side of the mesh's normals, -1 the other; gaps change by what the other faces move",
+    )
 
 
 class ShapeDeviation(_Deviation):
@@ -301,6 +320,7 @@ Deviation = Annotated[
     | FieldDeviation
     | GravityDeviation
     | TemperatureDeviation
+    | ThicknessDeviation
     | FrictionDeviation,
     Field(discriminator="kind"),
 ]
