@@ -55,11 +55,9 @@ class Part:
 
     def at(self, thickness: float) -> Part:
         """The part at another thickness, mm: its middle surface stays, what reads a face goes with that face."""
-        f, before = self.functionals, self.thickness
-        faces = np.sign(f.side)
-        side = np.where(
-            np.abs(f.side) == 1.0, f.side, faces * (np.abs(f.side) * before + thickness - before) / thickness
-        )
+        f, more = self.functionals, thickness - self.thickness
+        off = np.abs(f.side)
+        moved = np.sign(f.side) * (off * self.thickness + more) / thickness
         return replace(
             self,
             name=f"{self.name} at {thickness:.6g} mm",

@@ -84,7 +84,7 @@ class Thicknesses:
 
     def _shares(self, thickness: float) -> np.ndarray:
         """(k,) Lagrange's polynomials at a thickness."""
-        away = (thickness - self.t) / (self.t[-1] - self.t[0])
-        apart = (self.t[:, None] - self.t) / (self.t[-1] - self.t[0])
         others = ~np.eye(len(self.t), dtype=bool)
-        return np.array([np.prod(away[row] / own[row]) for row, own in zip(others, apart)])
+        return np.array(
+            [np.prod((thickness - self.t[row]) / (own - self.t[row])) for row, own in zip(others, self.t)]
+        )
