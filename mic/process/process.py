@@ -18,7 +18,7 @@ from mic.model.sources import sources
 from mic.process.drive import Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
-from mic.process.plan import Step, plan_stages, yielding
+from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
 from mic.product import one_thread, product
@@ -107,6 +107,8 @@ class Process:
         :attr:`mic.process.model.ReducedModel.likely`.
     limited : bool
         Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
+    plans : sequence of StagePlan, optional
+        Those of the model's scene, where it is known that contact holds what rests; default: made and looked at.
 
     Attributes
     ----------
@@ -130,6 +132,7 @@ class Process:
         path_tolerance: float | None = None,
         starts: Mapping[tuple[str, Step], np.ndarray] | None = None,
         limited: bool = True,
+        plans: Sequence[StagePlan] | None = None,
     ):
         self.model, self.law = model, law
         contacts = model.contacts
@@ -144,8 +147,9 @@ class Process:
             "threads": threads,
             "dimension": contacts.dimension,
         }
-        self._plans = plan_stages(model.scene, model.weld_size, limited)
-        check_resting(model, self._plans, [obeyed.name])
+        self._plans = plan_stages(model.scene, model.weld_size, limited) if plans is None else plans
+        if plans is None:
+            check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         rubs = obeyed.frictional
         self._changing = [
@@ -275,14 +279,19 @@ class Process:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
             model = self.model.changed(deviations)
-            kept = ["likely", "rest"] + ["eliminations"] * (model.compliance is self.model.compliance)
-            vars(model).update({name: getattr(self.model, name) for name in kept})
+            vars(model).update({name: getattr(self.model, name) for name in ("likely", "rest")})
+            if model.compliance is self.model.compliance:
+                vars(model)["eliminations"] = self.model.eliminations
+            elif self._limited:
+                vars(model)["eliminations"] = eliminate_steps(model, self._plans)
+            smooth = (model.contacts.friction == self.model.contacts.friction).all()
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
+            how["plans"] = self._plans if smooth else None  # what rests under the scene's friction may not under another
             try:
                 process = Process(model, self.law, backend=backend, **how)
-            except SceneError as problem:  # what rests under the scene's friction may not under the sample's
+            except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
             process._changed_by = amplitudes
             vars(process)["_unit_motions"] = self._unit_motions
