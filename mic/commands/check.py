@@ -34,8 +34,8 @@ from mic.results.schema import DENSITY
 from mic.scene import load_scene
 from mic.store import replacing
 from mic.studies import density
-from mic.studies.thickness import AWAY, interpolated
 from mic.studies.order import doubts
+from mic.studies.thickness import AWAY, interpolated
 
 __all__ = [
     "check",

@@ -24,7 +24,7 @@ from mic.errors import ImpossibleSample
 
 __all__ = ["Thicknesses", "chebyshev"]
 
-ERROR = 1e-6  # of H: what the interpolation may leave, by the estimate above
+ERROR = 1e-5  # of H: what the interpolation may leave, by the estimate above
 FEWEST, MOST = 3, 9  # thicknesses
 BEYOND = 1.001  # of the range of the thicknesses: how far the compliance is known
 
@@ -85,6 +85,4 @@ class Thicknesses:
     def _shares(self, thickness: float) -> np.ndarray:
         """(k,) Lagrange's polynomials at a thickness."""
         others = ~np.eye(len(self.t), dtype=bool)
-        return np.array(
-            [np.prod((thickness - self.t[row]) / (own - self.t[row])) for row, own in zip(others, self.t)]
-        )
+        return np.array([np.prod((thickness - self.t[row]) / (own - self.t[row])) for row, own in zip(others, self.t)])

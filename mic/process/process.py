@@ -288,7 +288,9 @@ class Process:
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
-            how["plans"] = self._plans if smooth else None  # what rests under the scene's friction may not under another
+            how["plans"] = (
+                self._plans if smooth else None
+            )  # what rests under the scene's friction may not under another
             try:
                 process = Process(model, self.law, backend=backend, **how)
             except SceneError as problem:
