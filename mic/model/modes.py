@@ -6,6 +6,17 @@ Of n measured pieces with the deviations ``d_i`` (c,) at common points, the mean
     d = mean + Σ_k a_k φ_k,        φ_k = σ_k u_k,        a_k of mean 0 and standard deviation 1,
 
 and piece i has ``a_k = √(n−1) w_ik``. As few modes are kept as hold a share of the variance.
+
+Where the noise of a measured point is known, pieces are first freed of what is no more than noise. Of the pieces as
+they are, mean and all, in units of the noise, noise alone has no singular value beyond ``√c + √n``; what lies below is
+left out. The mean is the largest of all shapes, and what the modes have of it is told apart from noise by that. What
+remains is ``Z Wᵀ``, each column of Z with the noise of one measured piece, so that the mean has ``|Wᵀ1/n|`` times that,
+and mode k ``|B w_k|`` times, with ``B = [W − mean]ᵀ/√(n−1)``.
+
+References
+----------
+K. R. Davidson, S. J. Szarek: Local operator theory, random matrices and Banach spaces. *Handbook of the Geometry of
+Banach Spaces* 1 (2001), 317–366: theorem II.13, singular values of noise.
 """
 
 from __future__ import annotations
@@ -163,30 +174,55 @@ def _measured(
     _refuse_alike(at, files, pieces)
     points, values, share_of_noise = _common(at, item, surface, pieces)
     n = len(pieces)
-    mean = values.mean(axis=1)
     noise = item.noise * share_of_noise
+    Z, W, rest = _beyond_noise(values, noise) if n > 1 and item.noise and not item.pieces else (values, None, 0.0)
+    mean = values.mean(axis=1) if W is None else Z @ W.mean(axis=0)
+    of_mean = 1 / np.sqrt(n) if W is None else float(np.linalg.norm(W.mean(axis=0)))
     common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": _rounded(points), "loose": True}
-    middle = {"mean": item.mean, "sigma": 0.0, "noise": _noise(noise / np.sqrt(n)), "values": _rounded(mean)}
+    middle = {"mean": item.mean, "sigma": 0.0, "noise": _noise(noise * of_mean), "values": _rounded(mean)}
     said = f"{at}: {n} pieces at {len(points)} points, off by {np.abs(values).max():.3g} mm at most{_fitted(pieces)}"
     if n == 1:
         return [ShapeDeviation(name=item.name, **common, **middle)], said.replace("1 pieces", "1 piece"), inputs
     common["batch"] = item.name
-    U, Σ, Wt = np.linalg.svd((values - mean[:, None]) / np.sqrt(n - 1), full_matrices=False)
+    centred = values - mean[:, None] if W is None else Z @ (W - W.mean(axis=0)).T
+    U, Σ, Wt = np.linalg.svd(centred / np.sqrt(n - 1), full_matrices=False)
     variance = np.cumsum(Σ**2)
     if variance[-1] == 0.0:
         raise SceneError(f"{at}: files: the {n} pieces are all alike; give one, or pieces that differ")
     share = (1.0 if item.pieces else item.share) * (1 - 1e-12)
     kept = min(int(np.searchsorted(variance, share * variance[-1])) + 1, n - 1)
     scores = np.sqrt(n - 1) * Wt[:kept].T
-    modes = {"sigma": item.sigma, "noise": _noise(noise / np.sqrt(n - 1))}
+    of_mode = np.full(kept, 1 / np.sqrt(n - 1))
+    if W is not None:
+        of_mode = np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:kept].T, axis=0) / np.sqrt(n - 1)
     made = [ShapeDeviation(name=f"{item.name}.mean", **common, **middle)] if item.mean else []
     for k in range(kept if item.sigma else 0):
         drawn = {"distribution": item.distribution, "parameters": item.parameters}
         how = {"scores": _rounded(scores[:, k])} if item.pieces else drawn
         name, own = f"{item.name}.{k + 1}", _rounded(Σ[k] * U[:, k])
-        made.append(ShapeDeviation(name=name, values=own, **common, **modes, **how))
+        uncertain = {"sigma": item.sigma, "noise": _noise(noise * of_mode[k])}
+        made.append(ShapeDeviation(name=name, values=own, **common, **uncertain, **how))
     said += f"; {kept} modes keep {100 * variance[kept - 1] / variance[-1]:.3g} % of the variance"
+    if W is not None:
+        said += f", what is left scatters by {rest:.2g} mm at a point and is taken for noise"
     return made, said + ("" if item.pieces else _not_normal(item, scores)), inputs
+
+
+def _beyond_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """What of pieces (c, n) noise cannot be, ``Z Wᵀ`` with Z (c, r) and W (n, r), and how far they scatter about it.
+
+    Parameters
+    ----------
+    values : (c, n) array
+    noise : (c,) array
+        Standard uncertainty of each piece's value at each point.
+    """
+    c, n = values.shape
+    U, S, Wt = np.linalg.svd(values / noise[:, None], full_matrices=False)
+    r = max(1, int((S > np.sqrt(c) + np.sqrt(n)).sum()))
+    Z, W = noise[:, None] * (U[:, :r] * S[:r]), Wt[:r].T
+    free = max(1, (c - r) * (n - r))
+    return Z, W, float(np.sqrt(((values - Z @ W.T) ** 2).sum() / free))
 
 
 def _files(at: str, pattern: str, folder: Path) -> list[Path]:

@@ -15,7 +15,7 @@ with any position q of the part if it was measured loose, without q and the last
 smoothing spline of the sheet's own stiffness, so that nothing is carried across a fold that the sheet does not carry.
 λ = 0 passes through the values. Where they are uncertain by σ_i, ``W = diag σ_i²``, what is found is ``A_λ v``, and
 λ is the one of least expected error, by its unbiased estimate ``Σ_i (v − A_λ v)_i²/σ_i² + 2 tr A_λ`` (Craven, Wahba),
-summed over all shapes that share the rows.
+for each shape its own.
 
 A part that has grown by the strain ε in all directions, as a warmer one has, is free of stress, too: ``y⁰`` reads the
 displacement ``ε x``, less the rigid motion that the datum rows would read of it, and f⁰ = 0.
@@ -128,15 +128,15 @@ def controlling_forces(C: np.ndarray, G: np.ndarray, controls: Sequence[Control]
             + ", where the shape cannot be another; move it, or remove it"
         )
     amplitude = modes.T @ N.T @ V
-    λ = 0.0
+    λ = np.zeros(len(controls))
     if noisy:
-        σ2 = float(np.mean(variance))
+        σ2 = np.array([np.mean(control.noise**2) for control in controls])
         trial = np.geomspace(SOFT * stiff[0], stiff[-1] / SOFT, TRIALS)
         missed = (trial / (stiff[:, None] + trial)) ** 2
         followed = stiff[:, None] / (stiff[:, None] + trial)
-        risk = (amplitude**2).sum(axis=1) @ missed + 2 * σ2 * followed.sum(axis=0)
-        λ = float(trial[np.argmin(risk)])
-    return N @ modes @ (amplitude / (stiff + λ)[:, None]) / weight[:, None]
+        risk = (amplitude**2).T @ missed + 2 * np.outer(σ2, followed.sum(axis=0))
+        λ = trial[np.argmin(risk, axis=1)]
+    return N @ modes @ (amplitude / (stiff[:, None] + λ)) / weight[:, None]
 
 
 def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray]:
