@@ -16,6 +16,7 @@ from mic.compliance.thickness import ERROR, Thicknesses, chebyshev
 from mic.model.assembly import assemble
 from mic.model.one_sigma import one_sigma
 from mic.model.shape import thickening
+from mic.model.sources import changed
 from mic.process.model import ReducedModel
 from mic.scene.load import read_table
 from mic.studies import thickness
@@ -105,6 +106,20 @@ def test_gaps_change_by_what_the_faces_move(assembled, part, skin, change):
     assert len(gaps) > 10 and (gaps == change).all()
     for kind in ("locator", "clamp", "force", "measurement"):
         assert not (rows[kind] @ faces).any()
+
+
+def test_what_yields_through_the_sheets_follows(cache):
+    """Of candidates, ``(t_a + t_b)/2 / (E A)``; nothing else of the contacts does."""
+    table = lap([T])
+    table["zones"][0].pop("pairs")
+    table["parts"][0]["thickness"] = 0.8
+    assembly = assemble(read(table), cache)
+    before, after = assembly.contacts, changed(assembly, np.array([0.06])).contacts
+    assert before.watched.all() and len(before) > 20
+    np.testing.assert_allclose(before.layer, 1.8 / 2 / (210e3 * before.area))
+    np.testing.assert_allclose(after.layer, 1.86 / 2 / (210e3 * before.area))
+    assert replace(after, layer=before.layer).gap is before.gap and (after.friction == before.friction).all()
+    assert changed(assembly, np.array([0.0])) is assembly
 
 
 @pytest.mark.fem

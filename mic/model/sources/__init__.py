@@ -78,10 +78,11 @@ def changed(assembly, deviations: np.ndarray):
             contacts = source.change(contacts, float(amplitude))
     if contacts is assembly.contacts:
         return assembly
-    drawn = {part.name: part.sheet[0] for part in scene.parts}
+    more = thicker(scene, deviations)
     weight = np.ones(len(assembly.labels["clamp"]))
-    for name, more in thicker(scene, deviations).items():
-        own = [source.row(assembly.labels, name) for source in sources(scene) if isinstance(source, Gravity)]
-        weight[own] = 1.0 + more / drawn[name]
-    rows = {**assembly.rows, "clamp": csr_matrix(diags(weight) @ assembly.rows["clamp"])}
+    for part in scene.parts:
+        if part.name in more:
+            own = [source.row(assembly.labels, part.name) for source in sources(scene) if isinstance(source, Gravity)]
+            weight[own] = 1.0 + more[part.name] / part.sheet[0]
+    rows = {**assembly.rows, "clamp": csr_matrix(diags(weight) @ assembly.rows["clamp"])} if more else assembly.rows
     return replace(assembly, contacts=contacts, rows=rows)
