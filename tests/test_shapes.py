@@ -12,6 +12,7 @@ from scipy.special import k1
 import mic
 from mic.errors import FormatError, SceneError
 from mic.geometry.cloud import Cloud, deviations, read_cloud, spread
+from mic.geometry.deck import UNITS
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.modes import write_modes
@@ -172,6 +173,14 @@ def test_a_cloud_of_another_part_is_refused(angle):
         deviations("door.csv", Cloud(far, None), angle, 0.0, False, 5.0)
 
 
+@pytest.mark.parametrize("read, unit", [("mm", "m"), ("mm", "um"), ("mm", "in"), ("m", "mm"), ("um", "m")])
+def test_a_cloud_in_another_unit_is_told_which_it_may_be(angle, read, unit):
+    """The points are in `unit` and were read as if in `read`."""
+    cloud = scanned(angle, np.random.default_rng(4))[0] * UNITS[read][0] / UNITS[unit][0]
+    with pytest.raises(FormatError, match=rf'they span \S+ mm and the part \S+ mm: give unit = "{unit}"'):
+        deviations("a.csv", Cloud(cloud, None), angle, 0.0, True, 5.0, read)
+
+
 def test_points_are_spread_so_that_none_is_far_from_one(angle):
     chosen = angle.points[spread(angle, 20.0)]
     apart = np.linalg.norm(angle.points[:, None] - chosen[None], axis=2)
@@ -299,6 +308,26 @@ def test_a_scan_is_taken_at_points_spread_over_the_part_each_side_of_a_bend_for_
     assert np.median(noise[border]) > 1.5 * np.median(noise[~border])  # where points lie on one side alone
     assert (np.abs(at[:, 1] - 60) < 1e-6).any()
     assert np.sqrt(np.mean((only.known - bumps(at)) ** 2)) < 0.05 * 0.4  # a twentieth of the bumps
+
+
+def test_points_lie_as_near_to_each_other_as_measured_ones_allow(angle, tmp_path):
+    """Seven hundred points on the part, on which five thousand would be needed for the usual distance."""
+    cloud, _, _ = scanned(angle, np.random.default_rng(6), 700)
+    write(tmp_path, cloud)
+    keys = {"kind": "measured", "files": "piece.csv", "align": False}
+    (found,) = write_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None}).scene.deviations
+    assert 30 < len(found.points) < 150
+    with pytest.raises(SceneError, match="measured points of every piece within 4.5 mm; give a larger spacing"):
+        write_modes(scene_of(tmp_path, **keys, spacing=6.0), {"a": angle}, {"a": None})
+
+
+def test_a_folder_of_another_part_is_one_mistake(angle, tmp_path):
+    for i in range(9):
+        write(tmp_path, np.random.default_rng(i).uniform(200, 300, (50, 3)), name=f"p{i}.csv")
+    with pytest.raises(SceneError) as refused:
+        write_modes(scene_of(tmp_path, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
+    lines = str(refused.value).splitlines()
+    assert len(lines) == 4 and lines[-1].endswith("files: 6 more files are at fault; correct these first")
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])

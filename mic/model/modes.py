@@ -54,6 +54,10 @@ PER_EDGE = 4.0  # lengths of edges within a correlation length, at least
 ABOUT = 0.75  # spacings from a point within which measured ones are fitted
 FEW = 6  # measured points to which a plane is fitted
 FACING = 0.85  # cosine between normals of one side of a fold
+TOLD = 3  # files at fault that are told one by one
+WIDER = 1.25  # by which the spacing grows where too few points lie about it
+FEWEST = 30  # points, below which the spacing does not grow
+WELL = 0.9  # of the points must then have measured ones about them
 COVERED = 0.5  # of the points of a part must have measured ones about them
 NORMAL = 0.01  # probability below which scores are said not to be normal
 LONGEST = 50  # letters of a name to which the number of a mode is added
@@ -166,11 +170,11 @@ def _measured(
             try:
                 cloud = read_cloud(file, item.unit, surface, deck)
                 skin = 0.5 * item.skin * (thickness or 0.0)
-                pieces.append(deviations(file, cloud, surface, skin, item.align, item.within))
+                pieces.append(deviations(file, cloud, surface, skin, item.align, item.within, item.unit))
             except FormatError as problem:
                 raise SceneError(f"{at}: files: {problem}") from problem
             inputs[f"{item.name}: {file.name}"] = fingerprint(file.read_bytes())
-    problems.tell()
+    _tell_first(at, problems)
     _refuse_alike(at, files, pieces)
     points, values, share_of_noise = _common(at, item, surface, pieces)
     n = len(pieces)
@@ -192,13 +196,15 @@ def _measured(
     share = (1.0 if item.pieces else item.share) * (1 - 1e-12)
     kept = min(int(np.searchsorted(variance, share * variance[-1])) + 1, n - 1)
     scores = np.sqrt(n - 1) * Wt[:kept].T
+    stems = [file.stem for file in files]
+    names = stems if len(set(stems)) == n else [file.name for file in files]
     of_mode = np.full(kept, 1 / np.sqrt(n - 1))
     if W is not None:
         of_mode = np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:kept].T, axis=0) / np.sqrt(n - 1)
     made = [ShapeDeviation(name=f"{item.name}.mean", **common, **middle)] if item.mean else []
     for k in range(kept if item.sigma else 0):
         drawn = {"distribution": item.distribution, "parameters": item.parameters}
-        how = {"scores": _rounded(scores[:, k])} if item.pieces else drawn
+        how = {"scores": _rounded(scores[:, k]), "pieces": names} if item.pieces else drawn
         name, own = f"{item.name}.{k + 1}", _rounded(Σ[k] * U[:, k])
         uncertain = {"sigma": item.sigma, "noise": _noise(noise * of_mode[k])}
         made.append(ShapeDeviation(name=name, values=own, **common, **uncertain, **how))
@@ -242,6 +248,14 @@ def _files(at: str, pattern: str, folder: Path) -> list[Path]:
     return found
 
 
+def _tell_first(at: str, problems: Problems) -> None:
+    """The first files at fault, and how many there are: a folder of another unit is one mistake."""
+    more = len(problems.lines) - TOLD
+    if more > 0:
+        problems.lines[TOLD:] = [f"{at}: files: {more} more files are at fault; correct these first"]
+    problems.tell()
+
+
 def _refuse_alike(at: str, files: list[Path], pieces: list[Deviations]) -> None:
     """Two files with the same points and values are one piece that stands there twice."""
     seen: dict[bytes, Path] = {}
@@ -273,16 +287,27 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
             f"{at}: spacing: {spacing:g} mm takes more than {MOST} points on part {item.part!r}; give "
             f"{np.sqrt(SPREAD * area / MOST):.2g} mm or more"
         )
-    centres, normals = sheet_normals(surface, surface.points[spread(surface, spacing)])
-    found = [_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
-    values, shares = (np.array(each).T for each in zip(*found))
-    known = ~np.isnan(values).any(axis=1)
+    centres, values, shares = _taken(surface, pieces, spacing)
+    known, enough = ~np.isnan(values).any(axis=1), COVERED
+    while item.spacing is None and known.mean() < enough and len(centres) > FEWEST:
+        enough, spacing = WELL, WIDER * spacing
+        centres, values, shares = _taken(surface, pieces, spacing)
+        known = ~np.isnan(values).any(axis=1)
     if known.mean() < COVERED or known.sum() <= 6:
         raise SceneError(
             f"{at}: files: only {100 * known.mean():.0f} % of part {item.part!r} has {FEW} measured points of every "
             f"piece within {ABOUT * spacing:.3g} mm; give a larger spacing, or pieces that are measured all over"
         )
     return centres[known], values[known], np.sqrt(np.mean(shares[known] ** 2, axis=1))
+
+
+def _taken(surface: Surface, pieces: list[Deviations], spacing: float):
+    """Points (c, 3) of the surface, so far from each other, and what pieces have there: values and shares (c, n) as
+    :func:`_at` finds them."""
+    centres, normals = sheet_normals(surface, surface.points[spread(surface, spacing)])
+    found = [_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
+    values, shares = (np.array(each).T for each in zip(*found))
+    return centres, values, shares
 
 
 def _at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

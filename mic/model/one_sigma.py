@@ -34,10 +34,13 @@ class Shape:
         Of the deviation.
     fields : dict of str to (v, 3) array
         How far the vertices of the parts that it shapes are off, mm.
+    face : bool
+        Whether it is a face that is off, and not the middle of the sheet.
     """
 
     name: str
     fields: Mapping[str, np.ndarray]
+    face: bool = False
 
     @property
     def largest(self) -> tuple[str, int, float]:
@@ -78,4 +81,4 @@ def one_sigma(assembly: Assembly, model: Reduction) -> list[Shape]:
         moved = solved[:, :3] + grown + np.einsum("vim,mk->vik", rigid[:, :3], q)
         for k, j in enumerate(chosen):
             fields[j][part.name] = moved[:, :, k]
-    return [Shape(item.name, found) for item, found in zip(items, fields) if found]
+    return [Shape(item.name, found, item.kind == "thickness") for item, found in zip(items, fields) if found]

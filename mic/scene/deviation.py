@@ -211,9 +211,17 @@ class ShapeDeviation(_Deviation):
         description="of each measured piece of the batch, in standard deviations: a sample is one of the pieces, "
         "drawn at random, in place of the distribution",
     )
+    pieces: Annotated[list[Name], Field(min_length=2)] | None = Field(
+        None, description="with `scores`: names of these pieces, by which a table of samples may call them"
+    )
 
     @model_validator(mode="after")
     def _one_value_each(self):
+        if self.pieces is not None and len(set(self.pieces)) != len(self.scores or []):
+            raise ValueError(
+                f"there are {len(self.scores or [])} scores and {len(set(self.pieces))} names of pieces: give each of "
+                "them one"
+            )
         if self.values is not None and len(self.values) != len(self.points):
             raise ValueError(f"there are {len(self.points)} points and {len(self.values)} values: give one for each")
         if isinstance(self.noise, list) and len(self.noise) != len(self.points):
@@ -262,7 +270,7 @@ class MeasuredDeviation(_Deviation):
         None,
         description="distance of the points at which the shape is taken, each from the measured points about it, mm; "
         "left out, the measured points themselves where all pieces have the same few, else one such that there are "
-        "about 200",
+        "about 200, or as many as measured points allow",
     )
     noise: NonNegative = Field(0.0, description="standard uncertainty of a measured point, mm")
     share: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(
