@@ -107,6 +107,7 @@ DEVIATIONS = {
     "gravity": {"direction": [0.3, 0, -1], "mean": 1.0},
     "temperature": {"part": "lower", "mean": 30.0},
     "friction": {"target": "lap", "mean": -0.2},
+    "thickness": {"part": "upper", "mean": 0.08, "skin": 1},
 }
 STAGES = [
     {"kind": "locate"},

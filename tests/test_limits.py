@@ -33,6 +33,11 @@ def closing(stroke, limit, **keys):
     return at_face("b", (0, 0, -1), name="C", stroke=stroke, limit=limit, **keys)
 
 
+def closing_along(stroke, limit):
+    """A clamp that drags b's face along x."""
+    return at_face("b", (1, 0, 0), name="C", stroke=stroke, limit=limit)
+
+
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
 @pytest.mark.parametrize("keys", [{}, {"path": "one-step"}, {"increments": 3}])
 def test_a_clamp_closes_to_its_position_if_its_limit_allows_and_stops_short_if_not(law, keys):
@@ -255,3 +260,20 @@ def test_what_is_handed_on_for_the_fields_is_in_balance_and_reads_what_was_measu
     reading = model.compliance.displace(force) + model.compliance.carry(motion)
     np.testing.assert_allclose(reading @ model.rows["measurement"].T, found.measurements, atol=1e-9)
     assert found.measurements[0, 0] < -0.1
+
+
+def test_what_would_be_needed_is_that_of_the_friction_of_the_sample():
+    """The clamp drags the face over the other, pressed on by a second one: what it takes grows with friction, once."""
+    keys = {
+        "clamps": [at_face("b", (0, 0, -1), name="P", force=60.0), closing_along(0.5, 5.0)],
+        "stages": [{"kind": "locate"}, {"kind": "clamp", "order": [["P"], ["C"]]}, {"kind": "measure"}],
+    }
+    rough = [{"name": "mu", "kind": "friction", "target": "Z", "sigma": 0.1}]
+    varied = plates(gap=0.0, friction=0.2, deviations=rough, **keys)
+    needed = [
+        plates(gap=0.0, friction=0.2 + more, **keys).evaluate({}).resolutions["clamp"].needed[0] for more in (0.0, 0.1)
+    ]
+    assert abs(needed[0] - needed[1]).max() > 1.0
+    for more, expected in zip((0.0, 0.1), needed):
+        found = varied.evaluate({"mu": more}).resolutions["clamp"].needed[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-9)

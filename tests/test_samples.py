@@ -16,6 +16,7 @@ from mic.results import statistics
 from mic.results.identity import identity
 from mic.runs import run
 from mic.sampling.draw import draw
+from mic.scene.deviation import ShapeDeviation
 from mic.scene.samples import take_samples
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
@@ -49,6 +50,68 @@ def test_the_samples_are_the_rows_of_the_file(kind, lap_scene, table, tmp_path):
     np.testing.assert_array_equal(draw(scene, 9, 5, 3), expected[5:8])
     fewer, _ = take_samples(of(lap_scene, tmp_path, name, samples=5))
     assert fewer.monte_carlo.samples == 5
+
+
+SCORES = {"u1": (0.5, -1.0), "u2": (-1.25, 0.25), "u3": (0.75, 0.75)}
+
+
+@pytest.fixture
+def measured(lap_scene):
+    """Beside its own deviations a mean shape and two modes of three measured pieces."""
+    common = {"kind": "shape", "part": "upper", "points": [[110, 5, 1], [120, 20, 1]], "batch": "up"}
+    modes = [
+        ShapeDeviation(
+            name=f"up.{k + 1}", sigma=2.0, scores=[own[k] for own in SCORES.values()], pieces=[*SCORES], **common
+        )
+        for k in range(2)
+    ]
+    mean = ShapeDeviation(name="up.mean", mean=1.0, sigma=0.0, **common)
+    return lap_scene.model_copy(update={"deviations": [*lap_scene.deviations, mean, *modes]})
+
+
+@pytest.mark.parametrize("kind", ["csv", "decimal commas", "parquet", "numbers"])
+def test_a_queue_names_the_measured_pieces(kind, measured, table, tmp_path):
+    name = "samples.parquet" if kind == "parquet" else "samples.csv"
+    queue = (["u2", " u3", "u1"] * 4) if kind != "numbers" else [2, 3, 1] * 4
+    if kind == "numbers":
+        unnamed = [
+            one.model_copy(update={"pieces": None} if one.kind == "shape" else {}) for one in measured.deviations
+        ]
+        measured = measured.model_copy(update={"deviations": unnamed})
+    given = table.assign(up=queue)
+    if kind == "parquet":
+        given.to_parquet(tmp_path / name)
+    else:
+        form = {"sep": ";", "decimal": ","} if kind == "decimal commas" else {}
+        given.to_csv(tmp_path / name, index=False, **form)
+    scene, _ = take_samples(of(measured, tmp_path, name))
+    found = draw(scene, 1, 0, 12)
+    np.testing.assert_array_equal(found[:, : len(table.columns)], table.to_numpy())
+    expected = [[1.0, 2 * a, 2 * b] for a, b in (SCORES["u2"], SCORES["u3"], SCORES["u1"])]
+    np.testing.assert_array_equal(found[:, len(table.columns) :], expected * 4)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"up": "u9"}, "row 2, column up: there is no measured piece 'u9'; known: u1, u2, u3"),
+        ({"up": ""}, "row 2, column up.mean: '' is no finite number"),
+        ({"up": "u1", "up.1": 0.0}, "row 1: there are columns 'up' and 'up.1'; give the piece, or what it has of each"),
+        ({"Up": "u1"}, "there is no deviation called 'Up'"),
+        ({}, "row 1: there are no columns 'up.mean', 'up.1', 'up.2'; add them, with a value in each row"),
+    ],
+)
+def test_a_queue_of_pieces_that_nobody_measured_is_refused(change, said, measured, table, tmp_path):
+    table.assign(**change).to_csv(tmp_path / "samples.csv", index=False)
+    with pytest.raises(mic.SceneError, match=said):
+        take_samples(of(measured, tmp_path))
+
+
+@pytest.mark.parametrize("pieces", [["u1", "u2"], ["u1", "u1", "u2"], ["u1", "u2", "u3", "u4"]])
+def test_pieces_have_a_name_each(pieces, measured):
+    keys = measured.deviations[-1].model_dump() | {"pieces": pieces}
+    with pytest.raises(ValueError, match="there are 3 scores and . names of pieces: give each of them one"):
+        ShapeDeviation(**keys)
 
 
 def test_a_run_takes_them_and_its_results_are_those_of_each_assembly(lap_scene, lap_model, table, cache, tmp_path):

@@ -10,7 +10,7 @@ of all parts, shapes are found by finite elements, and each increment of each st
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -24,8 +24,8 @@ from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
 from mic.model.characteristics import Characteristics
-from mic.model.shape import controlling_forces, datum_rows, known_shapes
-from mic.model.sources import changed, sources
+from mic.model.shape import controlling_forces, datum_rows, known_shapes, thickening
+from mic.model.sources import changed, sources, thicker
 from mic.process.drive import drive
 from mic.process.plan import plan_assembly
 
@@ -200,17 +200,17 @@ class FullModel:
             For another law, or deviations that do not fit the scene.
         """
         assembly, deviations = self.assembly, np.asarray(deviations, dtype=float)
-        contacts = assembly.contacts
         if law not in LAWS:
             raise ValueError(f"law {law!r}: the full solve knows {' and '.join(LAWS)}")
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
-        rubbing = replace(assembly, contacts=changed(assembly.scene, contacts, deviations))
-        mesh, asked = self._driven(deviations)
+        made = changed(assembly, deviations)
+        contacts = made.contacts
+        mesh, asked = self._driven(made, deviations)
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
-            friction = friction_of(rubbing, laws.find(law), plan.name)
+            friction = friction_of(made, laws.find(law), plan.name)
             state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
                 state, asked
             )
@@ -223,13 +223,32 @@ class FullModel:
                 read = Characteristics.of(assembly.scene).values(readings[None])[0]
         return FullEvaluation(law, deviations, resolutions, read, tuple(history), freedoms, mesh)
 
-    def _driven(self, deviations):
-        """The meshes to solve on, and what the deviations ask of them."""
+    def _driven(self, made, deviations):
+        """The meshes to solve on, of an assembly as its deviations make it, and what the deviations ask of them."""
         assembly, mesh = self.assembly, self.nominal
-        u = self.unit_shapes @ deviations
+        u, more = self.unit_shapes @ deviations, thicker(assembly.scene, deviations)
         shape = {kind: (rows @ u)[None] for kind, rows in mesh.rows.items()}
+        parts = assembly.parts
         if self.deviated:
             parts = deviated_parts(assembly, mesh.vertex_fields(u))
             shape |= {kind: opening(assembly, kind, parts)[None] for kind in ("contact", "weld")}
-            mesh = Discretisation(assembly, parts, self.comm, self._resting)
-        return mesh, drive(assembly, deviations[None], shape)
+        if more:
+            parts = [part.at(part.thickness + more[part.name]) if part.name in more else part for part in parts]
+            faces = self._faces @ deviations
+            rows = {**assembly.rows, "rest": mesh.rest.rows}
+            shape = {kind: read + (rows[kind] @ faces)[None] for kind, read in shape.items()}
+        if self.deviated or more:
+            mesh = Discretisation(made, parts, self.comm, self._resting)
+        return mesh, drive(made, deviations[None], shape)
+
+    @cached_property
+    def _faces(self) -> np.ndarray:
+        """(F, p) how far the faces that the functionals read move per unit of each deviation, mm."""
+        assembly = self.assembly
+        names, offsets = [part.name for part in assembly.parts], assembly.offsets
+        found = np.zeros((offsets[-1], len(assembly.scene.deviations)))
+        for j, source in enumerate(sources(assembly.scene)):
+            for name, skin in source.thickening().items():
+                p = names.index(name)
+                found[offsets[p] : offsets[p + 1], j] = thickening(assembly, p, skin)
+        return found

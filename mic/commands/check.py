@@ -35,6 +35,7 @@ from mic.scene import load_scene
 from mic.store import replacing
 from mic.studies import density
 from mic.studies.order import doubts
+from mic.studies.thickness import AWAY, interpolated
 
 __all__ = [
     "check",
@@ -82,6 +83,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     model = _at_hand(assembly)
     _print_doubts(console, assembly, model)
     shapes = _print_sources(console, assembly, model)
+    _print_thicknesses(console, assembly, model, say)
     _print_cost(console, assembly, plans)
     if accuracy:
         _print_accuracy(console, assembly, say)
@@ -167,6 +169,39 @@ def _print_sources(console, assembly, model):
     if model is None:
         console.print("What 1 σ of a force makes is told once the influence coefficients are computed.")
     return shapes
+
+
+def _print_thicknesses(console, assembly, model, say):
+    """What the interpolation in each thickness leaves of the key characteristics."""
+    varied = [item.name for item in assembly.scene.deviations if item.kind == "thickness"]
+    if not varied:
+        return
+    if model is None:
+        console.print(
+            f"How well {plain(', '.join(varied))} is interpolated is told once the influence coefficients are computed."
+        )
+        return
+    try:
+        found = interpolated(assembly, model, cache_folder(), say)
+    except MissingProvider as problem:
+        console.print(f"[yellow]thickness not checked:[/] {plain(problem)}", highlight=False, soft_wrap=True)
+        return
+    for one in found:
+        if np.isnan(one.error).any():
+            said = "the assembly of mean parts cannot be computed there"
+        else:
+            k = int(np.abs(one.error).max(axis=0).argmax())
+            said = (
+                f"key characteristics change by up to {1e3 * np.abs(one.change).max():.3g} µm; interpolating between "
+                f"thicknesses errs by {1e3 * np.abs(one.error).max():.2g} µm at most "
+                f"({assembly.scene.measurements[k].name})"
+            )
+        low, high = one.thickness
+        console.print(
+            f"{plain(one.name)}: {plain(one.part)} {low:.4g} to {high:.4g} mm thick, ±{AWAY:g} σ: {plain(said)}",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def _one_sigma(assembly, item, largest) -> str:

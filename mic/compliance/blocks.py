@@ -7,17 +7,15 @@ hold, and two rows of different parts cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix
 
 __all__ = ["Blocks"]
-
-ROWS = 64  # of which H is read at a time where their own entries alone are asked for
 
 
 @dataclass(frozen=True)
@@ -70,19 +68,17 @@ class Blocks:
     def gather(self, left: csr_matrix, right: csr_matrix) -> np.ndarray:
         """(l, r) ``left H rightᵀ`` for two sets of rows over the stacked functionals."""
         out = np.zeros((left.shape[0], right.shape[0]))
-        for H, (i, L), (j, R) in zip(self.H, self._split(left), self._split(right)):
-            if len(i) and len(j):
-                p, q = np.unique(L.indices), np.unique(R.indices)
-                out[np.ix_(i, j)] += L[:, p] @ (R[:, q] @ H[np.ix_(q, p)]).T
+        if out.size:
+            for first, H in zip(self.offsets, self.H):
+                _compiled()[0](H, first, *_entries(left), *_entries(right), out)
         return out
 
     def diagonal(self, rows: csr_matrix) -> np.ndarray:
         """(r,) each row's own compliance, the diagonal of ``rows H rowsᵀ``."""
         out = np.zeros(rows.shape[0])
-        for H, (i, R) in zip(self.H, self._split(rows)):
-            for first in range(0, len(i), ROWS):
-                some = R[first : first + ROWS]
-                out[i[first : first + ROWS]] += np.asarray(some.multiply(some @ H).sum(axis=1)).ravel()
+        if out.size:
+            for first, H in zip(self.offsets, self.H):
+                _compiled()[1](H, first, *_entries(rows), out)
         return out
 
     def displace(self, forces: np.ndarray) -> np.ndarray:
@@ -107,18 +103,74 @@ class Blocks:
         """H (F, F) and G (F, 6P) with all their zeros, for small models and inspection."""
         return block_diag(*self.H), block_diag(*self.G)
 
-    def _split(self, rows: csr_matrix) -> list[tuple[np.ndarray, csr_matrix]]:
-        """Per part: the rows that touch it, and their entries on its own functionals."""
-        columns, pieces = rows.tocsc(), []
-        for own in self.functionals:
-            local = columns[:, own].tocsr()
-            touched = np.flatnonzero(np.diff(local.indptr))
-            pieces.append((touched, local[touched]))
-        return pieces
-
     @classmethod
     def single(cls, H: np.ndarray, G: np.ndarray, edges: Sequence[int] | None = None) -> Blocks:
         """Blocks of dense H (F, F) and G (F, 6P) that are cut at `edges` (default: one part)."""
         edges = [0, len(H)] if edges is None else edges
         own = [slice(a, b) for a, b in zip(edges, edges[1:])]
         return cls(tuple(H[s, s] for s in own), tuple(G[s, 6 * p : 6 * p + 6] for p, s in enumerate(own)))
+
+
+def _entries(rows: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where each row begins, and columns, ascending, and values of its entries."""
+    if not rows.has_sorted_indices:
+        rows = rows.sorted_indices()
+    return rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data.astype(float)
+
+
+@cache
+def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
+    """What adds one part's share to ``L H Rᵀ``, and to its diagonal where L is R; slicing sparse matrices would take
+    most of the time of setting up an assembly."""
+    from numba import njit  # slow to import, and most commands gather nothing
+
+    def gather(H, first, L_start, L_column, L_value, R_start, R_column, R_value, out):
+        n = len(H)
+        read = np.zeros(n, np.bool_)
+        touched = np.zeros(len(L_start) - 1, np.bool_)
+        for i in range(len(touched)):
+            for k in range(L_start[i], L_start[i + 1]):
+                if first <= L_column[k] < first + n:
+                    read[L_column[k] - first] = True
+                    touched[i] = True
+        columns, own = np.flatnonzero(read), np.flatnonzero(touched)
+        moved = np.zeros(n)
+        for j in range(len(R_start) - 1):
+            there = False
+            for k in range(R_start[j], R_start[j + 1]):
+                q = R_column[k] - first
+                if 0 <= q < n:
+                    if not there:
+                        moved[:] = 0.0
+                        there = True
+                    for p in columns:
+                        moved[p] += R_value[k] * H[q, p]
+            if there:
+                for i in own:
+                    sum = 0.0
+                    for k in range(L_start[i], L_start[i + 1]):
+                        p = L_column[k] - first
+                        if 0 <= p < n:
+                            sum += L_value[k] * moved[p]
+                    out[i, j] += sum
+
+    def diagonal(H, first, start, column, value, out):
+        n = len(H)
+        for i in range(len(out)):
+            sum = 0.0
+            for k in range(start[i], start[i + 1]):
+                p = column[k] - first
+                if 0 <= p < n:
+                    moved = 0.0
+                    for l in range(start[i], start[i + 1]):
+                        q = column[l] - first
+                        if 0 <= q < n:
+                            moved += value[l] * H[q, p]
+                    sum += value[k] * moved
+            out[i] += sum
+
+    settings = {"nogil": True, "error_model": "numpy"}
+    try:
+        return njit(gather, cache=True, **settings), njit(diagonal, cache=True, **settings)
+    except RuntimeError:  # where no folder can be written, neither here nor at home
+        return njit(gather, **settings), njit(diagonal, **settings)

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from mic.cache import ABSENT, Cache
 from mic.compliance import provider
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.part import Part
+from mic.compliance.thickness import Thicknesses, chebyshev
 from mic.store import Format
 
 __all__ = ["influence_coefficients", "is_cached"]
 
 KEPT = Format("set of influence coefficients", 2, ABSENT)
+SAME = 1e-9  # of a thickness: one that differs by less is the part's own
 
 
 def influence_coefficients(
     assembly, cache: Path, progress=None, comm: Any = None
 ) -> tuple[dict[str, InfluenceCoefficients], dict[str, bool]]:
     """Influence coefficients of all parts, from the cache where they fit, else from the part's provider.
+
+    Of a part whose thickness varies they are computed at several thicknesses, each as a part of its own.
 
     Parameters
     ----------
@@ -45,12 +52,14 @@ def influence_coefficients(
         If they must be computed and nothing that can is installed.
     """
     first = comm is None or comm.rank == 0
-    kept = {part.name: _kept(part, cache) if first else None for part in assembly.parts}
+    families = {part.name: [part, *_varied(part)] for part in assembly.parts}
+    every = list({one.name: one for family in families.values() for one in family}.values())
+    kept = {part.name: _kept(part, cache) if first else None for part in every}
     cached = {name: coefficients is not None for name, coefficients in kept.items()}
     if comm is not None:
         cached = comm.bcast(cached)
     found = {name: coefficients for name, coefficients in kept.items() if coefficients is not None}
-    missing = [part for part in assembly.parts if not cached[part.name]]
+    missing = [part for part in every if not cached[part.name]]
     for part in missing:
         if progress:
             progress(
@@ -65,12 +74,35 @@ def influence_coefficients(
             found[part.name] = computed[part.name]
             if first:
                 _keep(part, computed[part.name], cache)
-    return {part.name: found[part.name] for part in assembly.parts if part.name in found}, cached
+    whole = {
+        part.name: _whole(part, found)
+        for part in assembly.parts
+        if all(one.name in found for one in families[part.name])
+    }
+    return whole, {name: all(cached[one.name] for one in family) for name, family in families.items()}
 
 
 def is_cached(part: Part, cache: Path) -> bool:
-    """Whether the cache folder holds the part's influence coefficients, fit to be used."""
-    return _kept(part, cache) is not None
+    """Whether the cache folder holds the part's influence coefficients, fit to be used, at all thicknesses."""
+    return all(_kept(one, cache) is not None for one in [part, *_varied(part)])
+
+
+def _varied(part: Part) -> list[Part]:
+    """The part at the thicknesses at which its coefficients are wanted; none where its thickness does not vary."""
+    if part.range is None:
+        return []
+    apart = SAME * part.thickness
+    return [part if abs(t - part.thickness) <= apart else part.at(t) for t in chebyshev(*part.range)]
+
+
+def _whole(part: Part, found: dict[str, InfluenceCoefficients]) -> InfluenceCoefficients:
+    """A part's coefficients with those at other thicknesses, all found by name."""
+    own, varied = found[part.name], _varied(part)
+    if part.range is None:
+        return own
+    H, G = (np.array([getattr(found[one.name], name) for one in varied]) for name in ("H", "G"))
+    t = np.array([one.thickness for one in varied])
+    return replace(own, thicknesses=Thicknesses(t, *part.range, H, G))
 
 
 def _kept(part, cache):

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mic.compliance.thickness import Thicknesses
+
 __all__ = ["InfluenceCoefficients"]
 
 
@@ -27,6 +29,8 @@ class InfluenceCoefficients:
         centroid).
     provenance : dict
         What the coefficients were computed from (element, sizes, versions), for the record.
+    thicknesses : Thicknesses, optional
+        Those at other thicknesses, of a part whose thickness varies.
 
     Raises
     ------
@@ -38,6 +42,7 @@ class InfluenceCoefficients:
     H: np.ndarray
     G: np.ndarray
     provenance: dict = field(default_factory=dict)
+    thicknesses: Thicknesses | None = None
 
     def __post_init__(self):
         n = len(self.H)

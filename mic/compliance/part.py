@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +39,8 @@ class Part:
     functionals : Functionals
     superelement : Superelement, optional
         The part as a matrix on nodes, where its finite-element model lives elsewhere.
+    range : tuple of float, optional
+        Smallest and largest thickness, mm, of a part whose thickness varies.
     """
 
     name: str
@@ -49,9 +51,23 @@ class Part:
     element: str
     functionals: Functionals
     superelement: Superelement | None = None
+    range: tuple[float, float] | None = None
+
+    def at(self, thickness: float) -> Part:
+        """The part at another thickness, mm: its middle surface stays, what reads a face goes with that face."""
+        f, more = self.functionals, thickness - self.thickness
+        off = np.abs(f.side)
+        moved = np.sign(f.side) * (off * self.thickness + more) / thickness
+        return replace(
+            self,
+            name=f"{self.name} at {thickness:.6g} mm",
+            thickness=thickness,
+            functionals=replace(f, side=np.where((off == 0.0) | (off == 1.0), f.side, moved)),
+            range=None,
+        )
 
     def fingerprint(self) -> str:
-        """Hash of everything that the part's influence coefficients depend on."""
+        """Hash of everything that the part's influence coefficients at its thickness depend on."""
         digest = hashlib.sha256()
         f = self.functionals
         digest.update(repr((GENERATION, self.element, self.thickness, self.young, self.poisson)).encode())

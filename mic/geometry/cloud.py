@@ -25,6 +25,8 @@ SEPARATORS = (";", "\t", ",")  # of cells; else blanks
 FITS = 50  # repetitions of the best fit: each finds the nearest points anew
 STILL = 1e-9  # of the part's size: a fit that moves by less is found
 OFF = 0.05  # share of the points that may be left out
+OTHER = 20.0  # times as small, or as large: no part that was measured all over
+LIKELY = 0.5  # logarithm of the ratio of two spans: what is nearer may be one part
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,9 @@ def sheet_normals(surface: Surface, points: np.ndarray) -> tuple[np.ndarray, np.
     return foot.point, surface.smooth_normals(foot.triangle, foot.barycentric)
 
 
-def deviations(path: Path, cloud: Cloud, surface: Surface, skin: float, align: bool, within: float) -> Deviations:
+def deviations(
+    path: Path, cloud: Cloud, surface: Surface, skin: float, align: bool, within: float, unit: str = "mm"
+) -> Deviations:
     """How far a measured piece is off its nominal surface.
 
     Parameters
@@ -212,16 +216,19 @@ def deviations(path: Path, cloud: Cloud, surface: Surface, skin: float, align: b
         Whether the points are first moved as a rigid body: least squares of ``(p − x)·n − skin``.
     within : float
         Points farther off than this, mm, are left out.
+    unit : str
+        In which the file was read, for messages.
 
     Raises
     ------
     FormatError
         If more than one point in twenty is left out: another part, or another unit.
     """
+    _refuse_unit(path, cloud.points, surface, unit)
     if cloud.deviation is not None:
         foot, n = sheet_normals(surface, cloud.points)
         near = np.linalg.norm(foot - cloud.points, axis=1) <= within
-        _refuse(path, near, cloud.points, foot, within)
+        _refuse(path, near, cloud.points, foot, within, surface, unit)
         return Deviations(foot[near], n[near], cloud.deviation[near], Fit(0.0, 0.0, int((~near).sum())))
     points, turn = cloud.points, np.eye(3)
     for _ in range(FITS if align else 0):
@@ -239,19 +246,51 @@ def deviations(path: Path, cloud: Cloud, surface: Surface, skin: float, align: b
     off = ((points - foot) * n).sum(axis=1) - skin
     beside = np.linalg.norm(points - foot - ((points - foot) * n).sum(axis=1)[:, None] * n, axis=1)
     near = (np.abs(off) <= within) & (beside <= within)
-    _refuse(path, near, points, foot, within)
+    _refuse(path, near, points, foot, within, surface, unit)
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
     moved = float(np.linalg.norm(points.mean(axis=0) - cloud.points.mean(axis=0)))
     return Deviations(foot[near], n[near], off[near], Fit(moved, float(angle), int((~near).sum())))
 
 
-def _refuse(path: Path, near: np.ndarray, points: np.ndarray, foot: np.ndarray, within: float) -> None:
-    if (~near).mean() > OFF:
-        typical = float(np.median(np.linalg.norm(points - foot, axis=1)))
+def _refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:
+    """Refuse a cloud that is so much smaller or larger than the part that a best fit would lay it down anywhere."""
+    span, size = _spans(points, surface)
+    likely = _likely_unit(span, size, unit)
+    if likely is not None and max(size / span, span / size) > OTHER:
         raise FormatError(
-            f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm off the part (the median "
-            f"is {typical:.3g} mm): correct the part, the unit, or where the points were measured from; or raise within"
+            f"{path}: these points are none of all the part: they span {span:.3g} mm and the part {size:.3g} mm: give "
+            f'unit = "{likely}"'
         )
+
+
+def _refuse(path: Path, near, points, foot, within: float, surface: Surface, unit: str) -> None:
+    if (~near).mean() <= OFF:
+        return
+    typical = float(np.median(np.linalg.norm(points - foot, axis=1)))
+    where = "correct the part, the unit, or where the points were measured from; or raise within"
+    span, size = _spans(points, surface)
+    likely = _likely_unit(span, size, unit)
+    if likely is not None:
+        where = f'they span {span:.3g} mm and the part {size:.3g} mm: give unit = "{likely}"'
+    raise FormatError(
+        f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm off the part (the median "
+        f"is {typical:.3g} mm): {where}"
+    )
+
+
+def _spans(points: np.ndarray, surface: Surface) -> tuple[float, float]:
+    """Diagonals of the boxes about points and about the part, mm."""
+    span, size = (float(np.linalg.norm(np.ptp(each, axis=0))) for each in (points, surface.points))
+    return span, size
+
+
+def _likely_unit(span: float, size: float, unit: str) -> str | None:
+    """Another unit in which points would span what the part does, if one is near."""
+    if span == 0.0:
+        return None
+    away = {name: abs(np.log(size / span * UNITS[unit][0] / UNITS[name][0])) for name in UNITS}
+    likely = min(away, key=lambda name: away[name])
+    return likely if likely != unit and away[likely] < LIKELY < away[unit] else None
 
 
 def _turned(turn: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ from mic.model.modes import write_modes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.rows import AXES, Rows
-from mic.model.sources import sources
+from mic.model.sources import ranges, sources
 from mic.product import one_thread
 from mic.scene import Scene
 from mic.scene.checks import entry
@@ -296,6 +296,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         with problems:
             bodies_elsewhere[one.part.name] = _superelement(scene, one, inputs)
     problems.tell()
+    varied = ranges(scene)
     parts = tuple(
         Part(
             part.name,
@@ -304,6 +305,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
             scene.element if bodies_elsewhere[part.name] is None else ELEMENT,
             rows.functionals(part.name),
             bodies_elsewhere[part.name],
+            varied.get(part.name),
         )
         for part in scene.parts
     )

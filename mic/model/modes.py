@@ -6,6 +6,17 @@ Of n measured pieces with the deviations ``d_i`` (c,) at common points, the mean
     d = mean + Σ_k a_k φ_k,        φ_k = σ_k u_k,        a_k of mean 0 and standard deviation 1,
 
 and piece i has ``a_k = √(n−1) w_ik``. As few modes are kept as hold a share of the variance.
+
+Where the noise of a measured point is known, pieces are first freed of what is no more than noise. Of the pieces as
+they are, mean and all, in units of the noise, noise alone has no singular value beyond ``√c + √n``; what lies below is
+left out. The mean is the largest of all shapes, and what the modes have of it is told apart from noise by that. What
+remains is ``Z Wᵀ``, each column of Z with the noise of one measured piece, so that the mean has ``|Wᵀ1/n|`` times that,
+and mode k ``|B w_k|`` times, with ``B = [W − mean]ᵀ/√(n−1)``.
+
+References
+----------
+K. R. Davidson, S. J. Szarek: Local operator theory, random matrices and Banach spaces. *Handbook of the Geometry of
+Banach Spaces* 1 (2001), 317–366: theorem II.13, singular values of noise.
 """
 
 from __future__ import annotations
@@ -43,6 +54,10 @@ PER_EDGE = 4.0  # lengths of edges within a correlation length, at least
 ABOUT = 0.75  # spacings from a point within which measured ones are fitted
 FEW = 6  # measured points to which a plane is fitted
 FACING = 0.85  # cosine between normals of one side of a fold
+TOLD = 3  # files at fault that are told one by one
+WIDER = 1.25  # by which the spacing grows where too few points lie about it
+FEWEST = 30  # points, below which the spacing does not grow
+WELL = 0.9  # of the points must then have measured ones about them
 COVERED = 0.5  # of the points of a part must have measured ones about them
 NORMAL = 0.01  # probability below which scores are said not to be normal
 LONGEST = 50  # letters of a name to which the number of a mode is added
@@ -155,38 +170,65 @@ def _measured(
             try:
                 cloud = read_cloud(file, item.unit, surface, deck)
                 skin = 0.5 * item.skin * (thickness or 0.0)
-                pieces.append(deviations(file, cloud, surface, skin, item.align, item.within))
+                pieces.append(deviations(file, cloud, surface, skin, item.align, item.within, item.unit))
             except FormatError as problem:
                 raise SceneError(f"{at}: files: {problem}") from problem
             inputs[f"{item.name}: {file.name}"] = fingerprint(file.read_bytes())
-    problems.tell()
+    _tell_first(at, problems)
     _refuse_alike(at, files, pieces)
     points, values, share_of_noise = _common(at, item, surface, pieces)
     n = len(pieces)
-    mean = values.mean(axis=1)
     noise = item.noise * share_of_noise
+    Z, W, rest = _beyond_noise(values, noise) if n > 1 and item.noise and not item.pieces else (values, None, 0.0)
+    mean = values.mean(axis=1) if W is None else Z @ W.mean(axis=0)
+    of_mean = 1 / np.sqrt(n) if W is None else float(np.linalg.norm(W.mean(axis=0)))
     common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": _rounded(points), "loose": True}
-    middle = {"mean": item.mean, "sigma": 0.0, "noise": _noise(noise / np.sqrt(n)), "values": _rounded(mean)}
+    middle = {"mean": item.mean, "sigma": 0.0, "noise": _noise(noise * of_mean), "values": _rounded(mean)}
     said = f"{at}: {n} pieces at {len(points)} points, off by {np.abs(values).max():.3g} mm at most{_fitted(pieces)}"
     if n == 1:
         return [ShapeDeviation(name=item.name, **common, **middle)], said.replace("1 pieces", "1 piece"), inputs
     common["batch"] = item.name
-    U, Σ, Wt = np.linalg.svd((values - mean[:, None]) / np.sqrt(n - 1), full_matrices=False)
+    centred = values - mean[:, None] if W is None else Z @ (W - W.mean(axis=0)).T
+    U, Σ, Wt = np.linalg.svd(centred / np.sqrt(n - 1), full_matrices=False)
     variance = np.cumsum(Σ**2)
     if variance[-1] == 0.0:
         raise SceneError(f"{at}: files: the {n} pieces are all alike; give one, or pieces that differ")
     share = (1.0 if item.pieces else item.share) * (1 - 1e-12)
     kept = min(int(np.searchsorted(variance, share * variance[-1])) + 1, n - 1)
     scores = np.sqrt(n - 1) * Wt[:kept].T
-    modes = {"sigma": item.sigma, "noise": _noise(noise / np.sqrt(n - 1))}
+    stems = [file.stem for file in files]
+    names = stems if len(set(stems)) == n else [file.name for file in files]
+    of_mode = np.full(kept, 1 / np.sqrt(n - 1))
+    if W is not None:
+        of_mode = np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:kept].T, axis=0) / np.sqrt(n - 1)
     made = [ShapeDeviation(name=f"{item.name}.mean", **common, **middle)] if item.mean else []
     for k in range(kept if item.sigma else 0):
         drawn = {"distribution": item.distribution, "parameters": item.parameters}
-        how = {"scores": _rounded(scores[:, k])} if item.pieces else drawn
+        how = {"scores": _rounded(scores[:, k]), "pieces": names} if item.pieces else drawn
         name, own = f"{item.name}.{k + 1}", _rounded(Σ[k] * U[:, k])
-        made.append(ShapeDeviation(name=name, values=own, **common, **modes, **how))
+        uncertain = {"sigma": item.sigma, "noise": _noise(noise * of_mode[k])}
+        made.append(ShapeDeviation(name=name, values=own, **common, **uncertain, **how))
     said += f"; {kept} modes keep {100 * variance[kept - 1] / variance[-1]:.3g} % of the variance"
+    if W is not None:
+        said += f", what is left scatters by {rest:.2g} mm at a point and is taken for noise"
     return made, said + ("" if item.pieces else _not_normal(item, scores)), inputs
+
+
+def _beyond_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """What of pieces (c, n) noise cannot be, ``Z Wᵀ`` with Z (c, r) and W (n, r), and how far they scatter about it.
+
+    Parameters
+    ----------
+    values : (c, n) array
+    noise : (c,) array
+        Standard uncertainty of each piece's value at each point.
+    """
+    c, n = values.shape
+    U, S, Wt = np.linalg.svd(values / noise[:, None], full_matrices=False)
+    r = max(1, int((S > np.sqrt(c) + np.sqrt(n)).sum()))
+    Z, W = noise[:, None] * (U[:, :r] * S[:r]), Wt[:r].T
+    free = max(1, (c - r) * (n - r))
+    return Z, W, float(np.sqrt(((values - Z @ W.T) ** 2).sum() / free))
 
 
 def _files(at: str, pattern: str, folder: Path) -> list[Path]:
@@ -204,6 +246,14 @@ def _files(at: str, pattern: str, folder: Path) -> list[Path]:
     if not found:
         raise SceneError(f"{at}: files: there is no file {pattern!r} in {folder}; correct the name or the pattern")
     return found
+
+
+def _tell_first(at: str, problems: Problems) -> None:
+    """The first files at fault, and how many there are: a folder of another unit is one mistake."""
+    more = len(problems.lines) - TOLD
+    if more > 0:
+        problems.lines[TOLD:] = [f"{at}: files: {more} more files are at fault; correct these first"]
+    problems.tell()
 
 
 def _refuse_alike(at: str, files: list[Path], pieces: list[Deviations]) -> None:
@@ -237,16 +287,27 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
             f"{at}: spacing: {spacing:g} mm takes more than {MOST} points on part {item.part!r}; give "
             f"{np.sqrt(SPREAD * area / MOST):.2g} mm or more"
         )
-    centres, normals = sheet_normals(surface, surface.points[spread(surface, spacing)])
-    found = [_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
-    values, shares = (np.array(each).T for each in zip(*found))
-    known = ~np.isnan(values).any(axis=1)
+    centres, values, shares = _taken(surface, pieces, spacing)
+    known, enough = ~np.isnan(values).any(axis=1), COVERED
+    while item.spacing is None and known.mean() < enough and len(centres) > FEWEST:
+        enough, spacing = WELL, WIDER * spacing
+        centres, values, shares = _taken(surface, pieces, spacing)
+        known = ~np.isnan(values).any(axis=1)
     if known.mean() < COVERED or known.sum() <= 6:
         raise SceneError(
             f"{at}: files: only {100 * known.mean():.0f} % of part {item.part!r} has {FEW} measured points of every "
             f"piece within {ABOUT * spacing:.3g} mm; give a larger spacing, or pieces that are measured all over"
         )
     return centres[known], values[known], np.sqrt(np.mean(shares[known] ** 2, axis=1))
+
+
+def _taken(surface: Surface, pieces: list[Deviations], spacing: float):
+    """Points (c, 3) of the surface, so far from each other, and what pieces have there: values and shares (c, n) as
+    :func:`_at` finds them."""
+    centres, normals = sheet_normals(surface, surface.points[spread(surface, spacing)])
+    found = [_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
+    values, shares = (np.array(each).T for each in zip(*found))
+    return centres, values, shares
 
 
 def _at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

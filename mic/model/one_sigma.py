@@ -4,6 +4,8 @@ The shape is that of :mod:`mic.model.shape`: the part stands on its datum rows D
 field ``Φ f⁰`` of the forces that make it, or ``ε x`` of a part that grows, and the rigid modes R,
 
     u(x) = Φ(x) f⁰ + R(x) q,        D G q = −D H f⁰.
+
+Of a sheet that is thicker it is how far the face goes that moves, or one of both, along the normals.
 """
 
 from __future__ import annotations
@@ -32,10 +34,13 @@ class Shape:
         Of the deviation.
     fields : dict of str to (v, 3) array
         How far the vertices of the parts that it shapes are off, mm.
+    face : bool
+        Whether it is a face that is off, and not the middle of the sheet.
     """
 
     name: str
     fields: Mapping[str, np.ndarray]
+    face: bool = False
 
     @property
     def largest(self) -> tuple[str, int, float]:
@@ -57,6 +62,10 @@ def one_sigma(assembly: Assembly, model: Reduction) -> list[Shape]:
     amplitude = np.array([item.sigma or item.mean for item in items])
     grows = [source.expansion() for source in sources(model.scene)]
     fields: list[dict[str, np.ndarray]] = [{} for _ in items]
+    bodies = {part.name: part.surface for part in assembly.parts}
+    for source, by, own_fields in zip(sources(model.scene), amplitude, fields):
+        for name, skin in source.thickening().items():
+            own_fields[name] = by * (-skin if skin else 0.5) * bodies[name].vertex_normals
     for p, part in enumerate(assembly.parts):
         own, G = model.compliance.functionals[p], model.compliance.G[p]
         force = model.shape_forces[own] * amplitude
@@ -72,4 +81,4 @@ def one_sigma(assembly: Assembly, model: Reduction) -> list[Shape]:
         moved = solved[:, :3] + grown + np.einsum("vim,mk->vik", rigid[:, :3], q)
         for k, j in enumerate(chosen):
             fields[j][part.name] = moved[:, :, k]
-    return [Shape(item.name, found) for item, found in zip(items, fields) if found]
+    return [Shape(item.name, found, item.kind == "thickness") for item, found in zip(items, fields) if found]

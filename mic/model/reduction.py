@@ -7,7 +7,8 @@ It can be saved, carried to a machine without any finite elements, loaded and ev
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -18,9 +19,11 @@ from scipy.sparse import csr_matrix
 from mic import store
 from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
+from mic.compliance.thickness import Thicknesses
 from mic.model.assembly import Assembly, Between, Contacts
 from mic.model.characteristics import Characteristics
 from mic.model.shape import shape_readings
+from mic.model.sources import changed, thicker
 from mic.product import one_thread
 from mic.scene import Scene
 
@@ -47,6 +50,8 @@ class Reduction:
         Forces that make these shapes, reactions included, N and N mm.
     inputs : dict of str to str
         As in :class:`mic.model.assembly.Assembly`: with the scene, all that the model was made from.
+    thicknesses : dict of str to Thicknesses
+        Compliance of the parts whose thickness varies, by name.
     """
 
     scene: Scene
@@ -60,6 +65,7 @@ class Reduction:
     shape: np.ndarray
     shape_forces: np.ndarray
     inputs: dict[str, str | None]
+    thicknesses: Mapping[str, Thicknesses] = field(default_factory=dict)
 
     @classmethod
     @one_thread
@@ -98,6 +104,7 @@ class Reduction:
             shape,
             forces,
             assembly.inputs,
+            {one.part: one.thicknesses for one in own if one.thicknesses is not None},
         )
 
     @property
@@ -143,6 +150,24 @@ class Reduction:
             )
         return array
 
+    def changed(self, deviations: np.ndarray) -> Self:
+        """With the contacts, the weights and the compliance that a sample's deviations (p,) make; what shapes give
+        stays.
+
+        Raises
+        ------
+        ImpossibleSample
+        """
+        made = changed(self, deviations)
+        more = thicker(self.scene, deviations)
+        if not more:
+            return made
+        blocks = list(zip(self.compliance.H, self.compliance.G))
+        for p, part in enumerate(self.scene.parts):
+            if part.name in more:
+                blocks[p] = self.thicknesses[part.name].at(part.sheet[0] + more[part.name])
+        return replace(made, compliance=Blocks(tuple(H for H, _ in blocks), tuple(G for _, G in blocks)))
+
     def save(self, path) -> None:
         """Write to one ``.npz`` file."""
         arrays = {"weld_gap": self.weld_gap, "shape": self.shape, "shape_forces": self.shape_forces}
@@ -155,6 +180,9 @@ class Reduction:
         }
         arrays |= {f"contacts_{name}": getattr(self.contacts, name) for name in Contacts.__dataclass_fields__}
         arrays |= {f"between_{name}": getattr(self.between, name) for name in Between.__dataclass_fields__}
+        for name, one in self.thicknesses.items():
+            p = [part.name for part in self.scene.parts].index(name)
+            arrays |= {f"thicknesses_{p}_{key}": np.asarray(value) for key, value in vars(one).items()}
         header = {
             "scene": json.loads(self.scene.model_dump_json()),
             "labels": self.labels,
@@ -196,4 +224,14 @@ class Reduction:
             data["shape"],
             data["shape_forces"],
             header["inputs"],
+            {
+                part["name"]: _thicknesses(data, p)
+                for p, part in enumerate(header["scene"]["parts"])
+                if f"thicknesses_{p}_t" in data
+            },
         )
+
+
+def _thicknesses(data: Mapping[str, np.ndarray], p: int) -> Thicknesses:
+    t, low, high, H, G = (data[f"thicknesses_{p}_{key}"] for key in ("t", "low", "high", "H", "G"))
+    return Thicknesses(t, float(low), float(high), H, G)

@@ -15,10 +15,13 @@ with any position q of the part if it was measured loose, without q and the last
 smoothing spline of the sheet's own stiffness, so that nothing is carried across a fold that the sheet does not carry.
 λ = 0 passes through the values. Where they are uncertain by σ_i, ``W = diag σ_i²``, what is found is ``A_λ v``, and
 λ is the one of least expected error, by its unbiased estimate ``Σ_i (v − A_λ v)_i²/σ_i² + 2 tr A_λ`` (Craven, Wahba),
-summed over all shapes that share the rows.
+for each shape its own.
 
 A part that has grown by the strain ε in all directions, as a warmer one has, is free of stress, too: ``y⁰`` reads the
 displacement ``ε x``, less the rigid motion that the datum rows would read of it, and f⁰ = 0.
+
+A sheet that is thicker by τ has its faces, of which contacts, welds and the points between contacts read, τ/2 farther
+out, or τ and nothing where one of them stays: y⁰ reads that, and nothing at all else, and f⁰ = 0.
 
 References
 ----------
@@ -125,15 +128,15 @@ def controlling_forces(C: np.ndarray, G: np.ndarray, controls: Sequence[Control]
             + ", where the shape cannot be another; move it, or remove it"
         )
     amplitude = modes.T @ N.T @ V
-    λ = 0.0
+    λ = np.zeros(len(controls))
     if noisy:
-        σ2 = float(np.mean(variance))
+        σ2 = np.array([np.mean(control.noise**2) for control in controls])
         trial = np.geomspace(SOFT * stiff[0], stiff[-1] / SOFT, TRIALS)
         missed = (trial / (stiff[:, None] + trial)) ** 2
         followed = stiff[:, None] / (stiff[:, None] + trial)
-        risk = (amplitude**2).sum(axis=1) @ missed + 2 * σ2 * followed.sum(axis=0)
-        λ = float(trial[np.argmin(risk)])
-    return N @ modes @ (amplitude / (stiff + λ)[:, None]) / weight[:, None]
+        risk = (amplitude**2).T @ missed + 2 * np.outer(σ2, followed.sum(axis=0))
+        λ = trial[np.argmin(risk, axis=1)]
+    return N @ modes @ (amplitude / (stiff[:, None] + λ)) / weight[:, None]
 
 
 def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray]:
@@ -163,6 +166,9 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
             own = compliance.functionals[p]
             reading, force = take(load, p)
             shape[own, j], forces[own, j] = reading[:, 0], force[:, 0]
+        for name, skin in source.thickening().items():
+            p = [part.name for part in assembly.parts].index(name)
+            shape[compliance.functionals[p], j] = thickening(assembly, p, skin)
         for name, strain in source.expansion().items():
             p = [part.name for part in assembly.parts].index(name)
             own, G = compliance.functionals[p], compliance.G[p]
@@ -189,6 +195,37 @@ def dilation(part) -> np.ndarray:
     f, surface = part.functionals, part.surface
     at = np.array([one.weight @ surface.at(one.triangle, one.barycentric) for one in f.patches]).reshape(-1, 3)
     return np.where(f.rotation, 0.0, np.einsum("id,id->i", f.direction, at[f.patch]))
+
+
+def thickening(assembly, p: int, skin: int) -> np.ndarray:
+    """(F_p,) how far the faces that part p's functionals read move along them where it is 1 mm thicker, mm.
+
+    A joint's normal points from its first body to its second: its row reads the face of the first with −1, and towards
+    the second.
+
+    Parameters
+    ----------
+    assembly : mic.model.assembly.Assembly
+    p : int
+    skin : int
+        Which face stays: 1 that on the side of the mesh's normals, -1 the other, 0 neither but the middle.
+    """
+    part, own = assembly.parts[p], slice(assembly.offsets[p], assembly.offsets[p + 1])
+    first = np.cumsum([0, *assembly.weld_size])[: len(assembly.weld_size)]
+    joints = (
+        assembly.rows["contact"][:: assembly.contacts.dimension],
+        assembly.rows["between"],
+        assembly.rows["weld"][first],
+    )
+    moved = np.zeros(len(part.functionals))
+    for rows in joints:
+        entries = rows[:, own].tocoo()
+        for i, share in zip(entries.col, entries.data):
+            patch = part.functionals.patches[part.functionals.patch[i]]
+            normal = np.abs(patch.weight) @ part.surface.normals[patch.triangle]
+            side = -share * np.sign(normal @ part.functionals.direction[i])  # of the face, among the mesh's normals
+            moved[i] = -share * 0.5 * (1.0 - skin * side)
+    return moved
 
 
 def _parts(load: csr_matrix, compliance: Blocks) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -15,11 +14,11 @@ from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
-from mic.model.sources import changed, sources
+from mic.model.sources import sources
 from mic.process.drive import Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
-from mic.process.plan import Step, plan_stages, yielding
+from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
 from mic.product import one_thread, product
@@ -108,6 +107,8 @@ class Process:
         :attr:`mic.process.model.ReducedModel.likely`.
     limited : bool
         Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
+    plans : sequence of StagePlan, optional
+        Those of the model's scene, where it is known that contact holds what rests; default: made and looked at.
 
     Attributes
     ----------
@@ -131,6 +132,7 @@ class Process:
         path_tolerance: float | None = None,
         starts: Mapping[tuple[str, Step], np.ndarray] | None = None,
         limited: bool = True,
+        plans: Sequence[StagePlan] | None = None,
     ):
         self.model, self.law = model, law
         contacts = model.contacts
@@ -145,11 +147,16 @@ class Process:
             "threads": threads,
             "dimension": contacts.dimension,
         }
-        self._plans = plan_stages(model.scene, model.weld_size, limited)
-        check_resting(model, self._plans, [obeyed.name])
+        self._plans = plan_stages(model.scene, model.weld_size, limited) if plans is None else plans
+        if plans is None:
+            check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         rubs = obeyed.frictional
-        self._changing = [j for j, source in enumerate(sources(model.scene)) if source.changes and rubs]
+        self._changing = [
+            j
+            for j, source in enumerate(sources(model.scene))
+            if source.changes == "compliance" or (source.changes and rubs)
+        ]
         self._changed_by, self._limited = np.zeros(len(self._changing)), limited
         self._varied: dict[bytes, Process] = {}
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
@@ -266,22 +273,30 @@ class Process:
         ]
 
     def _changed(self, amplitudes: np.ndarray) -> Process:
-        """The process with contacts as these deviations change them; rows and compliance stay as they are."""
+        """The process with contacts and parts as these deviations change them; shapes stay as they are."""
         key = amplitudes.tobytes()
         if key not in self._varied:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
-            model = replace(self.model, contacts=changed(self.model.scene, self.model.contacts, deviations))
-            kept = {name: getattr(self.model, name) for name in ("eliminations", "likely", "rest")}
-            vars(model).update(kept)
+            model = self.model.changed(deviations)
+            vars(model).update({name: getattr(self.model, name) for name in ("likely", "rest")})
+            if model.compliance is self.model.compliance:
+                vars(model)["eliminations"] = self.model.eliminations
+            elif self._limited:
+                vars(model)["eliminations"] = eliminate_steps(model, self._plans)
+            smooth = (model.contacts.friction == self.model.contacts.friction).all()
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
+            how["plans"] = (
+                self._plans if smooth else None
+            )  # what rests under the scene's friction may not under another
             try:
                 process = Process(model, self.law, backend=backend, **how)
-            except SceneError as problem:  # what rests under the scene's friction may not under the sample's
+            except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
             process._changed_by = amplitudes
+            vars(process)["_unit_motions"] = self._unit_motions
             if len(self._varied) >= KEPT:
                 self._varied.clear()
             self._varied[key] = process
@@ -299,7 +314,7 @@ class Process:
         """The same process without limits of forces."""
         settings = {name: self._settings[name] for name in ("tol", "threads")}
         backend = "native" if self._settings["backend"] == "native" else "paper"
-        return Process(
+        process = Process(
             self.model,
             self.law,
             backend=backend,
@@ -308,6 +323,8 @@ class Process:
             limited=False,
             **settings,
         )
+        process._changed_by = self._changed_by  # the model's contacts are changed already
+        return process
 
     def attempt(self, deviations: np.ndarray) -> Evaluation:
         """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
@@ -369,7 +386,9 @@ class Process:
     def _unit_motions(self) -> np.ndarray:
         """(p, 6P) rigid motions of these shapes, beside the elastic readings of the forces that make them."""
         model = self.model
-        return model.compliance.fit(model.shape.T - model.compliance.displace(model.shape_forces.T))
+        moved = [not source.thickening() for source in sources(model.scene)]  # where faces move, the middle does not
+        shape = model.shape * np.array(moved, dtype=float)
+        return model.compliance.fit(shape.T - model.compliance.displace(model.shape_forces.T))
 
     @cached_property
     def _last_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

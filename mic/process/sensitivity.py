@@ -10,6 +10,8 @@ The inputs are the scene's deviations by their names, and, by where they stand i
     ``locators.NAME``          the position of a locator along its direction, mm,
     ``clamps.NAME``            the position of a clamp with a stroke, mm, or the force of one that pushes, N,
     ``zones.NAME.friction``    the coefficient of friction of a zone, in all stages alike.
+
+A thickness changes the compliance itself: with respect to it central differences are taken, along the same steps.
 """
 
 from __future__ import annotations
@@ -39,6 +41,9 @@ RESTS = 1e-10
 #: Values of samples and their derivatives that are carried at once: memory.
 AT_ONCE = 2_000_000
 
+#: Of a sheet's thickness: half the step of differences with respect to it.
+THINNER = 1e-4
+
 #: The steps that paths took: by stage and the step's number, the trail (n,) of each sample.
 Steps = Mapping[tuple[str, int], np.ndarray]
 
@@ -56,7 +61,7 @@ class ContactSensitivity:
     force_slope : (n, m, d, p) array
         Derivatives of the forces, N per unit of the inputs.
     slip_slope : (n, m, d - 1, p) array
-        Derivatives of the tangential displacement since the stage before, mm per unit.
+        Derivatives of the tangential displacement since the stage before, mm per unit; NaN for a thickness.
     """
 
     force: np.ndarray
@@ -87,7 +92,8 @@ class Sensitivities:
         order, in standard deviations along the direction in which all inputs together change it most; infinite if none
         does.
     reach_along : (n, p) array
-        Likewise along each input alone; infinite for those without standard deviation.
+        Likewise along each input alone; infinite for those without standard deviation, NaN along a thickness, which the
+        reach of all inputs together leaves out.
     where : (n,) object array of str
         Which contact changes its state there.
     failed : (n,) bool array
@@ -198,6 +204,21 @@ def sensitivities(
                 )
     own = inputs if isinstance(inputs, Mapping) else known
     sigma = np.array([own[name] for name in names])
+    thick = {names.index(one.name): j for j, one in enumerate(model.scene.deviations)
+             if one.kind == "thickness" and one.name in names}  # fmt: skip
+    reaching = np.where(np.isin(np.arange(len(names)), list(thick)), 0.0, sigma)
+    found = _carried(process, deviations, names, reaching, steps)
+    if not thick:
+        return found
+    found = replace(found, sigma=sigma, jacobian=found.jacobian.copy(), reach_along=found.reach_along.copy())
+    for i, j in thick.items():
+        _difference(process, deviations, found, i, j)
+    return found
+
+
+def _carried(process, deviations, names, sigma, steps) -> Sensitivities:
+    """Derivatives with the compliance as it is, in blocks of samples."""
+    model = process.model
     size = sum(rows.shape[0] for rows in model.rows.values()) * (len(names) + 1)
     block = max(1, AT_ONCE // max(size, 1))
     pieces = []
@@ -207,6 +228,25 @@ def sensitivities(
             frozen = None if steps is None else {key: trail[some] for key, trail in steps.items()}
             pieces.append(_Sensitivity(each, deviations[some], names, sigma, frozen).found())
     return Sensitivities.join(pieces)
+
+
+def _difference(process, deviations: np.ndarray, found: Sensitivities, i: int, j: int) -> None:
+    """Put the derivatives with respect to a thickness, input i and deviation j, into those that were found: central
+    differences along the same steps, for the compliance itself changes with it."""
+    step = np.zeros(deviations.shape[1])
+    step[j] = THINNER * next(part.sheet[0] for part in process.model.scene.parts
+                             if part.name == process.model.scene.deviations[j].part)  # fmt: skip
+    low, high = (
+        _carried(process, deviations + way * step, found.inputs[i : i + 1], np.zeros(1), found.steps)
+        for way in (-1.0, 1.0)
+    )
+    found.jacobian[:, :, i] = (high.measurements - low.measurements) / (2 * step[j])
+    found.jacobian[found.failed, :, i] = np.nan
+    found.reach_along[:, i] = np.nan
+    for stage, own in found.contacts.items():
+        slope = high.contacts[stage].force - low.contacts[stage].force
+        own.force_slope[..., i] = slope / (2 * step[j])
+        own.slip_slope[..., i] = np.nan
 
 
 class _Sensitivity:

@@ -35,6 +35,8 @@ def draw_shapes(surfaces: Mapping[str, Surface], shapes: Sequence[Shape]) -> Pic
         fig.colorbar(ScalarMappable(scale, "RdBu_r"), ax=ax, shrink=0.7, label="mm")
     text = "What 1 σ of each source does to its part where it stands on its datum locators, along its normals; the "
     text += "title tells the largest displacement."
+    if any(shape.face for shape in shown):
+        text += " Of a thickness it is how far a face moves, by half of it, or by all where the other face stays."
     if len(shapes) > MOST:
         text += f" The first {MOST} of {len(shapes)} are shown."
     return png(fig, "Shapes of the sources", text, 100)

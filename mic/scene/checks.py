@@ -94,7 +94,11 @@ def check_references(scene) -> None:
             found += told(known, entry("measurements", i, item, "to.part"), item.to.part, bodies, "part")
         for name in getattr(item, "best_fit", None) or ():
             found += told(known, entry("measurements", i, item, "best_fit"), name, measured, "measurement")
+    thick: dict[str, str] = {}
     for i, item in enumerate(scene.deviations):
+        if item.kind == "thickness" and thick.setdefault(item.part, item.name) != item.name:
+            at, other = entry("deviations", i, item, "part"), thick[item.part]
+            found.append(f"{at}: the thickness of {item.part!r} is varied by {other!r} already; give both as one")
         if getattr(item, "moves", None) is not None:
             targets = {target.name for target in getattr(scene, item.moves)}
             at = entry("deviations", i, item, "target")

@@ -35,6 +35,7 @@ __all__ = [
     "MeasuredDeviation",
     "ShapeDeviation",
     "TemperatureDeviation",
+    "ThicknessDeviation",
 ]
 
 
@@ -161,6 +162,24 @@ class FrictionDeviation(_Deviation):
     moves: ClassVar[str | None] = "zones"
 
 
+class ThicknessDeviation(_Deviation):
+    """``kind = "thickness"``: by how much a sheet is thicker all over than its part's `thickness`.
+
+    Its stiffness, its weight and its faces follow; the shape stays that of the middle of the sheet, and deviations of
+    shape stay as large as they are. Its samples are solved one by one. One that lies beyond six σ is counted as failed.
+    """
+
+    kind: Literal["thickness"] = Field(description='`"thickness"`')
+    part: Name = Field(description="the part whose thickness varies")
+    mean: FiniteFloat = Field(0.0, description="mm, added to the part's `thickness`")
+    sigma: NonNegative = Field(description="standard deviation, mm")
+    skin: Literal[-1, 0, 1] = Field(
+        0,
+        description="what of the sheet stays where it is drawn, and is located, clamped and measured: 0 its middle, 1 "
+        "the skin on the side of the mesh's normals, -1 the other; gaps change by what the other faces move",
+    )
+
+
 class ShapeDeviation(_Deviation):
     """``kind = "shape"``: how far a part is out of shape at points of it, mm along the normals of its mesh.
 
@@ -192,9 +211,17 @@ class ShapeDeviation(_Deviation):
         description="of each measured piece of the batch, in standard deviations: a sample is one of the pieces, "
         "drawn at random, in place of the distribution",
     )
+    pieces: Annotated[list[Name], Field(min_length=2)] | None = Field(
+        None, description="with `scores`: names of these pieces, by which a table of samples may call them"
+    )
 
     @model_validator(mode="after")
     def _one_value_each(self):
+        if self.pieces is not None and len(set(self.pieces)) != len(self.scores or []):
+            raise ValueError(
+                f"there are {len(self.scores or [])} scores and {len(set(self.pieces))} names of pieces: give each of "
+                "them one"
+            )
         if self.values is not None and len(self.values) != len(self.points):
             raise ValueError(f"there are {len(self.points)} points and {len(self.values)} values: give one for each")
         if isinstance(self.noise, list) and len(self.noise) != len(self.points):
@@ -243,7 +270,7 @@ class MeasuredDeviation(_Deviation):
         None,
         description="distance of the points at which the shape is taken, each from the measured points about it, mm; "
         "left out, the measured points themselves where all pieces have the same few, else one such that there are "
-        "about 200",
+        "about 200, or as many as measured points allow",
     )
     noise: NonNegative = Field(0.0, description="standard uncertainty of a measured point, mm")
     share: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(
@@ -301,6 +328,7 @@ Deviation = Annotated[
     | FieldDeviation
     | GravityDeviation
     | TemperatureDeviation
+    | ThicknessDeviation
     | FrictionDeviation,
     Field(discriminator="kind"),
 ]

@@ -1,8 +1,10 @@
-"""Samples that a scene gives in a file, a row for each assembly, a column for each deviation under its name."""
+"""Samples that a scene gives in a file, a row for each assembly, a column for each deviation under its name, or one for
+all modes of measured pieces, which names the piece."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -74,12 +76,47 @@ def _columns(path: Path, given, scene: Scene) -> list[str]:
     names, found = [item.name for item in scene.deviations], []
     for column in given:
         if column not in names:
-            found += _unknown(f"{path}: row 1", str(column), names)
-    found += [f"{path}: row 1: there is no column {name!r}; add it, with a value in each row" for name in names
-              if name not in given]  # fmt: skip
+            batches = {item.batch for item in scene.deviations if getattr(item, "scores", None) is not None}
+            found += _unknown(f"{path}: row 1", str(column), [*names, *sorted(batches - {None})])
+    missing = [repr(name) for name in names if name not in given]
+    if len(missing) == 1:
+        found.append(f"{path}: row 1: there is no column {missing[0]}; add it, with a value in each row")
+    elif missing:
+        found.append(f"{path}: row 1: there are no columns {', '.join(missing)}; add them, with a value in each row")
     if found:
         raise SceneError("\n".join(found))
     return names
+
+
+def _spread(path: Path, frame: pd.DataFrame, scene: Scene) -> pd.DataFrame:
+    """A column under the name of a batch of measured pieces names one of them in each row; in its place come those of
+    the batch's deviations, with what the piece has of each."""
+    batches: dict[str, list[Any]] = {}
+    for item in scene.deviations:
+        if getattr(item, "batch", None) in frame.columns:
+            batches.setdefault(str(getattr(item, "batch", "")), []).append(item)
+    for batch, own in batches.items():
+        scored = [item for item in own if item.scores is not None]
+        if not scored:
+            continue  # modes that are drawn: no piece has them
+        twice = [item.name for item in own if item.name in frame.columns]
+        if twice:
+            raise SceneError(
+                f"{path}: row 1: there are columns {batch!r} and {twice[0]!r}; give the piece, or what it has of each"
+            )
+        names = scored[0].pieces or [str(i + 1) for i in range(len(scored[0].scores))]
+        cells = [str(cell).strip() for cell in frame[batch]]
+        for row, cell in zip(frame.index, cells):
+            if cell and cell not in names:
+                raise SceneError(
+                    f"{path}: row {row + 2}, column {batch}: there is no measured piece {cell!r}; known: "
+                    f"{', '.join(names)}"
+                )
+        frame = frame.drop(columns=batch)
+        for item in own:
+            value = [repr(item.mean + item.sigma * (score if item.scores else 0.0)) for score in item.scores or names]
+            frame[item.name] = [value[names.index(cell)] if cell else "" for cell in cells]
+    return frame
 
 
 def _unknown(at: str, column: str, names: list[str]) -> list[str]:
@@ -93,6 +130,7 @@ def _unknown(at: str, column: str, names: list[str]) -> list[str]:
 def _text(path: Path, scene: Scene) -> np.ndarray:
     """(n, p) values of a CSV file."""
     cells, separator = read_cells(path)
+    cells = _spread(path, cells, scene)
     names = _columns(path, cells.columns, scene)
     cells = cells[names].apply(lambda column: column.str.strip())
     if separator != ",":
@@ -123,6 +161,7 @@ def _parquet(path: Path, scene: Scene) -> np.ndarray:
         raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: cannot be read as Parquet ({error}); write it anew, or give CSV") from None
+    frame = _spread(path, frame, scene)
     names = _columns(path, frame.columns, scene)
     values = frame[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
     for row, column in np.argwhere(~np.isfinite(values)):

@@ -18,7 +18,7 @@ class ZoneFriction(Source):
     It changes the contact law, and not what drives the assembly: every value has contact problems of its own.
     """
 
-    changes = True
+    changes = "friction"
 
     def retain(self, rows):
         names = [self.deviation.target] if isinstance(self.deviation.target, str) else self.deviation.target

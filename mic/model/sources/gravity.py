@@ -38,8 +38,11 @@ class Gravity(Source):
             rows.add("clamp", label, (part.name, functional, weight))
 
     def push(self, labels):
-        names = [f"{self.deviation.name} of {part.name}" for part in self.scene.parts]
-        return {("clamp", labels["clamp"].index(name)): 1.0 for name in names}
+        return {("clamp", self.row(labels, part.name)): 1.0 for part in self.scene.parts}
+
+    def row(self, labels, part: str) -> int:
+        """Number of the clamp row that is a part's weight."""
+        return labels["clamp"].index(f"{self.deviation.name} of {part}")
 
 
 def _whole(surface: Surface) -> Patch:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -52,8 +52,9 @@ class Source:
         What it is a deviation of.
     """
 
-    #: Whether it changes the contacts themselves, so that each of its values has contact problems of its own.
-    changes = False
+    #: What it changes of the assembly itself, so that each of its values has contact problems of its own: the friction
+    #: of contacts, the compliance of parts and with it the contacts, or nothing.
+    changes: Literal["", "friction", "compliance"] = ""
 
     def __init__(self, deviation: Any, key: str, scene: Any):
         self.deviation, self.key, self.scene = deviation, key, scene
@@ -74,6 +75,11 @@ class Source:
 
     def expansion(self) -> Mapping[str, float]:
         """By how much parts grow in all directions per unit amplitude, free of stress, mm/mm, by name."""
+        return {}
+
+    def thickening(self) -> Mapping[str, int]:
+        """Parts that are thicker by the amplitude, mm, by name, and which skin of each stays: 1 that on the side of the
+        mesh's normals, -1 the other, 0 neither."""
         return {}
 
     def change(self, contacts: Any, amplitude: float) -> Any:

@@ -1,0 +1,282 @@
+"""Sheets whose thickness varies: the interpolation, what a face does, closed forms, the full solve, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mic
+from mic.compliance.cache import influence_coefficients, is_cached
+from mic.compliance.functional import Functionals
+from mic.compliance.part import Part
+from mic.compliance.thickness import ERROR, Thicknesses, chebyshev
+from mic.model.assembly import assemble
+from mic.model.one_sigma import one_sigma
+from mic.model.shape import thickening
+from mic.model.sources import changed
+from mic.process.model import ReducedModel
+from mic.scene.load import read_table
+from mic.studies import thickness
+from mic.studies.sensitivity import effects
+from mic.studies.thickness import interpolated
+
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
+T = {"name": "T", "kind": "thickness", "part": "upper", "sigma": 0.02}
+FORCE = {"name": "F", "kind": "force", "part": "upper", "point": [65, 20, 1], "mean": -5.0, "sigma": 1.5}
+
+
+def lap(deviations, thickness=1.0, pairs=6, **keys):
+    """The table of a small lap joint with other deviations, its upper sheet so thick, one increment a step."""
+    table = mic.load_scene(LAP).model_dump(mode="json", exclude={"folder"})
+    table["parts"] = [part | {"density": 7850.0, "size": "coarse"} for part in table["parts"]]
+    table["parts"][1]["thickness"] = thickness
+    table["zones"][0]["pairs"] = pairs
+    table["stages"][1:4] = [one | {"path": "increments", "increments": 1} for one in table["stages"][1:4]]
+    return table | {"report": {"laws": ["coulomb"]}, "deviations": deviations} | keys
+
+
+def read(table):
+    return read_table(table, LAP / "scene.toml")
+
+
+def sheet(t, λ, ℓ0, ℓ1):
+    """H of equation (1) of :mod:`mic.compliance.thickness`."""
+    ℓ = ℓ0 + t * ℓ1
+    return (ℓ * (t**2 / (t**2 + λ))) @ ℓ.T / t**3
+
+
+@pytest.mark.parametrize("half", [0.02, 0.1, 0.3, 0.5])
+def test_the_interpolation_errs_by_what_it_was_asked_for(half):
+    """Of sheets of which bending, stretching and all between them rules; what was asked for counts in energy."""
+    rng = np.random.default_rng(3)
+    λ = np.concatenate([[0.0], 10.0 ** rng.uniform(-3, 3, 40), [1e9]])
+    ℓ0, ℓ1 = rng.standard_normal((2, 12, len(λ)))
+    low, high = 0.8 * (1 - half), 0.8 * (1 + half)
+    nodes = np.array(chebyshev(low, high))
+    assert len(nodes) % 2 == 1 and nodes[len(nodes) // 2] == 0.5 * (low + high) and (np.diff(nodes) > 0).all()
+    assert low < nodes[0] and nodes[-1] < high
+    G = np.array([np.outer(1.0 + t * np.arange(12), np.ones(6)) for t in nodes])
+    known = Thicknesses(nodes, low, high, np.array([sheet(t, λ, ℓ0, ℓ1) for t in nodes]), G)
+    for t in np.linspace(low, high, 7):
+        exact = sheet(t, λ, ℓ0, ℓ1)
+        H, rigid = known.at(t)
+        root = np.linalg.cholesky(np.linalg.inv(exact))
+        energy = np.linalg.eigvalsh(root.T @ H @ root)
+        assert np.abs(energy - 1).max() < 100 * ERROR
+        np.testing.assert_allclose(rigid, np.outer(1.0 + t * np.arange(12), np.ones(6)), rtol=1e-9)
+
+
+def test_beyond_what_was_computed_no_compliance_is_made_up():
+    known = Thicknesses(np.array([1.0]), 0.9, 1.1, np.ones((1, 1, 1)), np.ones((1, 1, 6)))
+    known.at(1.1)
+    for t in (0.85, 1.12):
+        with pytest.raises(mic.errors.ImpossibleSample, match="lies beyond 0.9 to 1.1 mm"):
+            known.at(t)
+
+
+def test_what_reads_a_face_goes_with_it():
+    side = np.array([0.0, 1.0, -1.0, 1.4, -1.4])
+    rows = Functionals((), np.zeros(5, int), np.zeros((5, 3)), np.zeros(5, bool), side, ("",) * 5)
+    part = Part("p", None, 2.0, 1.0, 0.3, "e", rows, range=(1.0, 3.0)).at(2.5)
+    np.testing.assert_allclose(part.functionals.side * part.thickness / 2, [0, 1.25, -1.25, 1.65, -1.65])
+    assert part.range is None and part.functionals.side[1] == 1.0
+
+
+@pytest.fixture(scope="module")
+def assembled(cache):
+    return assemble(read(lap([T])), cache)
+
+
+@pytest.mark.parametrize(
+    "part, skin, change",
+    [("upper", 0, -0.5), ("lower", 0, -0.5), ("upper", 1, -1), ("upper", -1, 0), ("lower", 1, 0), ("lower", -1, -1)],
+)
+def test_gaps_change_by_what_the_faces_move(assembled, part, skin, change):
+    """The lap joint's normals are upwards; the lower face of the upper sheet lies on the upper face of the lower."""
+    p = [one.name for one in assembled.parts].index(part)
+    assert (assembled.parts[p].surface.normals[:, 2] > 0.99).all()
+    faces = np.zeros(assembled.offsets[-1])
+    faces[assembled.offsets[p] : assembled.offsets[p + 1]] = thickening(assembled, p, skin)
+    rows, d = assembled.rows, assembled.contacts.dimension
+    first = [0, assembled.weld_size[0]]
+    gaps = np.concatenate([rows["contact"][::d] @ faces, rows["between"] @ faces, (rows["weld"] @ faces)[first]])
+    assert len(gaps) > 10 and (gaps == change).all()
+    for kind in ("locator", "clamp", "force", "measurement"):
+        assert not (rows[kind] @ faces).any()
+
+
+def test_what_yields_through_the_sheets_follows(cache):
+    """Of candidates, ``(t_a + t_b)/2 / (E A)``; nothing else of the contacts does."""
+    table = lap([T])
+    table["zones"][0].pop("pairs")
+    table["parts"][0]["thickness"] = 0.8
+    assembly = assemble(read(table), cache)
+    before, after = assembly.contacts, changed(assembly, np.array([0.06])).contacts
+    assert before.watched.all() and len(before) > 20
+    np.testing.assert_allclose(before.layer, 1.8 / 2 / (210e3 * before.area))
+    np.testing.assert_allclose(after.layer, 1.86 / 2 / (210e3 * before.area))
+    assert replace(after, layer=before.layer).gap is before.gap and (after.friction == before.friction).all()
+    assert changed(assembly, np.array([0.0])) is assembly
+
+
+@pytest.mark.fem
+def test_a_lap_sags_with_its_weight_as_a_plate_does(cache):
+    """Between supports its sag is of q/D, with q of t and D of t³; its derivative is −2 sag/t."""
+    change = {"welds": [], "clamps": [], "zones": [], "stages": [{"kind": "locate"}, {"kind": "measure"}]}
+    model = mic.reduce(read(lap([{"name": "g", "kind": "gravity"}, T | {"sigma": 0.03}], **change)), cache)
+    sag = model.evaluate({}).measurements[0]
+    assert np.abs(sag).min() > 1e-5
+    for more in (-0.15, 0.01, 0.15):
+        found = model.evaluate({"T": more}).measurements[0]
+        np.testing.assert_allclose(found, sag / (1 + more) ** 2, rtol=1e-6)
+    slope = model.sensitivities({"T": 0.1}).jacobian[0, :, 1]
+    np.testing.assert_allclose(slope, -2 * sag / 1.1**3, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def varied(cache):
+    scene = read(lap([FORCE, T]))
+    return assemble(scene, cache), mic.reduce(scene, cache)
+
+
+@pytest.mark.fem
+@pytest.mark.slow
+def test_the_full_solve_of_the_thicker_sheet_agrees(varied):
+    from fem_reference.full.model import FullModel  # only here: what else is tested takes no finite elements
+
+    assembly, model = varied
+    full, drawn = FullModel(assembly), model.evaluate({}).measurements[0]
+    for more in (-0.1, 0.07):
+        found, reduced = full.evaluate([-5.0, more]), model.evaluate({"T": more})
+        assert np.abs(reduced.measurements[0] - drawn).max() > 0.01
+        assert np.abs(found.measurements - reduced.measurements[0]).max() < 1e-8
+        for stage, one in reduced.resolutions.items():
+            largest = np.abs(one.force).max()
+            assert np.abs(found.resolutions[stage].force - one.force[0]).max() <= 1e-7 * largest
+
+
+@pytest.mark.fem
+def test_a_scene_drawn_with_the_thinner_sheet_says_the_same(cache):
+    """Measured in its clamps, for welds stand elsewhere where a gap is drawn."""
+    change = {"welds": [], "stages": [{"kind": "locate"}, {"kind": "clamp", "increments": 1}, {"kind": "measure"}]}
+    thin = mic.reduce(read(lap([], 0.9, **change)), cache).evaluate({})
+    model = mic.reduce(read(lap([T], **change)), cache)
+    drawn, found = model.evaluate({}), model.evaluate({"T": -0.1})
+    assert np.abs(thin.measurements - drawn.measurements).max() > 0.005
+    np.testing.assert_allclose(found.measurements, thin.measurements, atol=1e-7)
+    force = thin.resolutions["clamp"].force
+    np.testing.assert_allclose(found.resolutions["clamp"].force, force, atol=1e-5 * np.abs(force).max())
+
+
+@pytest.mark.fem
+def test_a_batch_a_saved_model_and_a_lost_sample(varied, tmp_path):
+    _, model = varied
+    samples = np.array([[-5.0, 0.0], [-4.0, 0.03], [-4.0, 0.5], [-6.0, -0.05]])
+    found = model.process().attempt(samples)
+    assert found.failed.tolist() == [False, False, True, False]
+    assert "lies beyond 0.88 to 1.12 mm" in found.resolutions["clamp"].status[2]
+    model.save(tmp_path / "model.npz")
+    again = ReducedModel.load(tmp_path / "model.npz")
+    for i in (0, 1, 3):
+        np.testing.assert_array_equal(again.evaluate(samples[i]).measurements[0], found.measurements[i])
+    assert np.abs(found.measurements[1] - model.evaluate([-4.0, 0.0]).measurements).max() > 1e-3
+
+
+@pytest.mark.fem
+def test_derivatives_are_those_of_differences(varied):
+    """Beside a thickness the others are as they were; reach says nothing of it."""
+    _, model = varied
+    at, step = np.array([-5.0, 0.02]), 1e-3
+    found = model.sensitivities(at)
+    for i in range(2):
+        move = step * np.eye(2)[i]
+        between = (model.evaluate(at + move).measurements - model.evaluate(at - move).measurements)[0] / (2 * step)
+        np.testing.assert_allclose(found.jacobian[0, :, i], between, rtol=2e-4, atol=1e-6)
+        assert np.abs(between).max() > 0.01
+    assert np.isnan(found.reach_along[0, 1]) and np.isfinite(found.reach_along[0, 0]) and np.isfinite(found.reach[0])
+    force = (model.evaluate(at + [0, step]).resolutions["clamp"].force
+             - model.evaluate(at - [0, step]).resolutions["clamp"].force) / (2 * step)  # fmt: skip
+    np.testing.assert_allclose(found.contacts["clamp"].force_slope[..., 1], force, atol=1e-3 * np.abs(force).max())
+
+
+@pytest.mark.fem
+def test_what_the_interpolation_leaves_is_told(varied, cache, monkeypatch):
+    """And is more between fewer thicknesses, where the sheet bends and stretches."""
+    assembly, model = varied
+    (one,) = interpolated(assembly, model, cache)
+    assert (one.name, one.part) == ("T", "upper") and one.thickness == pytest.approx((0.94, 1.06))
+    assert np.abs(one.error).max() < 1e-7 and np.abs(one.change).max() > 0.005
+    known = model.thicknesses["upper"]
+    two = Thicknesses(known.t[::4], known.low, known.high, known.H[::4], known.G[::4])
+    (bad,) = interpolated(assembly, replace(model, thicknesses={"upper": two}), cache)
+    assert np.abs(bad.error).max() > 1e-5
+    assert thickness.AWAY == 3.0
+
+
+@pytest.mark.fem
+def test_coefficients_are_cached_at_every_thickness_or_not_at_all(varied, cache):
+    assembly, _ = varied
+    (lower, upper), lines = assembly.parts, []
+    assert is_cached(upper, cache) and lower.range is None and upper.range == pytest.approx((0.88, 1.12))
+    wider = replace(assembly, parts=(lower, replace(upper, range=(0.8, 1.2))))
+    assert not is_cached(wider.parts[1], cache)
+    found, cached = influence_coefficients(wider, cache, lines.append)
+    assert cached == {"lower": True, "upper": False} and all("upper at" in line for line in lines)
+    assert len(lines) == len(found["upper"].thicknesses.t) - 1 and found["lower"].thicknesses is None
+
+
+@pytest.mark.fem
+def test_studies_take_it(varied):
+    assembly, model = varied
+    found = effects(model, samples=1).table.set_index(["measurement", "input"])
+    assert found.loc[("M1", "T"), "step"] == 0.02 and abs(found.loc[("M1", "T"), "effect"]) > 1e-4
+    shape = {one.name: one for one in one_sigma(assembly, model)}["T"]
+    assert list(shape.fields) == ["upper"] and shape.largest[2] == pytest.approx(0.01)
+
+
+BAD = {
+    "of no part": ({"part": "roof"}, "no part called 'roof'"),
+    "of parts": ({"part": ["upper", "lower"]}, "part"),
+    "without spread": ({"sigma": None}, r"sigma \(T\): required key is missing"),
+    "negative spread": ({"sigma": -0.1}, "sigma"),
+    "in micrometres": ({"sigma": 20.0}, r"lead from -119 to 121 mm, and part 'upper' is 1 mm thick.*both are in mm"),
+    "in metres, as a whole": ({"mean": 1.0, "sigma": 0.001}, r"lead from 1.99 to 2.01 mm.*correct them"),
+    "a sheet that is not there": ({"mean": -0.9}, "lead from -0.02 to 0.22 mm"),
+    "the thickness itself": ({"mean": 1.0, "sigma": 0.02}, r"lead from 1.88 to 2.12 mm"),
+    "a face of no name": ({"skin": "top"}, "skin"),
+    "a face beyond": ({"skin": 2}, "skin"),
+    "another key": ({"target": "upper"}, r"target \(T\): unknown key"),
+    "no such distribution": ({"distribution": "gauss"}, "no continuous distribution 'gauss'"),
+    "nothing within": ({"truncated": [0.5, 0.6]}, "less than 1e-06 of the distribution lies between"),
+    "no number": ({"mean": float("nan")}, "mean"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_meant_is_refused_with_the_remedy(case, cache):
+    change, said = BAD[case]
+    item = {key: value for key, value in (T | change).items() if value is not None}
+    with pytest.raises(mic.SceneError, match=said):
+        assemble(read(lap([item], pairs=2)), cache)
+
+
+def test_two_of_one_sheet_and_maps_are_refused(cache):
+    with pytest.raises(mic.SceneError, match=r"\(U\): the thickness of 'upper' is varied by 'T' already; give both as"):
+        read(lap([T, T | {"name": "U"}]))
+    table = lap([T], pairs=2)
+    table["report"]["fields"] = True
+    with pytest.raises(mic.SceneError, match=r"T\): fields are those of the thickness .* leave fields out of .report"):
+        assemble(read(table), cache)
+
+
+def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
+    cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}])), cache)
+    assert cut.parts[1].range == pytest.approx((0.9, 1.1))
+    listed = lap([T], pairs=2)
+    listed["monte_carlo"] = {"values": [[0.3], [-0.02]]}
+    assert assemble(read(listed), cache).parts[1].range == pytest.approx((0.88, 1.3))
+    fixed = assemble(read(lap([T | {"sigma": 0.0, "mean": 0.2}])), cache)
+    assert fixed.parts[1].range == pytest.approx((1.19, 1.21))
