@@ -33,7 +33,7 @@ from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled
-from mic.contact.native.tangent import walk
+from mic.contact.native.tangent import walks
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, ON_CONE, OPEN, STICK
 from mic.contact.trail import Trail
@@ -137,12 +137,9 @@ def retrace(contact: Contact, start: Varied, end: Varied, anchor: Varied, trail:
     walk, p = _Walk(contact, own), start.slope.shape[2]
     whole = Varied(np.zeros((n, d * m)), np.zeros((n, d * m, p)))
     state, cone = np.zeros((n, m), dtype=np.int8), Varied(np.full((n, m), np.inf), np.zeros((n, m, p)))
-    solved = np.ones(n, dtype=bool)
-    for i, one in enumerate(trail):
-        path = tuple(each[i] for of in (start, end, anchor) for each in (of.value, of.slope))
-        force, slope, state[i, own], solved[i] = walk.go(one, *path)
-        whole.value[i, walk.rows], whole.slope[i, walk.rows] = force, slope
-        cone.value[i, own], cone.slope[i, own] = walk.margin(force, slope, state[i, own])
+    force, slope, states, solved = walk.go(trail, start, end, anchor)
+    whole.value[:, walk.rows], whole.slope[:, walk.rows], state[:, own] = force, slope, states
+    cone.value[:, own], cone.slope[:, own] = walk.margin(force, slope, states)
     moved = _under(contact.S, whole)
     u = Varied(moved.value + end.value, moved.slope + end.slope)
     place = Varied(u.value.reshape(n, m, d)[:, :, 1:].copy(), u.slope.reshape(n, m, d, p)[:, :, 1:].copy())
@@ -197,43 +194,71 @@ class _Walk:
         self.rows = (d * own[:, None] + np.arange(size)).ravel()
         self.sides = ((d - 1) * own[:, None] + np.arange(size - 1)).ravel()
 
-    def go(self, trail: Trail, b0, db0, b1, db1, anchor, danchor) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-        """Forces (s m,), their slopes (s m, p) and states (m,) at the end of a sample's trail, s rows a contact; and
-        whether its steps could be solved for."""
-        m, p = len(self.length), db0.shape[1]
-        f, q, F = np.zeros(len(self.rows)), np.zeros(len(self.rows)), np.zeros((len(self.rows), p))
-        state, followed = np.zeros(m, dtype=np.int64), trail.order == 2
-        ends, guess = np.ascontiguousarray(trail.ends, dtype=float), np.ascontiguousarray(trail.force[:, self.rows])
-        loads = [np.ascontiguousarray(each[self.rows]) for each in (b0, b1, db0, db1)]
-        stands = [np.ascontiguousarray(each[self.sides]) for each in (anchor, danchor)]
-        law = self.equation, self.law.varies, float(self.law.shift), self.S, self.length, self.parameters, self.rougher
+    def go(self, trail: Sequence[Trail], start: Varied, end: Varied, anchor: Varied):
+        """Forces (n, s m), their slopes (n, s m, p) and states (n, m) at the end of the trails, s rows a contact; and
+        (n,) whether their steps could be solved for."""
+        n, m, p = len(trail), len(self.length), start.slope.shape[2]
+        rows = len(self.rows)
+        f, F, q = np.zeros((n, rows)), np.zeros((n, rows, p)), np.zeros((n, rows))
+        state, first = np.zeros((n, m), dtype=np.int64), np.zeros(n, dtype=np.int64)
+        followed = np.array([one.order == 2 for one in trail])
+        edges = np.concatenate([[0], np.cumsum([len(one.ends) for one in trail])]).astype(np.int64)
+        ends = np.concatenate([one.ends for one in trail]).astype(float)
+        guess = np.concatenate([one.force[:, self.rows] for one in trail])
+        loads = [np.ascontiguousarray(each[:, self.rows]) for each in (start.value, end.value, start.slope, end.slope)]
+        stands = [np.ascontiguousarray(each[:, self.sides]) for each in (anchor.value, anchor.slope)]
 
-        def on(first: int, guess: np.ndarray, forced: bool = False) -> int:
-            return walk(*law, followed, ends, guess, *loads, *stands, first, forced, f, F, state, q)
+        def on(own: np.ndarray, guess: np.ndarray, forced: bool = False) -> np.ndarray:
+            """Samples (k,) taken on from where they are; the steps that they reach."""
+            step, steps = first[own], [np.arange(a, b) for a, b in zip(edges[own], edges[own + 1])]
+            each = np.concatenate(steps)
+            some = f[own], F[own], state[own], q[own]
+            walks(
+                self.equation,
+                self.law.varies,
+                float(self.law.shift),
+                self.S,
+                self.length,
+                self.parameters,
+                self.rougher,
+                followed[own],
+                np.concatenate([[0], np.cumsum([len(one) for one in steps])]).astype(np.int64),
+                ends[each],
+                np.ascontiguousarray(guess[each]),
+                *(one[own] for one in (*loads, *stands)),
+                step,
+                np.full(len(own), forced),
+                *some,
+            )
+            f[own], F[own], state[own], q[own] = some
+            return step
 
-        solved, reached = True, on(0, guess)
-        while reached < len(ends):
-            better = guess.copy()
-            better[reached] = self._search(q, guess[reached], f, followed and reached > 0)
-            again = on(reached, better)
-            if again == reached:  # back to what was found
-                solved, again = False, on(reached, guess, True)
-            reached = again
+        solved, every = np.ones(n, dtype=bool), np.arange(n)
+        first = on(every, guess)
+        for i in np.flatnonzero(first < np.diff(edges)):
+            own = np.array([i])
+            while first[i] < edges[i + 1] - edges[i]:
+                at, better = edges[i] + first[i], guess.copy()
+                better[at] = self._search(q[i], guess[at], f[i], bool(followed[i]) and first[i] > 0)
+                reached = on(own, better)[0]
+                if reached == first[i]:  # back to what was found
+                    solved[i], reached = False, on(own, guess, True)[0]
+                first[i] = reached
         return f, F, state, solved
 
     def margin(self, f, slope, state) -> tuple[np.ndarray, np.ndarray]:
-        """What is left of the bound of contacts that stick (m,), N, infinite for others, and its slope (m, p)."""
-        m, p = len(state), slope.shape[1]
-        value, moved = np.full(m, np.inf), np.zeros((m, p))
+        """What is left of the bound of contacts that stick (n, m), N, infinite for others, and its slope (n, m, p)."""
+        n, m, p = *state.shape, slope.shape[2]
         if self.size == 1:
-            return value, moved
-        f, slope = f.reshape(m, 3), slope.reshape(m, 3, p)
-        t = np.hypot(f[:, 1], f[:, 2])
-        bound, rise = (of(f[:, 0], self.parameters) for of in (self.law.bound, self.law.rise))
-        e = f[:, 1:] / np.where(t > 0.0, t, 1.0)[:, None]
-        grown = rise[:, None] * slope[:, 0] + self.rougher * f[:, :1] - np.einsum("kj,kjp->kp", e, slope[:, 1:])
+            return np.full((n, m), np.inf), np.zeros((n, m, p))
+        f, slope = f.reshape(n, m, 3), slope.reshape(n, m, 3, p)
+        t = np.hypot(f[:, :, 1], f[:, :, 2])
+        bound, rise = (of(f[:, :, 0], self.parameters) for of in (self.law.bound, self.law.rise))
+        e = f[:, :, 1:] / np.where(t > 0.0, t, 1.0)[:, :, None]
+        grown = rise[..., None] * slope[:, :, 0] + self.rougher * f[:, :, :1]
         stick = (state == STICK) & (bound > 0.0)
-        return np.where(stick, bound - t, np.inf), np.where(stick[:, None], grown, 0.0)
+        left = grown - np.einsum("nkj,nkjp->nkp", e, slope[:, :, 1:])
+        return np.where(stick, bound - t, np.inf), np.where(stick[..., None], left, 0.0)
 
     def _search(self, b, guess, f0, second: bool) -> np.ndarray:
         """Forces at the end of a step from the forces f⁰ of which Newton's method finds none: with the whole ladder,

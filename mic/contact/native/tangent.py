@@ -18,7 +18,7 @@ from numba import boolean, int64, types, void
 from mic.contact.native.kernels import BLOCKS, COUNTS, EQUATION_POINTER, MATRIX, NUMBER, VECTOR, jit
 from mic.contact.states import LOADED, ON_CONE, OPEN, SLIP, STICK
 
-__all__ = ["walk"]
+__all__ = ["walks"]
 
 #: Newton's steps, and by how much of the largest force the last may move them.
 STEPS, SETTLED = 8, 1e-9
@@ -28,6 +28,8 @@ NEAR = 1e-4
 PIVOTS = 10
 #: Forces of contacts that hold each other are not unique, their displacements are.
 HYPERSTATIC, UNSOLVED = 1e-11, 1e-9
+#: Of its bound: a tangential force that is less tells no direction.
+UNTOLD = 1e-6
 #: A tangential force that is beyond every bound, in normal forces; and the share of one over which g' is differenced.
 BEYOND, SHARE = 1e6, 1e-5
 
@@ -76,7 +78,7 @@ def _solved(matrix, right):
     for i in range(len(matrix)):
         for j in range(len(matrix)):
             if not np.isfinite(matrix[i, j]):
-                return np.zeros_like(right)
+                return np.full_like(right, np.nan)
     return np.ascontiguousarray(np.linalg.lstsq(matrix, right, HYPERSTATIC)[0])
 
 
@@ -416,7 +418,7 @@ def _touching(
         VECTOR,
     )
 )
-def walk(
+def _walk(
     equation,
     varies,
     shift,
@@ -543,13 +545,20 @@ def walk(
             scale = max(np.abs(x).max() if len(x) else 0.0, 1e-300)
             w[:] = np.dot(S, x) + q
             _states(equation, varies, shift, length, parameters, size, x, w, now)
-            opened = False
+            moves = False
             for k in range(m):
+                i = size * k
                 if now[k] == OPEN:
-                    for c in range(size * k, size * k + size):
-                        opened = opened or x[c] != 0.0
+                    for c in range(i, i + size):
+                        moves = moves or x[c] != 0.0
                         x[c] = 0.0
-            if opened:
+                elif now[k] == SLIP and size == 3:  # without a direction of its own it has that of the map
+                    bound, _ = _bound(equation, varies, parameters, k, x[i])
+                    if bound > 0.0 and np.sqrt(x[i + 1] ** 2 + x[i + 2] ** 2) <= UNTOLD * bound:
+                        v1, v2 = x[i + 1] - w[i + 1] / length[k], x[i + 2] - w[i + 2] / length[k]
+                        t = np.sqrt(v1 * v1 + v2 * v2)
+                        x[i + 1], x[i + 2], moves = bound * v1 / t, bound * v2 / t, True
+            if moves:
                 w[:] = np.dot(S, x) + q
             own = np.flatnonzero(now != OPEN)
             count = len(own)
@@ -613,10 +622,10 @@ def walk(
             for a in range(count):
                 for c in range(size):
                     step = found[size * a + c, 0]
-                    change = max(change, abs(step))
+                    change = max(change, abs(step)) if np.isfinite(step) else np.inf
                     if not alone:
                         x[size * own[a] + c] += step
-            if not change <= 1e300:
+            if not np.isfinite(change):
                 break
             # Where two states both hold, on the cone without slip, either has these forces and slopes.
             if slopes and (alone or change <= SETTLED * scale):
@@ -630,3 +639,92 @@ def walk(
             f[:] = f0
             return number
     return len(ends)
+
+
+@jit(
+    void(
+        EQUATION_POINTER,
+        boolean,
+        NUMBER,
+        MATRIX,
+        VECTOR,
+        MATRIX,
+        MATRIX,
+        MASK,
+        COUNTS,
+        VECTOR,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        BLOCKS,
+        BLOCKS,
+        MATRIX,
+        BLOCKS,
+        COUNTS,
+        MASK,
+        MATRIX,
+        BLOCKS,
+        types.Array(int64, 2, "C"),
+        MATRIX,
+    )
+)
+def walks(
+    equation,
+    varies,
+    shift,
+    S,
+    length,
+    parameters,
+    rougher,
+    followed,
+    edges,
+    ends,
+    guess,
+    b0,
+    b1,
+    B0,
+    B1,
+    anchor,
+    dA,
+    first,
+    forced,
+    f,
+    F,
+    state,
+    q,
+):
+    """Go the paths of n samples again; arguments as of :func:`_walk`, with the sample as first axis.
+
+    Parameters
+    ----------
+    edges : (n + 1,) int array
+        Where the steps of each sample begin among all, ``ends`` and ``guess``.
+    first : (n,) int array
+        The step to begin with, and in place the one for which no solution was found, or how many there are.
+    """
+    for i in range(len(first)):
+        own = slice(edges[i], edges[i + 1])
+        first[i] = _walk(
+            equation,
+            varies,
+            shift,
+            S,
+            length,
+            parameters,
+            rougher,
+            followed[i],
+            ends[own],
+            guess[own],
+            b0[i],
+            b1[i],
+            B0[i],
+            B1[i],
+            anchor[i],
+            dA[i],
+            first[i],
+            forced[i],
+            f[i],
+            F[i],
+            state[i],
+            q[i],
+        )
