@@ -6,7 +6,7 @@
 One process, one thread, processor time, Coulomb's law, the scene's own deviations drawn with its seed. *6 inputs* are
 the scene's first (a copy of the last where it has fewer), *40 inputs* its deviations, locators, clamps and zones, and
 copies of the first up to forty; both as multiples of the time that evaluations of the same samples take. *differences*
-is the largest error against central differences of 1e-4 σ with the steps of the paths frozen, of the largest derivative
+is the largest error against central differences of 1e-5 σ with the steps of the paths frozen, of the largest derivative
 of the key characteristic; samples whose forward and backward differences disagree by 1e-3 lie on a change of state and
 are *kinked*.
 """
@@ -30,7 +30,7 @@ from verification.scenes import few, folder
 
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
 WAYS = {"one step": {"path": "one-step"}, "8 increments": {"path": "increments", "increments": 8}, "followed": {}}
-STEP, KINK = 1e-4, 1e-3
+STEP, KINK = 1e-5, 1e-3
 REPEATS = 3  # of each, in turns, the shortest counts
 
 

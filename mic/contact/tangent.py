@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -260,16 +261,19 @@ class _Walk:
         left = grown - np.einsum("nkj,nkjp->nkp", e, slope[:, :, 1:])
         return np.where(stick, bound - t, np.inf), np.where(stick[..., None], left, 0.0)
 
+    @cached_property
+    def _solver(self) -> ContactSolver:
+        return ContactSolver(self.S, self.friction, self.law, tol=EXACT, dimension=self.size, semidefinite=True)
+
     def _search(self, b, guess, f0, second: bool) -> np.ndarray:
         """Forces at the end of a step from the forces f⁰ of which Newton's method finds none: with the whole ladder,
         the sliders' shifts held and renewed; it is `second`, of second order, or has none."""
         size, m = self.size, len(self.length)
-        solver = ContactSolver(self.S, self.friction, self.law, tol=EXACT, dimension=size, semidefinite=True)
         before = f0.reshape(m, size)
         slides = self._on_cone(before) & second
         shift, f = np.zeros((m, size)), guess
         for _ in range(RENEWALS):
-            found = solver.solve((b - shift.ravel())[None], f[None])
+            found = self._solver.solve((b - shift.ravel())[None], f[None])
             f = found.force[0]
             if not slides.any():
                 break

@@ -21,7 +21,7 @@ from mic.contact.states import LOADED, ON_CONE, OPEN, SLIP, STICK
 __all__ = ["walks"]
 
 #: Newton's steps, and by how much of the largest force the last may move them.
-STEPS, SETTLED = 8, 1e-9
+STEPS, SETTLED = 20, 1e-9
 #: By how much of the largest force a step may move them for slopes to be taken in the next.
 NEAR = 1e-4
 #: Changes of the contacts on their cones that slide when a step begins.
