@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import vstack
 from typer.testing import CliRunner
 
 from mic.contact.columns import Columns
@@ -23,6 +24,7 @@ from mic.studies.sensitivity import effects, steps
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic
 STEP = 1e-5  # standard deviations
+MOVED = 1e-4  # mm, of rows that are eliminated anew: differences of less would be rounding
 TIGHT = 1e-12  # of the contact certificate: differences of less would be rounding
 SIGMA = {"locator": 0.05, "clamp": 5.0}
 
@@ -177,6 +179,56 @@ def test_a_locator_and_a_clamp_are_inputs_without_being_deviations(lap_model):
         rtol=0,
         atol=1e-12,
     )
+
+
+def with_places(model, share=0.02) -> tuple[ReducedModel, dict]:
+    """The model with made-up position rows, as if a weld moved towards a pair, and other rows were to read what pairs read when
+    they move; and for each input which rows those are."""
+    scene, contact, weld = model.scene, model.rows["contact"], model.rows["weld"]
+    moving = {f"locators.{scene.locators[2].name}.x": {("locator", 2): share * contact[7]}}
+    moving |= {f"clamps.{scene.clamps[0].name}.y": {("clamp", 0): share * contact[30]}}
+    moving |= {f"welds.{scene.welds[0].name}.x": {("weld", i): share * (contact[15 + i] - weld[i]) for i in range(3)}}
+    names = [name for name, rows in moving.items() for _ in rows]
+    moved = [slope for rows in moving.values() for slope in rows.values()]
+    return replace(
+        model,
+        rows=model.rows | {"position": vstack(moved, format="csr")},
+        labels=model.labels | {"position": names},
+        position_gap=np.full(len(moved), 0.1),
+    ), moving
+
+
+def displaced(model, rows, step) -> ReducedModel:
+    """The model whose rows have moved, and with them the first weld's gap."""
+    changed = dict(model.rows)
+    for (kind, row), slope in rows.items():
+        whole = changed[kind].tolil()
+        whole[row] = changed[kind][row] + step * slope
+        changed[kind] = whole.tocsr()
+    gap = model.weld_gap.copy()
+    gap[0] += 0.1 * step * any(kind == "weld" for kind, _ in rows)
+    return replace(model, rows=changed, weld_gap=gap)
+
+
+@pytest.mark.parametrize(("way", "change"), [("one-step", {}), (8, {}), ("followed", {}), (3, {"close": True})])
+def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
+    """What the row reads elsewhere counts, what it pushes with there, and the weld's gap."""
+    model = on_the_way(lap_model, way)
+    welds = [one.model_copy(update=change) for one in model.scene.welds]
+    model, moving = with_places(replace(model, scene=model.scene.model_copy(update={"welds": welds})))
+    process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 1)
+    found = sensitivities(process, samples, list(moving))
+    for i, (name, rows) in enumerate(moving.items()):
+        up, down = (
+            sensitivities(
+                displaced(model, rows, h).process("coulomb", TIGHT), samples, [name], found.steps
+            ).measurements
+            for h in (MOVED, -MOVED)
+        )
+        difference = (up - down) / (2 * MOVED)
+        largest = np.abs(difference).max()
+        assert largest > 1e-6, name
+        np.testing.assert_allclose(found.jacobian[:, :, i], difference, rtol=0, atol=10 * EXACT * largest)
 
 
 FORGOTTEN = {

@@ -39,7 +39,7 @@ from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, ON_CONE, OPEN, STICK
 from mic.contact.trail import Trail
 
-__all__ = ["Contact", "End", "Varied", "retrace"]
+__all__ = ["Bend", "Contact", "End", "Varied", "retrace"]
 
 #: Where Newton's method leads nowhere: tolerance of the ladder, how often the sliders' shifts are renewed, and until
 #: they change by no more than this share of the motion.
@@ -63,6 +63,29 @@ class Varied:
 
 
 @dataclass(frozen=True)
+class Bend:
+    """By how much inputs change a compliance: each of l terms ``left leanᵀ`` per unit of one of them.
+
+    Attributes
+    ----------
+    left, lean : (l, d m) array
+    whose : (l,) int array
+        Number of the input.
+    """
+
+    left: np.ndarray
+    lean: np.ndarray
+    whose: np.ndarray
+
+    def under(self, force: np.ndarray, inputs: int) -> np.ndarray:
+        """(n, d m, p) ``dS f`` under forces (n, d m)."""
+        found = np.zeros((*force.shape, inputs))
+        for left, lean, i in zip(self.left, self.lean, self.whose):
+            found[:, :, i] += (force @ lean)[:, None] * left
+        return found
+
+
+@dataclass(frozen=True)
 class Contact:
     """What m contacts are, under a law.
 
@@ -75,6 +98,8 @@ class Contact:
     rougher : (m, p) array
         Derivatives of the coefficients with respect to the inputs.
     dimension : {3, 1}
+    bend : Bend, optional
+        Derivatives of S; left out, no input changes it.
     """
 
     law: Law
@@ -82,6 +107,7 @@ class Contact:
     friction: Friction
     rougher: np.ndarray
     dimension: int
+    bend: Bend | None = None
 
 
 @dataclass(frozen=True)
@@ -142,6 +168,8 @@ def retrace(contact: Contact, start: Varied, end: Varied, anchor: Varied, trail:
     whole.value[:, walk.rows], whole.slope[:, walk.rows], state[:, own] = force, slope, states
     cone.value[:, own], cone.slope[:, own] = walk.margin(force, slope, states)
     moved = _under(contact.S, whole)
+    if contact.bend is not None:
+        moved = replace(moved, slope=moved.slope + contact.bend.under(whole.value, p))
     u = Varied(moved.value + end.value, moved.slope + end.slope)
     place = Varied(u.value.reshape(n, m, d)[:, :, 1:].copy(), u.slope.reshape(n, m, d, p)[:, :, 1:].copy())
     if walk.size == 3:  # where sliders stand, behind what yields
@@ -194,6 +222,16 @@ class _Walk:
         #: Rows of the contacts, and of their anchors.
         self.rows = (d * own[:, None] + np.arange(size)).ravel()
         self.sides = ((d - 1) * own[:, None] + np.arange(size - 1)).ravel()
+        none, bend = np.zeros((0, len(self.rows))), contact.bend
+        self.bend = (
+            (none, none, np.zeros(0, dtype=np.int64))
+            if bend is None
+            else (
+                np.ascontiguousarray(bend.left[:, self.rows]),
+                np.ascontiguousarray(bend.lean[:, self.rows]),
+                bend.whose.astype(np.int64),
+            )
+        )
 
     def go(self, trail: Sequence[Trail], start: Varied, end: Varied, anchor: Varied):
         """Forces (n, s m), their slopes (n, s m, p) and states (n, m) at the end of the trails, s rows a contact; and
@@ -227,6 +265,7 @@ class _Walk:
                 ends[each],
                 np.ascontiguousarray(guess[each]),
                 *(one[own] for one in (*loads, *stands)),
+                *self.bend,
                 step,
                 np.full(len(own), forced),
                 *some,

@@ -7,7 +7,7 @@ It can be saved, carried to a machine without any finite elements, loaded and ev
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -26,7 +26,7 @@ from mic.scene import Scene
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 5, "build the model again")
+FORMAT = store.Format("reduced model", 6, "build the model again")
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,8 @@ class Reduction:
         Forces that make these shapes, reactions included, N and N mm.
     inputs : dict of str to str
         As in :class:`mic.model.assembly.Assembly`: with the scene, all that the model was made from.
+    position_gap : (q,) array
+        As in :class:`mic.model.assembly.Assembly`.
     """
 
     scene: Scene
@@ -60,6 +62,7 @@ class Reduction:
     shape: np.ndarray
     shape_forces: np.ndarray
     inputs: dict[str, str | None]
+    position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     @one_thread
@@ -98,6 +101,7 @@ class Reduction:
             shape,
             forces,
             assembly.inputs,
+            getattr(assembly, "position_gap", np.zeros(0)),
         )
 
     @property
@@ -146,6 +150,7 @@ class Reduction:
     def save(self, path) -> None:
         """Write to one ``.npz`` file."""
         arrays = {"weld_gap": self.weld_gap, "shape": self.shape, "shape_forces": self.shape_forces}
+        arrays["position_gap"] = self.position_gap
         arrays |= {f"H_{p}": H for p, H in enumerate(self.compliance.H)}
         arrays |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
         arrays |= {
@@ -196,4 +201,5 @@ class Reduction:
             data["shape"],
             data["shape_forces"],
             header["inputs"],
+            data["position_gap"],
         )

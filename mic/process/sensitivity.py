@@ -5,11 +5,11 @@ hands to the next (readings, where contacts were left, what welds froze, reactio
 handed on with its derivatives, one more assembly for each input, driven by what a unit of the input asks. Contact is
 differentiated where it is solved (:mod:`mic.contact.tangent`), with its states known and the steps of its path frozen.
 
-The inputs are the scene's deviations by their names, and, by where they stand in the scene,
+Where a row moves in its sheet, by δ along a tangent, it reads ``ℓ·y + δ a'·y`` and pushes with ``λ (ℓ + δ a')``: S, T
+and L of what was eliminated with ℓ change (:mod:`mic.process.shift`), S by ``-T αᵀ - α Tᵀ`` with α what a load on a'
+moves.
 
-    ``locators.NAME``          the position of a locator along its direction, mm,
-    ``clamps.NAME``            the position of a clamp with a stroke, mm, or the force of one that pushes, N,
-    ``zones.NAME.friction``    the coefficient of friction of a zone, in all stages alike.
+Inputs are called as :mod:`mic.process.inputs` says.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.path import Path
-from mic.contact.tangent import Contact, End, Varied, retrace
+from mic.contact.tangent import Bend, Contact, End, Varied, retrace
 from mic.errors import SceneError
-from mic.model.sources import sources
-from mic.process.drive import Drive
+from mic.process.inputs import Inputs, known_inputs
+from mic.process.path import Ramp
 from mic.process.plan import Step
+from mic.process.shift import Shift
 from mic.process.stage import EliminatedStep, PreparedStage
 from mic.process.state import ProcessState
 from mic.process.stops import Stops
@@ -137,21 +138,6 @@ class Sensitivities:
         )
 
 
-def known_inputs(model) -> dict[str, float]:
-    """All inputs of a model, with their standard deviations; 0 of those that the scene holds fixed.
-
-    Parameters
-    ----------
-    model : mic.model.reduction.Reduction
-    """
-    scene = model.scene
-    found = {one.name: float(one.sigma) for one in scene.deviations}
-    names = [f"{kind}.{one.name}" for kind in ("locators", "clamps") for one in getattr(scene, kind)]
-    if model.contacts.frictional:
-        names += [f"zones.{one.name}.friction" for one in scene.zones]
-    return found | dict.fromkeys(names, 0.0)
-
-
 @one_thread
 def sensitivities(
     process,
@@ -180,13 +166,8 @@ def sensitivities(
         Where parts rest by contact alone: they come to lie by finite ways, of which no derivative is taken.
     """
     model = process.model
-    known = known_inputs(model)
     names = list(model.parameters if inputs is None else inputs)
-    if not names:
-        raise ValueError("inputs: name at least one")
-    for name in names:
-        if name not in known:
-            raise ValueError(f"inputs: {name!r} is no input of this model; known: {', '.join(known)}")
+    Inputs.of(model, names)  # what is not known is told first
     for stage in process.stages:
         for each in stage.steps:
             if each.rest.soft.any():
@@ -196,7 +177,7 @@ def sensitivities(
                     "finite ways, of which no derivative is taken; give it six locators there, or take differences of "
                     "evaluations"
                 )
-    own = inputs if isinstance(inputs, Mapping) else known
+    own = inputs if isinstance(inputs, Mapping) else known_inputs(model)
     sigma = np.array([own[name] for name in names])
     size = sum(rows.shape[0] for rows in model.rows.values()) * (len(names) + 1)
     block = max(1, AT_ONCE // max(size, 1))
@@ -215,8 +196,8 @@ class _Sensitivity:
     def __init__(self, process, deviations, names, sigma, steps):
         self.process, self.names, self.sigma, self.frozen = process, names, sigma, steps
         self.n, self.p = len(deviations), len(names)
-        self.drive, self.slope_drive = process.asked(deviations), self._unit_drive()
-        self.rougher = self._rougher()
+        self.inputs = Inputs.of(process.model, names)
+        self.drive, self.slope_drive = process.asked(deviations), self.inputs.drive(process, deviations)
         self.steps: dict[tuple[str, int], np.ndarray] = {}
         self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
         self.along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
@@ -257,48 +238,6 @@ class _Sensitivity:
             self.steps,
         )
 
-    def _unit_drive(self) -> Drive:
-        """What a unit of each input asks more, for every sample."""
-        model = self.process.model
-        count = len(model.parameters)
-        zero, unit = self.process.asked(np.zeros((1, count))), self.process.asked(np.eye(count))
-        own = [model.parameters.index(name) if name in model.parameters else -1 for name in self.names]
-
-        def less(one, base):
-            moved = np.concatenate([one - base, np.zeros_like(base)])
-            return np.tile(moved[own], (self.n, 1))
-
-        target = {kind: less(unit.target[kind], zero.target[kind]) for kind in zero.target}
-        rest = {
-            one.name: less(getattr(unit, one.name), getattr(zero, one.name))
-            for one in fields(Drive)
-            if one.name != "target"
-        }
-        for i, name in enumerate(self.names):
-            kind, _, item = name.partition(".")
-            if own[i] >= 0 or kind not in ("locators", "clamps"):
-                continue
-            row = model.labels[kind[:-1]].index(item)
-            target[kind[:-1]][i :: self.p, row] = 1.0
-            if kind == "clamps":
-                rest["push"][i :: self.p, row] = 1.0
-        return Drive(target, **rest)
-
-    def _rougher(self) -> np.ndarray:
-        """(m, p) by how much the contacts' coefficients grow with each input."""
-        model = self.process.model
-        scene, zone = model.scene, model.contacts.zone
-        found = np.zeros((len(zone), self.p))
-        for i, name in enumerate(self.names):
-            for j, one in enumerate(scene.zones):
-                if name == f"zones.{one.name}.friction" and name not in model.parameters:
-                    found[zone == j, i] = 1.0
-        contacts = model.contacts
-        for name, source in zip(model.parameters, sources(scene)):
-            if source.changes and name in self.names:
-                found[:, self.names.index(name)] = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
-        return found
-
     def _columns(self, slope: np.ndarray) -> np.ndarray:
         """(n, ..., p) from (n p, ...)."""
         return np.moveaxis(slope.reshape(self.n, self.p, *slope.shape[1:]), 1, -1)
@@ -309,9 +248,10 @@ class _Sensitivity:
 
     def _step(self, stage: PreparedStage, number: int, eliminated: EliminatedStep, state, slope):
         """The states after a step, and where its contacts ended; None where they were not resolved."""
-        plain = replace(eliminated, step=_without_limits(eliminated.step))
-        sides = (eliminated, state, self.drive), (plain, slope, self.slope_drive)
+        plain = replace(eliminated, step=self._with_unit_limits(eliminated.step))
+        sides = (eliminated, state, self.drive), (plain, self._moved(state, slope), self.slope_drive)
         ramps = [stage.ramp(each.step, of, drive) for each, of, drive in sides]
+        shift = Shift.of(self.inputs.places, stage, eliminated)
         places = [
             (drive.target if each.step.sets_down else of.reading)["rest"][:, each.rest.row] for each, of, drive in sides
         ]
@@ -327,14 +267,21 @@ class _Sensitivity:
                 ]
                 for s in (0.0, 1.0)
             )
+            bend = shift.bend()
+            for s, (_, moved) in enumerate((starts, stop)):
+                shift.load(moved, self.p, *_driven(ramps[0], places[0], float(s)))
             over, slope_over = (
                 stage.overlap(each, of, drive, start) for (each, of, drive), start in zip(sides, starts)
             )
+            if bend is not None and eliminated.step.settles:
+                touching = np.column_stack([state.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
+                normal = slice(0, stops.rows, stops.dimension)
+                slope_over[:, normal] -= self._rows(bend.under(touching, self.p))[:, normal]
             starts[0] += np.maximum(0.0, over)
             starts[1] += np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)
             trail, converged = self._trail(stage, number, eliminated, state, starts[0], stop[0])
             end = retrace(
-                self._contact(stage, eliminated),
+                self._contact(stage, eliminated, bend),
                 self._varied(*(stops.spread(one) for one in starts)),
                 self._varied(*(stops.spread(one) for one in stop)),
                 self._varied(*(_with_stops(stops, of.anchor) for _, of, _ in sides)),
@@ -353,7 +300,30 @@ class _Sensitivity:
 
         after = left_behind(0, converged)
         slope_after = left_behind(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
+        if len(shift):
+            shift.read(stage, slope_after, after, self.p, *_driven(ramps[0], places[0], 1.0), end is not None)
         return after, slope_after, end
+
+    def _moved(self, state: ProcessState, slope: ProcessState) -> ProcessState:
+        """The slopes of the state, what rows read where they move."""
+        if not self.inputs.places:
+            return slope
+        reading = {kind: values.copy() for kind, values in slope.reading.items()}
+        for place in self.inputs.places:
+            kind, row = place.row
+            reading[kind][place.input :: self.p, row] += state.reading["position"][:, place.number]
+        return replace(slope, reading=reading)
+
+    def _with_unit_limits(self, step: Step) -> Step:
+        """The step with limits that push with what a unit of each input adds to their forces."""
+        none = np.zeros(self.p)
+
+        def unit(limits):
+            return tuple(
+                replace(limit, force=np.tile(self.inputs.limit.get(limit.row, none), self.n)) for limit in limits
+            )
+
+        return replace(step, limits=unit(step.limits), dropped_limits=unit(step.dropped_limits))
 
     def _varied(self, value, slope) -> Varied:
         return Varied(value, self._columns(slope))
@@ -374,11 +344,11 @@ class _Sensitivity:
         self.steps[key] = trail
         return trail, found.converged
 
-    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep) -> Contact:
+    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep, bend: Bend | None) -> Contact:
         contacts, law = self.process.model.contacts, stage.solver(eliminated).law
         stops = stage.stops(eliminated)
         friction = stops.friction(contacts.friction_in(stage.plan.name))
-        rougher = np.concatenate([self.rougher, np.zeros((stops.count, self.p))])
+        rougher = np.concatenate([self.inputs.rougher, np.zeros((stops.count, self.p))])
         if law.varies and friction.pressure is not None:
             rougher[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
         return Contact(
@@ -387,6 +357,7 @@ class _Sensitivity:
             friction if law.frictional else Friction.of(0.0, stops.total),
             rougher,
             contacts.dimension,
+            bend and Bend(stops.spread(bend.left), stops.spread(bend.lean), bend.whose),
         )
 
     def _contacts(self, state: ProcessState, slope: ProcessState, before: ProcessState, end: End) -> ContactSensitivity:
@@ -453,10 +424,7 @@ def _split(stops: Stops, gap, force, u, anchor) -> tuple[np.ndarray, np.ndarray,
     )
 
 
-def _without_limits(step: Step) -> Step:
-    """The step with limits that push with nothing: no input changes their forces."""
-    return replace(
-        step,
-        limits=tuple(replace(limit, force=0.0) for limit in step.limits),
-        dropped_limits=tuple(replace(limit, force=0.0) for limit in step.dropped_limits),
-    )
+def _driven(ramp: Ramp, place: np.ndarray, s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Values and loads of a step's rows at s of the ramp."""
+    v, loads = ramp.at(s)
+    return np.column_stack([v, place]), loads

@@ -122,20 +122,35 @@ def _moved(S, rows, size, loaded, F):
     return np.dot(columns, force)
 
 
-@jit(void(VECTOR, VECTOR, VECTOR, boolean, NUMBER, NUMBER, NUMBER, NUMBER, NUMBER, *3 * (MATRIX,), VECTOR, VECTOR))
+@jit(MATRIX(MATRIX, MATRIX, COUNTS, VECTOR, int64))
+def _bent(left, right, whose, force, p):
+    """(r, p) ``dS f`` of each input."""
+    found = np.zeros((left.shape[1], p))
+    for i in range(len(whose)):
+        share = 0.0
+        for j in range(len(force)):
+            share += right[i, j] * force[j]
+        for j in range(len(force)):
+            found[j, whose[i]] += share * left[i, j]
+    return found
+
+
+@jit(void(VECTOR, VECTOR, VECTOR, boolean, NUMBER, NUMBER, NUMBER, NUMBER, NUMBER, *3 * (MATRIX,), VECTOR, MATRIX))
 def _slip(f, w, f0, turns, κ, μ, share, bound, rise, P, Q, P0, R, r):
-    """A contact that slips under load, and how much of its bound's growth is its coefficient's; `share` is 1 - σ."""
+    """A contact that slips under load; `share` is 1 - σ, and r (3, 2) receives what its equations change with its
+    coefficient of friction and with its own compliance."""
     t = np.sqrt(f[1] * f[1] + f[2] * f[2])
     # w' = w_t + λ e, with its derivatives by w_t (D), f_t (E) and f⁰_t (E0).
     v1, v2 = w[1], w[2]
     D, E, E0 = np.eye(2), np.zeros((2, 2)), np.zeros((2, 2))
+    e, by_κ = np.zeros(2), 0.0
     if turns:
         t0 = np.sqrt(f0[1] * f0[1] + f0[2] * f0[2])
-        e = np.array([f0[1] / t0, f0[2] / t0])
+        e[0], e[1] = f0[1] / t0, f0[2] / t0
         l = -(e[0] * w[1] + e[1] * w[2])
         z = l / (0.5 * κ * (t0 + t))
         φ, dφ = _lag(z)
-        λ, by_l, by_c = φ * l, φ + dφ * z, -dφ * z * z * 0.5 * κ
+        λ, by_l, by_c, by_κ = φ * l, φ + dφ * z, -dφ * z * z * 0.5 * κ, -dφ * z * l / κ
         v1, v2 = v1 + λ * e[0], v2 + λ * e[1]
         across = e[1] * w[1] - e[0] * w[2]  # of w_t
         for i in range(2):
@@ -152,7 +167,7 @@ def _slip(f, w, f0, turns, κ, μ, share, bound, rise, P, Q, P0, R, r):
     R[0] = w[0] + share * μ * along
     Q[0, 0] = 1.0
     if share != 0.0:
-        r[0] = share * along
+        r[0, 0], r[0, 1] = share * along, share * μ * (f[1] * e[0] + f[2] * e[1]) / t * by_κ
         for j in range(2):
             by_w = (f[1] * D[0, j] + f[2] * D[1, j]) / t
             by_f = (f[1] * E[0, j] + f[2] * E[1, j]) / t
@@ -161,9 +176,9 @@ def _slip(f, w, f0, turns, κ, μ, share, bound, rise, P, Q, P0, R, r):
             Q[0, 1 + j], P[0, 1 + j], P0[0, 1 + j] = share * μ * by_w, share * μ * (by_f + own), share * μ * by_f0
     R[1] = κ * (t - bound)
     P[1, 0], P[1, 1], P[1, 2] = -κ * rise, κ * f[1] / t, κ * f[2] / t
-    r[1] = -κ * f[0]
+    r[1, 0] = -κ * f[0]
     weight = np.sqrt(v1 * v1 + v2 * v2) / κ + bound
-    R[2] = (f[1] * v2 - f[2] * v1) / weight
+    R[2], r[2, 1] = (f[1] * v2 - f[2] * v1) / weight, (f[1] * e[1] - f[2] * e[0]) * by_κ / weight
     P[2, 1], P[2, 2] = v2 / weight, -v1 / weight
     for j in range(2):
         Q[2, 1 + j] = (f[1] * D[1, j] - f[2] * D[0, j]) / weight
@@ -184,7 +199,7 @@ def _slip(f, w, f0, turns, κ, μ, share, bound, rise, P, Q, P0, R, r):
         *3 * (VECTOR,),
         *3 * (BLOCKS,),
         MATRIX,
-        MATRIX,
+        BLOCKS,
     )
 )
 def _equations(equation, varies, shift, length, parameters, own, state, slides, f, w, f0, P, Q, P0, R, r):
@@ -274,10 +289,32 @@ def _on_cone(equation, varies, parameters, f, found):
         MATRIX,
         MATRIX,
         MATRIX,
+        MATRIX,
+        MATRIX,
+        COUNTS,
     )
 )
 def _touching(
-    equation, varies, S, length, parameters, rougher, rate, drate, f0, F0, on_cone, closing, h, gap, dgap, shift, dshift
+    equation,
+    varies,
+    S,
+    length,
+    parameters,
+    rougher,
+    rate,
+    drate,
+    f0,
+    F0,
+    on_cone,
+    closing,
+    h,
+    gap,
+    dgap,
+    shift,
+    dshift,
+    left,
+    lean,
+    whose,
 ):
     """Where contacts touch that are open when a step of length h begins: with the rates of its start,
 
@@ -341,6 +378,8 @@ def _touching(
                 slides[k], changed = not slides[k], True
         if not changed:
             break
+    if len(whose):
+        drate = drate + _bent(left, lean, whose, df, p)
     right = np.zeros((3 * count, p))
     for a in range(count):
         k = own[a]
@@ -410,6 +449,9 @@ def _touching(
         MATRIX,
         VECTOR,
         MATRIX,
+        MATRIX,
+        MATRIX,
+        COUNTS,
         int64,
         boolean,
         VECTOR,
@@ -435,6 +477,9 @@ def _walk(
     B1,
     anchor,
     dA,
+    left,
+    lean,
+    whose,
     first,
     forced,
     f,
@@ -462,6 +507,8 @@ def _walk(
         Displacements without contact forces where the path begins and ends, and their slopes.
     anchor, dA : (2 m,), (2 m, p) array
         Where the contacts stand at first; empty where d is 1.
+    left, lean, whose : (l, d m), (l, d m), (l,) array
+        Changes of S, each an input's: ``left leanᵀ`` per unit.
     first : int
         Step to begin with; f and F are those of the one before.
     forced : bool
@@ -485,9 +532,16 @@ def _walk(
         np.zeros(m, np.bool_),
         np.zeros(m, np.bool_),
     )
-    rate, drate = b1 - b0, B1 - B0
+    rate, drate, unbent = b1 - b0, B1 - B0, np.zeros((len(b0), p))
     P, Q, P0 = np.zeros((m, size, size)), np.zeros((m, size, size)), np.zeros((m, size, size))
-    R, r = np.zeros((m, size)), np.zeros((m, size))
+    R, r, dκ = np.zeros((m, size)), np.zeros((m, size, 2)), np.zeros((m, p))
+    for i in range(len(whose)):  # the contacts' own compliance changes, too
+        for k in range(m):
+            own_row = size * k
+            for j in range(own_row, own_row + size):
+                if S[j, j] > S[own_row, own_row]:
+                    own_row = j
+            dκ[k, whose[i]] += left[i, own_row] * lean[i, own_row]
     for number in range(first, len(ends)):
         s, begin = ends[number], ends[number - 1] if number else 0.0
         h, second = s - begin, followed and number > 0
@@ -506,6 +560,7 @@ def _walk(
         closing, slides[:] = np.zeros(0, np.int64), False
         shifts, dshift = np.zeros((0, 2)), np.zeros((0, p))
         before = np.flatnonzero(f0[::size] != 0.0)
+        bent = unbent if not len(whose) else _bent(left, lean, whose, f0, p)
         if second:
             _on_cone(equation, varies, parameters, f0, on_cone)
             slides[:] = on_cone
@@ -515,7 +570,7 @@ def _walk(
                 gap, dgap = np.empty(len(rows)), _moved(S, rows, 3, before, F)
                 for a in range(len(rows)):
                     gap[a] = moved[rows[a]] + b0[rows[a]] + begin * rate[rows[a]]
-                    dgap[a] += B0[rows[a]] + begin * drate[rows[a]]
+                    dgap[a] += B0[rows[a]] + begin * drate[rows[a]] + bent[rows[a]]
                 shifts, dshift = np.zeros((len(closing), 2)), np.zeros((2 * len(closing), p))
                 _touching(
                     equation,
@@ -535,6 +590,9 @@ def _walk(
                     dgap,
                     shifts,
                     dshift,
+                    left,
+                    lean,
+                    whose,
                 )
                 for a in range(len(closing)):
                     for c in range(2):
@@ -592,6 +650,7 @@ def _walk(
                 dmoved = np.zeros((len(tangents), p))
                 if number and size == 3:
                     dmoved = _moved(S, tangents, 3, before, F)
+                bends = bent if not len(whose) else _bent(left, lean, whose, x, p)
                 place = np.full(m, -1)
                 for a in range(len(closing)):
                     place[closing[a]] = a
@@ -607,6 +666,11 @@ def _walk(
                                 dq[c] -= dshift[2 * place[k] + c - 1]
                         else:
                             dq[c] = B0[i + c] + s * drate[i + c] - dA[2 * k + c - 1]
+                    if len(whose):
+                        for c in range(size):
+                            dq[c] += bends[i + c]
+                            if number and c:
+                                dq[c] -= bent[i + c]
                     for row in range(size):
                         target = right[size * a + row, 1:]
                         target[:] = 0.0
@@ -615,8 +679,10 @@ def _walk(
                                 target -= Q[a, row, c] * dq[c]
                             if P0[a, row, c] != 0.0:
                                 target -= P0[a, row, c] * F[i + c]
-                        if r[a, row] != 0.0:
-                            target -= r[a, row] * rougher[k]
+                        if r[a, row, 0] != 0.0:
+                            target -= r[a, row, 0] * rougher[k]
+                        if r[a, row, 1] != 0.0 and len(whose):
+                            target -= r[a, row, 1] * dκ[k]
             found = _solved(_system(S, P[:count], Q[:count], own), right)
             change = 0.0
             for a in range(count):
@@ -660,6 +726,9 @@ def _walk(
         BLOCKS,
         MATRIX,
         BLOCKS,
+        MATRIX,
+        MATRIX,
+        COUNTS,
         COUNTS,
         MASK,
         MATRIX,
@@ -686,6 +755,9 @@ def walks(
     B1,
     anchor,
     dA,
+    left,
+    lean,
+    whose,
     first,
     forced,
     f,
@@ -721,6 +793,9 @@ def walks(
             B1[i],
             anchor[i],
             dA[i],
+            left,
+            lean,
+            whose,
             first[i],
             forced[i],
             f[i],
