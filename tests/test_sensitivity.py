@@ -182,8 +182,8 @@ def test_a_locator_and_a_clamp_are_inputs_without_being_deviations(lap_model):
 
 
 def with_places(model, share=0.02) -> tuple[ReducedModel, dict]:
-    """The model with made-up position rows, as if a weld moved towards a pair, and other rows were to read what pairs read when
-    they move; and for each input which rows those are."""
+    """The model with made-up position rows, as if a weld moved towards a pair, and others read what pairs read as they
+    move; and for each input which rows those are."""
     scene, contact, weld = model.scene, model.rows["contact"], model.rows["weld"]
     moving = {f"locators.{scene.locators[2].name}.x": {("locator", 2): share * contact[7]}}
     moving |= {f"clamps.{scene.clamps[0].name}.y": {("clamp", 0): share * contact[30]}}

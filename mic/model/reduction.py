@@ -101,7 +101,7 @@ class Reduction:
             shape,
             forces,
             assembly.inputs,
-            getattr(assembly, "position_gap", np.zeros(0)),
+            assembly.position_gap,
         )
 
     @property

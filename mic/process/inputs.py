@@ -99,7 +99,9 @@ class Inputs:
             raise ValueError("inputs: name at least one")
         for name in names:
             if name not in known:
-                raise ValueError(f"inputs: {name!r} is no input of this model{_why(model, name)}; known: {_all(known)}")
+                raise ValueError(
+                    f"inputs: {name!r} is no input of this model{_why(model, name)}; known: {', '.join(known)}"
+                )
         p, scene, labels = len(names), model.scene, model.labels
         joints, own = Joints(tuple(model.weld_size)), [one.name for one in scene.deviations]
         target = {kind: np.zeros((p, len(labels[kind]))) for kind in ("locator", "clamp")}
@@ -122,7 +124,8 @@ class Inputs:
             elif item in labels[table[:-1]]:
                 row = labels[table[:-1]].index(item)
                 target[table[:-1]][i, row] = 1.0
-                push[i, row] = table == "clamps"
+                if table == "clamps":
+                    push[i, row] = 1.0
             else:
                 clamp = [f"{one.name}.limit" for one in scene.clamps].index(item)
                 limit.setdefault(("clamp", clamp), np.zeros(p))[i] = 1.0
@@ -190,7 +193,3 @@ def _why(model, name: str) -> str:
             else f' (give the scene positions = ["{table}.{owner}"] in [report])'
         )
     return f" (it has no {key})" if key in ("limit", "gun") else ""
-
-
-def _all(known) -> str:
-    return ", ".join(known)
