@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.sparse import vstack
+from support.springs import STIFFNESS, at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.contact.columns import Columns
@@ -379,3 +380,40 @@ def test_a_scene_that_measures_nothing_has_no_sensitivities(lap_model):
     bare = replace(lap_model, scene=lap_model.scene.model_copy(update={"measurements": []}))
     with pytest.raises(ValueError, match="has no measurements"):
         effects(bare, "coulomb", 1)
+
+
+def pressed(force, **clamp) -> ReducedModel:
+    """b's face, pressed down by a clamp: by w = F/k until it has closed its gap, then by half as much a newton."""
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        "locators": [*six("a"), *six("b")],
+        "clamps": [at_face("b", (0, 0, -1), name="C", **({"force": force} | clamp))],
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
+        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
+        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    }
+    return spring_model([0.3], **keys)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
+def test_at_a_change_of_state_derivatives_to_either_side_are_told(law):
+    """The clamp's force just closes the gap: the face yields by 1/k a newton below it and by 1/2k above."""
+    soft, stiff = -1 / STIFFNESS, -0.5 / STIFFNESS
+    for force, sides in ((0.3 * STIFFNESS, [soft, stiff]), (0.29 * STIFFNESS, [soft] * 2), (20.0, [stiff] * 2)):
+        found = pressed(force).sensitivities({}, law, {"clamps.C": 1.0})
+        np.testing.assert_allclose(found.sides[0, 0, 0], sides, rtol=1e-9)
+        assert (found.reach[0] < 1e-6) == (sides[0] != sides[1])
+        assert found.where[0] in ("clamp: contact 0 of zone Z closes", "clamp: contact 0 of zone Z opens")
+
+
+def test_forces_of_limited_clamps_are_inputs():
+    """What does not reach its position pushes with its limit; what reaches it does not hang on it, to either side."""
+    soft, stiff = -1 / STIFFNESS, -0.5 / STIFFNESS
+    needed = STIFFNESS * (2 * 0.5 - 0.3)
+    cases = [(10.0, [soft] * 2), (25.0, [stiff] * 2), (2 * needed, [0.0] * 2), (needed, [stiff, 0.0])]
+    for limit, sides in cases:
+        model = pressed(None, stroke=0.5, limit=limit)
+        assert "clamps.C.limit" in known_inputs(model)
+        found = model.sensitivities({}, "coulomb", {"clamps.C.limit": 1.0, "clamps.C": 0.1})
+        np.testing.assert_allclose(found.sides[0, 0, 0], sides, rtol=1e-9, atol=1e-12)
+        assert limit == needed or found.jacobian[0, 0, 1] == pytest.approx(-1.0 if limit > needed else 0.0, abs=1e-9)

@@ -25,7 +25,7 @@ path and the follower's differ by no more than errors of the size that it estima
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -138,8 +138,26 @@ class End:
     cone: Varied
     solved: np.ndarray
 
+    @classmethod
+    def join(cls, pieces: Sequence[End]) -> End:
+        """One after the other."""
 
-def retrace(contact: Contact, start: Varied, end: Varied, anchor: Varied, trail: Sequence[Trail]) -> End:
+        def joined(arrays):
+            if isinstance(arrays[0], Varied):
+                return Varied(*(np.concatenate([getattr(one, name) for one in arrays]) for name in ("value", "slope")))
+            return np.concatenate(arrays)
+
+        return cls(**{one.name: joined([getattr(piece, one.name) for piece in pieces]) for one in fields(cls)})
+
+
+def retrace(
+    contact: Contact,
+    start: Varied,
+    end: Varied,
+    anchor: Varied,
+    trail: Sequence[Trail],
+    also: np.ndarray | None = None,
+) -> End:
     """Go the paths of n samples again, with derivatives.
 
     Parameters
@@ -151,13 +169,15 @@ def retrace(contact: Contact, start: Varied, end: Varied, anchor: Varied, trail:
         (n, (d - 1) m), mm.
     trail : sequence of Trail
         Of each sample; its forces are where Newton's method starts.
+    also : (m,) bool array, optional
+        Contacts that take part beside those that carry force on any trail.
 
     Returns
     -------
     End
     """
     d, m, n = contact.dimension, len(contact.friction), len(trail)
-    touched = np.zeros(m, dtype=bool)
+    touched = np.zeros(m, dtype=bool) if also is None else also.copy()
     for one in trail:
         touched |= (one.force[:, ::d] > 0.0).any(axis=0)
     own = np.flatnonzero(touched)
@@ -240,6 +260,8 @@ class _Walk:
         rows = len(self.rows)
         f, F, q = np.zeros((n, rows)), np.zeros((n, rows, p)), np.zeros((n, rows))
         state, first = np.zeros((n, m), dtype=np.int64), np.zeros(n, dtype=np.int64)
+        if not m:  # nothing touches anywhere
+            return f, F, state, np.ones(n, dtype=bool)
         followed = np.array([one.order == 2 for one in trail])
         edges = np.concatenate([[0], np.cumsum([len(one.ends) for one in trail])]).astype(np.int64)
         ends = np.concatenate([one.ends for one in trail]).astype(float)
@@ -288,7 +310,7 @@ class _Walk:
 
     def margin(self, f, slope, state) -> tuple[np.ndarray, np.ndarray]:
         """What is left of the bound of contacts that stick (n, m), N, infinite for others, and its slope (n, m, p)."""
-        n, m, p = *state.shape, slope.shape[2]
+        (n, m), p = state.shape, slope.shape[2]
         if self.size == 1:
             return np.full((n, m), np.inf), np.zeros((n, m, p))
         f, slope = f.reshape(n, m, 3), slope.reshape(n, m, 3, p)

@@ -106,7 +106,7 @@ def _point(name: str, item, rows: Rows) -> list[float]:
         for sign in (1.0, -1.0):
             patch = rows.disc(item.part, np.asarray(item.point) + sign * ε * tangent, item.radius)
             ends.append([(item.part, rows.functional(item.part, patch, item.direction, f"{name} moved"), 1.0)])
-        moved.append([_difference(*ends, ε)])
+        moved.append([_difference(ends[0], ends[1], ε)])
     return _along(name, tangents, moved, [0.0, 0.0], rows)
 
 
@@ -121,7 +121,7 @@ def _along(name: str, tangents, moved, gaps, rows: Rows) -> list[float]:
     found = []
     for axis, e in zip("xyz", np.eye(3)):
         shares = [float(e @ tangent) for tangent in tangents]
-        if np.hypot(*shares) < FLAT:
+        if np.linalg.norm(shares) < FLAT:
             continue
         for own in zip(*moved):
             terms = [(part, at, share * c) for share, terms in zip(shares, own) for part, at, c in terms]

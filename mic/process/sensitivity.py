@@ -22,8 +22,10 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.path import Path
+from mic.contact.states import OPEN
 from mic.contact.tangent import Bend, Contact, End, Varied, retrace
 from mic.errors import SceneError
+from mic.process.drive import Drive
 from mic.process.inputs import Inputs, known_inputs
 from mic.process.path import Ramp
 from mic.process.plan import Step
@@ -33,10 +35,15 @@ from mic.process.state import ProcessState
 from mic.process.stops import Stops
 from mic.product import one_thread
 
-__all__ = ["ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
+__all__ = ["AT_CHANGE", "ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
 
 #: A contact this near a change of state, of the largest gap or force, along which no input moves it, stays on it.
 RESTS = 1e-10
+#: A sample is at a change of state if it is no farther from it, in standard deviations; and how far beside it, and
+#: beyond twice the way to it, derivatives to either side are taken.
+AT_CHANGE, BESIDE = 1e-6, 1e-5
+#: mm: what overlaps by more there closes.
+TOUCHES = 1e-11
 #: Values of samples and their derivatives that are carried at once: memory.
 AT_ONCE = 2_000_000
 
@@ -81,6 +88,10 @@ class Sensitivities:
         more than the error of its path.
     jacobian : (n, k, p) array
         Their derivatives, mm per unit of the inputs.
+    sides : (n, k, p, 2) array
+        Of samples at a change of state (``reach`` at most :data:`AT_CHANGE`), derivatives to either side of it, towards
+        smaller values of the input and towards larger; NaN where there is no solution to be followed there, and for
+        places in sheets. Of others, and along inputs that do not lead to the change, the derivatives themselves.
     contacts : dict of str to ContactSensitivity
         By stage.
     reach : (n,) array
@@ -105,6 +116,7 @@ class Sensitivities:
     sigma: np.ndarray
     measurements: np.ndarray
     jacobian: np.ndarray
+    sides: np.ndarray
     contacts: dict[str, ContactSensitivity]
     reach: np.ndarray
     reach_along: np.ndarray
@@ -129,7 +141,7 @@ class Sensitivities:
             )
             for stage in pieces[0].contacts
         }
-        arrays = ("measurements", "jacobian", "reach", "reach_along", "where", "failed", "exact")
+        arrays = ("measurements", "jacobian", "sides", "reach", "reach_along", "where", "failed", "exact")
         return replace(
             pieces[0],
             contacts=contacts,
@@ -186,18 +198,45 @@ def sensitivities(
         for first in range(run.start, run.stop, block):
             some = slice(first, min(first + block, run.stop))
             frozen = None if steps is None else {key: trail[some] for key, trail in steps.items()}
-            pieces.append(_Sensitivity(each, deviations[some], names, sigma, frozen).found())
+            piece = _Sensitivity(each, deviations[some], names, sigma, frozen).found()
+            _take_sides(each, deviations[some], piece)
+            pieces.append(piece)
     return Sensitivities.join(pieces)
 
 
-class _Sensitivity:
-    """A batch of samples, with one more assembly for each sample and input: sample by sample, its inputs in a row."""
+def _take_sides(process, deviations: np.ndarray, found: Sensitivities) -> None:
+    """Of samples at a change of state, find the derivatives to either side, the steps of their paths frozen."""
+    there = np.flatnonzero(~found.failed & (found.reach <= AT_CHANGE))
+    for i, (name, σ) in enumerate(zip(found.inputs, found.sigma)) if there.size else ():
+        own = there[found.reach_along[there, i] <= BESIDE]
+        if not own.size:
+            continue
+        way = σ * (BESIDE + 2 * found.reach_along[own, i])
+        both, aside = np.tile(own, 2), np.concatenate([-way, way])
+        steps = {key: trail[both] for key, trail in found.steps.items()}
+        beside = _Sensitivity(process, deviations[both], [name], np.array([σ]), steps, aside)
+        if beside.inputs.places:
+            found.sides[own, :, i] = np.nan
+            continue
+        sides = beside.found()
+        slope = np.where((sides.exact & ~sides.failed)[:, None], sides.jacobian[:, :, 0], np.nan)
+        found.sides[own, :, i] = slope.reshape(2, len(own), -1).transpose(1, 2, 0)
 
-    def __init__(self, process, deviations, names, sigma, steps):
+
+class _Sensitivity:
+    """A batch of samples, with one more assembly for each sample and input: sample by sample, its inputs in a row.
+
+    With `aside` (n,), its one input is so far from where the sample has it.
+    """
+
+    def __init__(self, process, deviations, names, sigma, steps, aside=None):
         self.process, self.names, self.sigma, self.frozen = process, names, sigma, steps
         self.n, self.p = len(deviations), len(names)
         self.inputs = Inputs.of(process.model, names)
         self.drive, self.slope_drive = process.asked(deviations), self.inputs.drive(process, deviations)
+        self.aside = np.zeros(self.n) if aside is None else aside
+        if aside is not None:
+            self.drive = _beside(self.drive, self.slope_drive, aside)
         self.steps: dict[tuple[str, int], np.ndarray] = {}
         self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
         self.along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
@@ -229,6 +268,7 @@ class _Sensitivity:
             self.sigma,
             values,
             jacobian,
+            np.repeat(jacobian[..., None], 2, axis=-1),
             contacts,
             self.reach,
             self.along,
@@ -248,8 +288,8 @@ class _Sensitivity:
 
     def _step(self, stage: PreparedStage, number: int, eliminated: EliminatedStep, state, slope):
         """The states after a step, and where its contacts ended; None where they were not resolved."""
-        plain = replace(eliminated, step=self._with_unit_limits(eliminated.step))
-        sides = (eliminated, state, self.drive), (plain, self._moved(state, slope), self.slope_drive)
+        driven, plain = (replace(eliminated, step=step) for step in self._limited(eliminated.step))
+        sides = (driven, state, self.drive), (plain, self._moved(state, slope), self.slope_drive)
         ramps = [stage.ramp(each.step, of, drive) for each, of, drive in sides]
         shift = Shift.of(self.inputs.places, stage, eliminated)
         places = [
@@ -280,7 +320,8 @@ class _Sensitivity:
             starts[0] += np.maximum(0.0, over)
             starts[1] += np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)
             trail, converged = self._trail(stage, number, eliminated, state, starts[0], stop[0])
-            end = retrace(
+            end = self._retraced(
+                self._out(eliminated),
                 self._contact(stage, eliminated, bend),
                 self._varied(*(stops.spread(one) for one in starts)),
                 self._varied(*(stops.spread(one) for one in stop)),
@@ -296,13 +337,35 @@ class _Sensitivity:
             ]
 
         def left_behind(side: int, solved: np.ndarray | None) -> ProcessState:
-            return stage.after(*sides[side], ramps[side], places[side], *ends[side], solved)
+            each, of, drive = sides[side]
+            force, left, anchor, stop = ends[side]
+            return stage.after(each, of, drive, ramps[side], places[side], force, left, anchor, stop, solved)
 
         after = left_behind(0, converged)
         slope_after = left_behind(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
         if len(shift):
             shift.read(stage, slope_after, after, self.p, *_driven(ramps[0], places[0], 1.0), end is not None)
         return after, slope_after, end
+
+    def _retraced(self, out: np.ndarray, contact: Contact, start: Varied, end: Varied, anchor: Varied, trail) -> End:
+        """The paths; of samples that are beside their own under the friction there, and contacts may touch that never
+        did, but for those that take no part, `out`."""
+        if not self.aside.any():
+            return retrace(contact, start, end, anchor, trail)
+        ends = []
+        for i, way in enumerate(self.aside):
+            coefficient = np.maximum(contact.friction.coefficient + way * contact.rougher[:, 0], 0.0)
+            there = replace(contact, friction=replace(contact.friction, coefficient=coefficient))
+            b0, b1, stands = (Varied(one.value[i : i + 1], one.slope[i : i + 1]) for one in (start, end, anchor))
+            also = np.zeros(len(out), dtype=bool)
+            while True:
+                found = retrace(there, b0, b1, stands, trail[i : i + 1], also)
+                new = ~out & ~also & (found.state[0] == OPEN) & (found.normal.value[0] < -TOUCHES)
+                if not new.any():
+                    break
+                also |= new
+            ends.append(found)
+        return End.join(ends)
 
     def _moved(self, state: ProcessState, slope: ProcessState) -> ProcessState:
         """The slopes of the state, what rows read where they move."""
@@ -314,8 +377,8 @@ class _Sensitivity:
             reading[kind][place.input :: self.p, row] += state.reading["position"][:, place.number]
         return replace(slope, reading=reading)
 
-    def _with_unit_limits(self, step: Step) -> Step:
-        """The step with limits that push with what a unit of each input adds to their forces."""
+    def _limited(self, step: Step) -> tuple[Step, Step]:
+        """The step with limits that push with what the samples have, and with what a unit of each input adds."""
         none = np.zeros(self.p)
 
         def unit(limits):
@@ -323,7 +386,15 @@ class _Sensitivity:
                 replace(limit, force=np.tile(self.inputs.limit.get(limit.row, none), self.n)) for limit in limits
             )
 
-        return replace(step, limits=unit(step.limits), dropped_limits=unit(step.dropped_limits))
+        units = replace(step, limits=unit(step.limits), dropped_limits=unit(step.dropped_limits))
+        if not (self.aside.any() and self.inputs.limit):
+            return step, units
+
+        def beside(limits, of):
+            return tuple(replace(limit, force=limit.force + self.aside * one.force) for limit, one in zip(limits, of))
+
+        moved = beside(step.limits, units.limits), beside(step.dropped_limits, units.dropped_limits)
+        return replace(step, limits=moved[0], dropped_limits=moved[1]), units
 
     def _varied(self, value, slope) -> Varied:
         return Varied(value, self._columns(slope))
@@ -369,11 +440,14 @@ class _Sensitivity:
             self._columns(slope.left[:, :, 1:] - before.left[:, :, 1:]),
         )
 
+    def _out(self, eliminated: EliminatedStep) -> np.ndarray:
+        """(m + s,) contacts that take no part in a step."""
+        step, contacts = eliminated.step, self.process.model.contacts
+        return np.concatenate([contacts.out(step.nuggets, step.away), np.zeros(len(step.stops), dtype=bool)])
+
     def _reach(self, stage: PreparedStage, eliminated: EliminatedStep, end: End) -> None:
         """Note what changes its state nearest, should it be nearer than all before."""
-        contacts, stops = self.process.model.contacts, stage.stops(eliminated)
-        there = np.ones(stops.total, dtype=bool)
-        there[: stops.contacts] = ~contacts.out(eliminated.step.nuggets, eliminated.step.away)
+        there = ~self._out(eliminated)
         for margin in (end.normal, end.cone):
             size = np.abs(margin.value)
             finite = np.where(np.isfinite(size), size, 0.0)
@@ -428,3 +502,13 @@ def _driven(ramp: Ramp, place: np.ndarray, s: float) -> tuple[np.ndarray, np.nda
     """Values and loads of a step's rows at s of the ramp."""
     v, loads = ramp.at(s)
     return np.column_stack([v, place]), loads
+
+
+def _beside(drive: Drive, slope: Drive, way: np.ndarray) -> Drive:
+    """What drives samples that are so far (n,) along their input."""
+    moved = {
+        one.name: getattr(drive, one.name) + way[:, None] * getattr(slope, one.name)
+        for one in fields(Drive)
+        if one.name != "target"
+    }
+    return Drive({kind: value + way[:, None] * slope.target[kind] for kind, value in drive.target.items()}, **moved)

@@ -16,6 +16,7 @@ import numpy as np
 
 from mic.contact.tangent import Bend
 from mic.process.inputs import Place
+from mic.process.stage import EliminatedStep
 from mic.process.state import ProcessState
 
 __all__ = ["Shift"]
@@ -28,13 +29,13 @@ class Shift:
     Attributes
     ----------
     places : tuple of Place
-    eliminated : mic.process.stage.EliminatedStep
+    eliminated : EliminatedStep
     first : int
         The first position row among the output rows.
     """
 
     places: tuple[Place, ...]
-    eliminated: object
+    eliminated: EliminatedStep
     first: int
 
     @classmethod
@@ -64,7 +65,10 @@ class Shift:
 
     def bend(self) -> Bend | None:
         """What the places change of the compliance (d m + s, d m + s) of contacts and stops; None where nothing."""
-        response, left, lean, whose = self.eliminated.response, [], [], []
+        response = self.eliminated.response
+        left: list[np.ndarray] = []
+        lean: list[np.ndarray] = []
+        whose: list[int] = []
         for place in self.places:
             α = self._beside("L", place)
             for column in self._held(place):
