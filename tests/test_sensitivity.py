@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import vstack
+from support.springs import STIFFNESS, at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.contact.columns import Columns
@@ -23,6 +25,7 @@ from mic.studies.sensitivity import effects, steps
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic
 STEP = 1e-5  # standard deviations
+MOVED = 1e-4  # mm, of rows that are eliminated anew: differences of less would be rounding
 TIGHT = 1e-12  # of the contact certificate: differences of less would be rounding
 SIGMA = {"locator": 0.05, "clamp": 5.0}
 
@@ -179,6 +182,56 @@ def test_a_locator_and_a_clamp_are_inputs_without_being_deviations(lap_model):
     )
 
 
+def with_places(model, share=0.02) -> tuple[ReducedModel, dict]:
+    """The model with made-up position rows, as if a weld moved towards a pair, and others read what pairs read as they
+    move; and for each input which rows those are."""
+    scene, contact, weld = model.scene, model.rows["contact"], model.rows["weld"]
+    moving = {f"locators.{scene.locators[2].name}.x": {("locator", 2): share * contact[7]}}
+    moving |= {f"clamps.{scene.clamps[0].name}.y": {("clamp", 0): share * contact[30]}}
+    moving |= {f"welds.{scene.welds[0].name}.x": {("weld", i): share * (contact[15 + i] - weld[i]) for i in range(3)}}
+    names = [name for name, rows in moving.items() for _ in rows]
+    moved = [slope for rows in moving.values() for slope in rows.values()]
+    return replace(
+        model,
+        rows=model.rows | {"position": vstack(moved, format="csr")},
+        labels=model.labels | {"position": names},
+        position_gap=np.full(len(moved), 0.1),
+    ), moving
+
+
+def displaced(model, rows, step) -> ReducedModel:
+    """The model whose rows have moved, and with them the first weld's gap."""
+    changed = dict(model.rows)
+    for (kind, row), slope in rows.items():
+        whole = changed[kind].tolil()
+        whole[row] = changed[kind][row] + step * slope
+        changed[kind] = whole.tocsr()
+    gap = model.weld_gap.copy()
+    gap[0] += 0.1 * step * any(kind == "weld" for kind, _ in rows)
+    return replace(model, rows=changed, weld_gap=gap)
+
+
+@pytest.mark.parametrize(("way", "change"), [("one-step", {}), (8, {}), ("followed", {}), (3, {"close": True})])
+def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
+    """What the row reads elsewhere counts, what it pushes with there, and the weld's gap."""
+    model = on_the_way(lap_model, way)
+    welds = [one.model_copy(update=change) for one in model.scene.welds]
+    model, moving = with_places(replace(model, scene=model.scene.model_copy(update={"welds": welds})))
+    process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 1)
+    found = sensitivities(process, samples, list(moving))
+    for i, (name, rows) in enumerate(moving.items()):
+        up, down = (
+            sensitivities(
+                displaced(model, rows, h).process("coulomb", TIGHT), samples, [name], found.steps
+            ).measurements
+            for h in (MOVED, -MOVED)
+        )
+        difference = (up - down) / (2 * MOVED)
+        largest = np.abs(difference).max()
+        assert largest > 1e-6, name
+        np.testing.assert_allclose(found.jacobian[:, :, i], difference, rtol=0, atol=10 * EXACT * largest)
+
+
 FORGOTTEN = {
     "where contacts were left": lambda state: replace(state, left=0 * state.left, anchor=0 * state.anchor),
     "what welds froze": lambda state: replace(state, frozen={row: 0 * v for row, v in state.frozen.items()}),
@@ -327,3 +380,40 @@ def test_a_scene_that_measures_nothing_has_no_sensitivities(lap_model):
     bare = replace(lap_model, scene=lap_model.scene.model_copy(update={"measurements": []}))
     with pytest.raises(ValueError, match="has no measurements"):
         effects(bare, "coulomb", 1)
+
+
+def pressed(force, **clamp) -> ReducedModel:
+    """b's face, pressed down by a clamp: by w = F/k until it has closed its gap, then by half as much a newton."""
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        "locators": [*six("a"), *six("b")],
+        "clamps": [at_face("b", (0, 0, -1), name="C", **({"force": force} | clamp))],
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
+        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
+        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    }
+    return spring_model([0.3], **keys)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
+def test_at_a_change_of_state_derivatives_to_either_side_are_told(law):
+    """The clamp's force just closes the gap: the face yields by 1/k a newton below it and by 1/2k above."""
+    soft, stiff = -1 / STIFFNESS, -0.5 / STIFFNESS
+    for force, sides in ((0.3 * STIFFNESS, [soft, stiff]), (0.29 * STIFFNESS, [soft] * 2), (20.0, [stiff] * 2)):
+        found = pressed(force).sensitivities({}, law, {"clamps.C": 1.0})
+        np.testing.assert_allclose(found.sides[0, 0, 0], sides, rtol=1e-9)
+        assert (found.reach[0] < 1e-6) == (sides[0] != sides[1])
+        assert found.where[0] in ("clamp: contact 0 of zone Z closes", "clamp: contact 0 of zone Z opens")
+
+
+def test_forces_of_limited_clamps_are_inputs():
+    """What does not reach its position pushes with its limit; what reaches it does not hang on it, to either side."""
+    soft, stiff = -1 / STIFFNESS, -0.5 / STIFFNESS
+    needed = STIFFNESS * (2 * 0.5 - 0.3)
+    cases = [(10.0, [soft] * 2), (25.0, [stiff] * 2), (2 * needed, [0.0] * 2), (needed, [stiff, 0.0])]
+    for limit, sides in cases:
+        model = pressed(None, stroke=0.5, limit=limit)
+        assert "clamps.C.limit" in known_inputs(model)
+        found = model.sensitivities({}, "coulomb", {"clamps.C.limit": 1.0, "clamps.C": 0.1})
+        np.testing.assert_allclose(found.sides[0, 0, 0], sides, rtol=1e-9, atol=1e-12)
+        assert limit == needed or found.jacobian[0, 0, 1] == pytest.approx(-1.0 if limit > needed else 0.0, abs=1e-9)

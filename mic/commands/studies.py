@@ -46,6 +46,7 @@ __all__ = [
 
 NOTHING = 1e-6  # mm: a step that changes no more changes nothing
 LISTED = 6  # inputs that a characteristic shows
+SIDED = 1e-3  # of the larger: effects to either side of a change that differ by less are one
 FAR = 100.0  # steps: no contact that a step could change
 
 
@@ -236,6 +237,10 @@ def _print_sensitivity(console, found):
         order = own["effect"].abs().sort_values(ascending=False, kind="stable").index
         for i, row in enumerate(own.loc[order[:LISTED]].to_dict("records")):
             effect, low, high = (number(1e3 * row[key], 2) for key in ("effect", "effect_low", "effect_high"))
+            if abs(row["effect_above"] - row["effect_below"]) > SIDED * max(
+                abs(row["effect_below"]), abs(row["effect_above"])
+            ):
+                effect = f"{number(1e3 * row['effect_below'], 2)} below, {number(1e3 * row['effect_above'], 2)} above"
             reach = f"{number(row['reach'], 2)} steps" if row["reach"] < FAR else "–"
             first = "" if i else plain(str(name))
             table.add_row(first, plain(row["input"]), number(row["step"], 3), f"{effect} ({low} … {high})", reach)
@@ -243,7 +248,14 @@ def _print_sensitivity(console, found):
             table.add_row("", f"… {len(own) - LISTED} others", "", "less", "")
         table.add_section()
     console.print(table)
-    if math.isfinite(found.reach):
+    if found.at_change:
+        console.print(
+            f"The mean assembly is at a change of a contact ({plain(found.at_change)}): effects differ below it, towards "
+            "smaller values of the input, and above",
+            highlight=False,
+            soft_wrap=True,
+        )
+    elif math.isfinite(found.reach):
         console.print(
             f"The mean assembly is {number(found.reach, 2)} σ from the next change of a contact: {plain(found.where)}",
             highlight=False,

@@ -35,6 +35,7 @@ from mic.model.meshing import chosen_sizes
 from mic.model.modes import write_modes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
+from mic.model.positions import position_rows
 from mic.model.rows import AXES, Rows
 from mic.model.sources import ranges, sources
 from mic.product import one_thread
@@ -180,6 +181,8 @@ class Assembly:
         Distance between the candidates of each zone, mm; None where a zone states its pairs.
     decks : dict of str to Deck
         What the mesh files of the parts tell beside the mesh.
+    position_gap : (q,) array
+        By how much the gap of the weld that a position row belongs to grows as it moves; 0 for others.
     placed : tuple of str
         What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
     """
@@ -197,6 +200,7 @@ class Assembly:
     spacing: tuple[float | None, ...] = ()
     decks: Mapping[str, Deck] = field(default_factory=dict)
     placed: tuple[str, ...] = ()
+    position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def offsets(self) -> np.ndarray:
@@ -291,6 +295,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         with problems:
             source.retain(rows)
     characteristics.retain(rows, scene, problems)
+    position_gap = np.array([]) if problems else position_rows(scene, bodies, rows, partial(_weld_terms, bodies=bodies))
     bodies_elsewhere = {}
     for one in loaded:
         with problems:
@@ -332,6 +337,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         tuple(spacing),
         {one.part.name: one.deck for one in loaded if one.deck is not None},
         placed,
+        position_gap,
     )
 
 
@@ -378,6 +384,14 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
         raise SceneError(f"{key}.point ({weld.name}): {error}; correct the coordinates") from None
+    terms = _weld_terms(weld, pair, bodies, rows)
+    for label, *row in terms:
+        rows.add("weld", label, *row)
+    return pair.gap, len(terms)
+
+
+def _weld_terms(weld, pair: ContactPair, bodies, rows: Rows) -> list[tuple]:
+    """Retain what a weld reads over a pair; of each of its rows the label, and what it is of the two parts."""
     moments = _moments(pair, bodies[weld.parts[0]].surface, weld.radius) if weld.fused and weld.moment else {}
     functional: list[list[int]] = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
@@ -397,9 +411,7 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
         )
     first, second = weld.parts
     labels = [f"{weld.name} {label}{axis}" for label, _, _ in asked for axis in AXES]
-    for label, a, b in zip(labels, *functional):
-        rows.add("weld", label, (first, a, -1.0), (second, b, 1.0))
-    return pair.gap, len(labels)
+    return [(label, (first, a, -1.0), (second, b, 1.0)) for label, a, b in zip(labels, *functional)]
 
 
 def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:

@@ -29,7 +29,7 @@ from mic.scene import Scene
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 5, "build the model again")
+FORMAT = store.Format("reduced model", 6, "build the model again")
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,8 @@ class Reduction:
         As in :class:`mic.model.assembly.Assembly`: with the scene, all that the model was made from.
     thicknesses : dict of str to Thicknesses
         Compliance of the parts whose thickness varies, by name.
+    position_gap : (q,) array
+        As in :class:`mic.model.assembly.Assembly`.
     """
 
     scene: Scene
@@ -66,6 +68,7 @@ class Reduction:
     shape_forces: np.ndarray
     inputs: dict[str, str | None]
     thicknesses: Mapping[str, Thicknesses] = field(default_factory=dict)
+    position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     @one_thread
@@ -105,6 +108,7 @@ class Reduction:
             forces,
             assembly.inputs,
             {one.part: one.thicknesses for one in own if one.thicknesses is not None},
+            assembly.position_gap,
         )
 
     @property
@@ -171,6 +175,7 @@ class Reduction:
     def save(self, path) -> None:
         """Write to one ``.npz`` file."""
         arrays = {"weld_gap": self.weld_gap, "shape": self.shape, "shape_forces": self.shape_forces}
+        arrays["position_gap"] = self.position_gap
         arrays |= {f"H_{p}": H for p, H in enumerate(self.compliance.H)}
         arrays |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
         arrays |= {
@@ -229,6 +234,7 @@ class Reduction:
                 for p, part in enumerate(header["scene"]["parts"])
                 if f"thicknesses_{p}_t" in data
             },
+            data["position_gap"],
         )
 
 

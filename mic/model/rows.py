@@ -20,7 +20,8 @@ from mic.geometry.surface import Patch, Surface
 
 __all__ = ["AXES", "KINDS", "REACH", "Rows"]
 
-KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement")  #: what rows stand for
+#: What rows stand for; a position's reads by how much another grows as its item moves in the sheet.
+KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
 AXES = ("n", "t1", "t2")  #: of a joint's frame
 REACH = 5.0  # mm: farther than this from its part, a point of the scene is refused rather than projected
 

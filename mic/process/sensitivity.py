@@ -5,11 +5,11 @@ hands to the next (readings, where contacts were left, what welds froze, reactio
 handed on with its derivatives, one more assembly for each input, driven by what a unit of the input asks. Contact is
 differentiated where it is solved (:mod:`mic.contact.tangent`), with its states known and the steps of its path frozen.
 
-The inputs are the scene's deviations by their names, and, by where they stand in the scene,
+Where a row moves in its sheet, by δ along a tangent, it reads ``ℓ·y + δ a'·y`` and pushes with ``λ (ℓ + δ a')``: S, T
+and L of what was eliminated with ℓ change (:mod:`mic.process.shift`), S by ``-T αᵀ - α Tᵀ`` with α what a load on a'
+moves.
 
-    ``locators.NAME``          the position of a locator along its direction, mm,
-    ``clamps.NAME``            the position of a clamp with a stroke, mm, or the force of one that pushes, N,
-    ``zones.NAME.friction``    the coefficient of friction of a zone, in all stages alike.
+Inputs are called as :mod:`mic.process.inputs` says.
 
 A thickness changes the compliance itself: with respect to it central differences are taken, along the same steps.
 """
@@ -24,20 +24,28 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.path import Path
-from mic.contact.tangent import Contact, End, Varied, retrace
+from mic.contact.states import OPEN
+from mic.contact.tangent import Bend, Contact, End, Varied, retrace
 from mic.errors import SceneError
-from mic.model.sources import sources
 from mic.process.drive import Drive
+from mic.process.inputs import Inputs, known_inputs
+from mic.process.path import Ramp
 from mic.process.plan import Step
+from mic.process.shift import Shift
 from mic.process.stage import EliminatedStep, PreparedStage
 from mic.process.state import ProcessState
 from mic.process.stops import Stops
 from mic.product import one_thread
 
-__all__ = ["ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
+__all__ = ["AT_CHANGE", "ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
 
 #: A contact this near a change of state, of the largest gap or force, along which no input moves it, stays on it.
 RESTS = 1e-10
+#: A sample is at a change of state if it is no farther from it, in standard deviations; and how far beside it, and
+#: beyond twice the way to it, derivatives to either side are taken.
+AT_CHANGE, BESIDE = 1e-6, 1e-5
+#: mm: what overlaps by more there closes.
+TOUCHES = 1e-11
 #: Values of samples and their derivatives that are carried at once: memory.
 AT_ONCE = 2_000_000
 
@@ -85,6 +93,10 @@ class Sensitivities:
         more than the error of its path.
     jacobian : (n, k, p) array
         Their derivatives, mm per unit of the inputs.
+    sides : (n, k, p, 2) array
+        Of samples at a change of state (``reach`` at most :data:`AT_CHANGE`), derivatives to either side of it, towards
+        smaller values of the input and towards larger; NaN where there is no solution to be followed there, and for
+        places in sheets. Of others, and along inputs that do not lead to the change, the derivatives themselves.
     contacts : dict of str to ContactSensitivity
         By stage.
     reach : (n,) array
@@ -110,6 +122,7 @@ class Sensitivities:
     sigma: np.ndarray
     measurements: np.ndarray
     jacobian: np.ndarray
+    sides: np.ndarray
     contacts: dict[str, ContactSensitivity]
     reach: np.ndarray
     reach_along: np.ndarray
@@ -134,28 +147,13 @@ class Sensitivities:
             )
             for stage in pieces[0].contacts
         }
-        arrays = ("measurements", "jacobian", "reach", "reach_along", "where", "failed", "exact")
+        arrays = ("measurements", "jacobian", "sides", "reach", "reach_along", "where", "failed", "exact")
         return replace(
             pieces[0],
             contacts=contacts,
             steps={key: stacked(piece.steps[key] for piece in pieces) for key in pieces[0].steps},
             **{name: stacked(getattr(piece, name) for piece in pieces) for name in arrays},
         )
-
-
-def known_inputs(model) -> dict[str, float]:
-    """All inputs of a model, with their standard deviations; 0 of those that the scene holds fixed.
-
-    Parameters
-    ----------
-    model : mic.model.reduction.Reduction
-    """
-    scene = model.scene
-    found = {one.name: float(one.sigma) for one in scene.deviations}
-    names = [f"{kind}.{one.name}" for kind in ("locators", "clamps") for one in getattr(scene, kind)]
-    if model.contacts.frictional:
-        names += [f"zones.{one.name}.friction" for one in scene.zones]
-    return found | dict.fromkeys(names, 0.0)
 
 
 @one_thread
@@ -186,13 +184,8 @@ def sensitivities(
         Where parts rest by contact alone: they come to lie by finite ways, of which no derivative is taken.
     """
     model = process.model
-    known = known_inputs(model)
     names = list(model.parameters if inputs is None else inputs)
-    if not names:
-        raise ValueError("inputs: name at least one")
-    for name in names:
-        if name not in known:
-            raise ValueError(f"inputs: {name!r} is no input of this model; known: {', '.join(known)}")
+    Inputs.of(model, names)  # what is not known is told first
     for stage in process.stages:
         for each in stage.steps:
             if each.rest.soft.any():
@@ -202,7 +195,7 @@ def sensitivities(
                     "finite ways, of which no derivative is taken; give it six locators there, or take differences of "
                     "evaluations"
                 )
-    own = inputs if isinstance(inputs, Mapping) else known
+    own = inputs if isinstance(inputs, Mapping) else known_inputs(model)
     sigma = np.array([own[name] for name in names])
     thick = {names.index(one.name): j for j, one in enumerate(model.scene.deviations)
              if one.kind == "thickness" and one.name in names}  # fmt: skip
@@ -226,7 +219,9 @@ def _carried(process, deviations, names, sigma, steps) -> Sensitivities:
         for first in range(run.start, run.stop, block):
             some = slice(first, min(first + block, run.stop))
             frozen = None if steps is None else {key: trail[some] for key, trail in steps.items()}
-            pieces.append(_Sensitivity(each, deviations[some], names, sigma, frozen).found())
+            piece = _Sensitivity(each, deviations[some], names, sigma, frozen).found()
+            _take_sides(each, deviations[some], piece)
+            pieces.append(piece)
     return Sensitivities.join(pieces)
 
 
@@ -249,14 +244,39 @@ def _difference(process, deviations: np.ndarray, found: Sensitivities, i: int, j
         own.slip_slope[..., i] = np.nan
 
 
-class _Sensitivity:
-    """A batch of samples, with one more assembly for each sample and input: sample by sample, its inputs in a row."""
+def _take_sides(process, deviations: np.ndarray, found: Sensitivities) -> None:
+    """Of samples at a change of state, find the derivatives to either side, the steps of their paths frozen."""
+    there = np.flatnonzero(~found.failed & (found.reach <= AT_CHANGE))
+    for i, (name, σ) in enumerate(zip(found.inputs, found.sigma)) if there.size else ():
+        own = there[found.reach_along[there, i] <= BESIDE]
+        if not own.size:
+            continue
+        way = σ * (BESIDE + 2 * found.reach_along[own, i])
+        both, aside = np.tile(own, 2), np.concatenate([-way, way])
+        steps = {key: trail[both] for key, trail in found.steps.items()}
+        beside = _Sensitivity(process, deviations[both], [name], np.array([σ]), steps, aside)
+        if beside.inputs.places:
+            found.sides[own, :, i] = np.nan
+            continue
+        sides = beside.found()
+        slope = np.where((sides.exact & ~sides.failed)[:, None], sides.jacobian[:, :, 0], np.nan)
+        found.sides[own, :, i] = slope.reshape(2, len(own), -1).transpose(1, 2, 0)
 
-    def __init__(self, process, deviations, names, sigma, steps):
+
+class _Sensitivity:
+    """A batch of samples, with one more assembly for each sample and input: sample by sample, its inputs in a row.
+
+    With `aside` (n,), its one input is so far from where the sample has it.
+    """
+
+    def __init__(self, process, deviations, names, sigma, steps, aside=None):
         self.process, self.names, self.sigma, self.frozen = process, names, sigma, steps
         self.n, self.p = len(deviations), len(names)
-        self.drive, self.slope_drive = process.asked(deviations), self._unit_drive()
-        self.rougher = self._rougher()
+        self.inputs = Inputs.of(process.model, names)
+        self.drive, self.slope_drive = process.asked(deviations), self.inputs.drive(process, deviations)
+        self.aside = np.zeros(self.n) if aside is None else aside
+        if aside is not None:
+            self.drive = _beside(self.drive, self.slope_drive, aside)
         self.steps: dict[tuple[str, int], np.ndarray] = {}
         self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
         self.along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
@@ -288,6 +308,7 @@ class _Sensitivity:
             self.sigma,
             values,
             jacobian,
+            np.repeat(jacobian[..., None], 2, axis=-1),
             contacts,
             self.reach,
             self.along,
@@ -296,48 +317,6 @@ class _Sensitivity:
             self.exact,
             self.steps,
         )
-
-    def _unit_drive(self) -> Drive:
-        """What a unit of each input asks more, for every sample."""
-        model = self.process.model
-        count = len(model.parameters)
-        zero, unit = self.process.asked(np.zeros((1, count))), self.process.asked(np.eye(count))
-        own = [model.parameters.index(name) if name in model.parameters else -1 for name in self.names]
-
-        def less(one, base):
-            moved = np.concatenate([one - base, np.zeros_like(base)])
-            return np.tile(moved[own], (self.n, 1))
-
-        target = {kind: less(unit.target[kind], zero.target[kind]) for kind in zero.target}
-        rest = {
-            one.name: less(getattr(unit, one.name), getattr(zero, one.name))
-            for one in fields(Drive)
-            if one.name != "target"
-        }
-        for i, name in enumerate(self.names):
-            kind, _, item = name.partition(".")
-            if own[i] >= 0 or kind not in ("locators", "clamps"):
-                continue
-            row = model.labels[kind[:-1]].index(item)
-            target[kind[:-1]][i :: self.p, row] = 1.0
-            if kind == "clamps":
-                rest["push"][i :: self.p, row] = 1.0
-        return Drive(target, **rest)
-
-    def _rougher(self) -> np.ndarray:
-        """(m, p) by how much the contacts' coefficients grow with each input."""
-        model = self.process.model
-        scene, zone = model.scene, model.contacts.zone
-        found = np.zeros((len(zone), self.p))
-        for i, name in enumerate(self.names):
-            for j, one in enumerate(scene.zones):
-                if name == f"zones.{one.name}.friction" and name not in model.parameters:
-                    found[zone == j, i] = 1.0
-        contacts = model.contacts
-        for name, source in zip(model.parameters, sources(scene)):
-            if source.changes and name in self.names:
-                found[:, self.names.index(name)] = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
-        return found
 
     def _columns(self, slope: np.ndarray) -> np.ndarray:
         """(n, ..., p) from (n p, ...)."""
@@ -349,9 +328,10 @@ class _Sensitivity:
 
     def _step(self, stage: PreparedStage, number: int, eliminated: EliminatedStep, state, slope):
         """The states after a step, and where its contacts ended; None where they were not resolved."""
-        plain = replace(eliminated, step=_without_limits(eliminated.step))
-        sides = (eliminated, state, self.drive), (plain, slope, self.slope_drive)
+        driven, plain = (replace(eliminated, step=step) for step in self._limited(eliminated.step))
+        sides = (driven, state, self.drive), (plain, self._moved(state, slope), self.slope_drive)
         ramps = [stage.ramp(each.step, of, drive) for each, of, drive in sides]
+        shift = Shift.of(self.inputs.places, stage, eliminated)
         places = [
             (drive.target if each.step.sets_down else of.reading)["rest"][:, each.rest.row] for each, of, drive in sides
         ]
@@ -367,14 +347,22 @@ class _Sensitivity:
                 ]
                 for s in (0.0, 1.0)
             )
+            bend = shift.bend()
+            for s, (_, moved) in enumerate((starts, stop)):
+                shift.load(moved, self.p, *_driven(ramps[0], places[0], float(s)))
             over, slope_over = (
                 stage.overlap(each, of, drive, start) for (each, of, drive), start in zip(sides, starts)
             )
+            if bend is not None and eliminated.step.settles:
+                touching = np.column_stack([state.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
+                normal = slice(0, stops.rows, stops.dimension)
+                slope_over[:, normal] -= self._rows(bend.under(touching, self.p))[:, normal]
             starts[0] += np.maximum(0.0, over)
             starts[1] += np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)
             trail, converged = self._trail(stage, number, eliminated, state, starts[0], stop[0])
-            end = retrace(
-                self._contact(stage, eliminated),
+            end = self._retraced(
+                self._out(eliminated),
+                self._contact(stage, eliminated, bend),
                 self._varied(*(stops.spread(one) for one in starts)),
                 self._varied(*(stops.spread(one) for one in stop)),
                 self._varied(*(_with_stops(stops, of.anchor) for _, of, _ in sides)),
@@ -389,11 +377,64 @@ class _Sensitivity:
             ]
 
         def left_behind(side: int, solved: np.ndarray | None) -> ProcessState:
-            return stage.after(*sides[side], ramps[side], places[side], *ends[side], solved)
+            each, of, drive = sides[side]
+            force, left, anchor, stop = ends[side]
+            return stage.after(each, of, drive, ramps[side], places[side], force, left, anchor, stop, solved)
 
         after = left_behind(0, converged)
         slope_after = left_behind(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
+        if len(shift):
+            shift.read(stage, slope_after, after, self.p, *_driven(ramps[0], places[0], 1.0), end is not None)
         return after, slope_after, end
+
+    def _retraced(self, out: np.ndarray, contact: Contact, start: Varied, end: Varied, anchor: Varied, trail) -> End:
+        """The paths; of samples that are beside their own under the friction there, and contacts may touch that never
+        did, but for those that take no part, `out`."""
+        if not self.aside.any():
+            return retrace(contact, start, end, anchor, trail)
+        ends = []
+        for i, way in enumerate(self.aside):
+            coefficient = np.maximum(contact.friction.coefficient + way * contact.rougher[:, 0], 0.0)
+            there = replace(contact, friction=replace(contact.friction, coefficient=coefficient))
+            b0, b1, stands = (Varied(one.value[i : i + 1], one.slope[i : i + 1]) for one in (start, end, anchor))
+            also = np.zeros(len(out), dtype=bool)
+            while True:
+                found = retrace(there, b0, b1, stands, trail[i : i + 1], also)
+                new = ~out & ~also & (found.state[0] == OPEN) & (found.normal.value[0] < -TOUCHES)
+                if not new.any():
+                    break
+                also |= new
+            ends.append(found)
+        return End.join(ends)
+
+    def _moved(self, state: ProcessState, slope: ProcessState) -> ProcessState:
+        """The slopes of the state, what rows read where they move."""
+        if not self.inputs.places:
+            return slope
+        reading = {kind: values.copy() for kind, values in slope.reading.items()}
+        for place in self.inputs.places:
+            kind, row = place.row
+            reading[kind][place.input :: self.p, row] += state.reading["position"][:, place.number]
+        return replace(slope, reading=reading)
+
+    def _limited(self, step: Step) -> tuple[Step, Step]:
+        """The step with limits that push with what the samples have, and with what a unit of each input adds."""
+        none = np.zeros(self.p)
+
+        def unit(limits):
+            return tuple(
+                replace(limit, force=np.tile(self.inputs.limit.get(limit.row, none), self.n)) for limit in limits
+            )
+
+        units = replace(step, limits=unit(step.limits), dropped_limits=unit(step.dropped_limits))
+        if not (self.aside.any() and self.inputs.limit):
+            return step, units
+
+        def beside(limits, of):
+            return tuple(replace(limit, force=limit.force + self.aside * one.force) for limit, one in zip(limits, of))
+
+        moved = beside(step.limits, units.limits), beside(step.dropped_limits, units.dropped_limits)
+        return replace(step, limits=moved[0], dropped_limits=moved[1]), units
 
     def _varied(self, value, slope) -> Varied:
         return Varied(value, self._columns(slope))
@@ -414,11 +455,11 @@ class _Sensitivity:
         self.steps[key] = trail
         return trail, found.converged
 
-    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep) -> Contact:
+    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep, bend: Bend | None) -> Contact:
         contacts, law = self.process.model.contacts, stage.solver(eliminated).law
         stops = stage.stops(eliminated)
         friction = stops.friction(contacts.friction_in(stage.plan.name))
-        rougher = np.concatenate([self.rougher, np.zeros((stops.count, self.p))])
+        rougher = np.concatenate([self.inputs.rougher, np.zeros((stops.count, self.p))])
         if law.varies and friction.pressure is not None:
             rougher[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
         return Contact(
@@ -427,6 +468,7 @@ class _Sensitivity:
             friction if law.frictional else Friction.of(0.0, stops.total),
             rougher,
             contacts.dimension,
+            bend and Bend(stops.spread(bend.left), stops.spread(bend.lean), bend.whose),
         )
 
     def _contacts(self, state: ProcessState, slope: ProcessState, before: ProcessState, end: End) -> ContactSensitivity:
@@ -438,11 +480,14 @@ class _Sensitivity:
             self._columns(slope.left[:, :, 1:] - before.left[:, :, 1:]),
         )
 
+    def _out(self, eliminated: EliminatedStep) -> np.ndarray:
+        """(m + s,) contacts that take no part in a step."""
+        step, contacts = eliminated.step, self.process.model.contacts
+        return np.concatenate([contacts.out(step.nuggets, step.away), np.zeros(len(step.stops), dtype=bool)])
+
     def _reach(self, stage: PreparedStage, eliminated: EliminatedStep, end: End) -> None:
         """Note what changes its state nearest, should it be nearer than all before."""
-        contacts, stops = self.process.model.contacts, stage.stops(eliminated)
-        there = np.ones(stops.total, dtype=bool)
-        there[: stops.contacts] = ~contacts.out(eliminated.step.nuggets, eliminated.step.away)
+        there = ~self._out(eliminated)
         for margin in (end.normal, end.cone):
             size = np.abs(margin.value)
             finite = np.where(np.isfinite(size), size, 0.0)
@@ -493,10 +538,17 @@ def _split(stops: Stops, gap, force, u, anchor) -> tuple[np.ndarray, np.ndarray,
     )
 
 
-def _without_limits(step: Step) -> Step:
-    """The step with limits that push with nothing: no input changes their forces."""
-    return replace(
-        step,
-        limits=tuple(replace(limit, force=0.0) for limit in step.limits),
-        dropped_limits=tuple(replace(limit, force=0.0) for limit in step.dropped_limits),
-    )
+def _driven(ramp: Ramp, place: np.ndarray, s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Values and loads of a step's rows at s of the ramp."""
+    v, loads = ramp.at(s)
+    return np.column_stack([v, place]), loads
+
+
+def _beside(drive: Drive, slope: Drive, way: np.ndarray) -> Drive:
+    """What drives samples that are so far (n,) along their input."""
+    moved = {
+        one.name: getattr(drive, one.name) + way[:, None] * getattr(slope, one.name)
+        for one in fields(Drive)
+        if one.name != "target"
+    }
+    return Drive({kind: value + way[:, None] * slope.target[kind] for kind, value in drive.target.items()}, **moved)

@@ -50,9 +50,11 @@ __all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_ste
 
 FLOOR = 5e-5  # mm: forty steps that err alike leave the 2 µm that a coordinate measuring machine tells
 ROUNDING = 1e-9  # mm: a way left that is none
-OUTPUTS = ("locator", "clamp", "weld", "measurement", "between")  #: kinds of rows that are read at the end of a stage
+#: kinds of rows that are read at the end of a stage
+OUTPUTS = ("locator", "clamp", "weld", "measurement", "between", "position")
 #: of a response, what values, loads and contact forces are mapped by
 MAPS = ("T", "L", "T_out", "L_out", "reaction_T", "reaction_L", "reaction_S")
+LOADS = ("L", "L_out", "reaction_L")  #: those of them that loads are mapped by
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,15 @@ class EliminatedStep:
         all of it but the loads.
     rest : Rest
         The k rest rows.
+    beside : dict of str to array
+        ``L``, ``L_out`` and ``reaction_L`` of loads on the position rows.
     """
 
     step: Step
     bilateral: csr_matrix
     response: Response
     rest: Rest
+    beside: Mapping[str, np.ndarray]
 
     @property
     def compliance(self) -> tuple[Columns, np.ndarray]:
@@ -111,10 +116,11 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
     contact_rows = model.rows["contact"].shape[0]
     layer = np.zeros(contact_rows)
     layer[:: model.contacts.dimension] = model.contacts.layer
+    positions = [("position", i) for i in range(model.rows["position"].shape[0])]
     loads: dict[tuple, dict] = {}  # by the rows held and stopped, all load rows that any step has with them
     for plan in plans:
         for step in plan.steps:
-            loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys(step.load_rows))
+            loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys((*positions, *step.load_rows)))
     shared: dict[tuple, tuple[csr_matrix, Response, np.ndarray]] = {}
     eliminated: dict[str, list[EliminatedStep]] = {}
     for plan in plans:
@@ -142,19 +148,15 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                 shared[held] = bilateral, response, chosen
             bilateral, response, chosen = shared[held]
             own = [list(loads[held]).index(row) for row in step.load_rows]
-            response = replace(
-                response,
-                L=response.L[:, own],
-                L_out=response.L_out[:, own],
-                reaction_L=response.reaction_L[:, own],
-            )
+            beside = {name: getattr(response, name)[:, : len(positions)] for name in LOADS}
+            response = replace(response, **{name: getattr(response, name)[:, own] for name in LOADS})
             rest = Rest(
                 chosen,
                 ~np.isin(model.rest.part[chosen], step.parked),
                 model.rest.direction[chosen],
                 tuple(model.scene.parts[p].name for p in model.rest.part[chosen]),
             )
-            eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response, rest))
+            eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response, rest, beside))
     return eliminated
 
 
@@ -183,6 +185,11 @@ class PreparedStage:
         :class:`EliminatedStep` that resolves contact.
     path : mic.contact.path.Path
         How its steps are followed.
+
+    Attributes
+    ----------
+    output : dict of str to slice
+        Which output rows of a response are of each kind.
     """
 
     def __init__(
@@ -198,7 +205,7 @@ class PreparedStage:
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
         edges = np.concatenate([[0], np.cumsum(count)])
-        self._output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
+        self.output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
 
     def stops(self, eliminated: EliminatedStep) -> Stops:
         return stops_of(self._contacts, eliminated.step)
@@ -512,7 +519,7 @@ class PreparedStage:
         reading = product(v, response.T_out.T) + product(p, response.L_out.T) + response.S_out.under(force)
         reaction = product(v, response.reaction_T.T) + product(p, response.reaction_L.T)
         reaction += product(force, response.reaction_S.T)
-        return {kind: reading[:, own] for kind, own in self._output.items()}, reaction
+        return {kind: reading[:, own] for kind, own in self.output.items()}, reaction
 
 
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:

@@ -677,12 +677,15 @@ SENSITIVITIES = _statistic(
         Column("effect", "float64", "mm", "what that changes of the mean assembly: the derivative times the step"),
         Column("effect_low", "float64", "mm", "the smallest over the samples"),
         Column("effect_high", "float64", "mm", "the largest"),
+        Column("effect_below", "float64", "mm", "of the mean assembly at a change of state, towards smaller values"),
+        Column("effect_above", "float64", "mm", "likewise towards larger values; `effect` where it is at none"),
         Column(
             "reach", "float64", "1", "steps until a contact of the mean assembly changes its state; inf if none does"
         ),
     ),
     "What steps of the inputs change: exact derivatives through contact and memory (`mic.process.sensitivity`). "
     "Written by `mic sensitivity`.",
+    version=2,
 )
 LINEARITY = _statistic(
     "linearity",

@@ -13,6 +13,7 @@ from mic.scene.stages import check_stages, known, moves_assembly, set_down_in, t
 
 __all__ = ["entry", "problems"]
 
+MOVING = ("welds", "locators", "clamps")  # what may move in its sheet
 NAMED = ("locators", "clamps", "welds", "zones", "deviations", "measurements", "stages")  # tables of items with names
 
 
@@ -38,6 +39,7 @@ def problems(scene, whole: bool = True) -> list[str]:
         check_friction,
         check_correlations,
         check_stations,
+        check_positions,
         *(check_held,) * whole,
     ):
         try:
@@ -157,6 +159,22 @@ def check_correlations(scene) -> None:
                 found.append(f"{at}: {name!r} stands there twice; put all that varies with it into one matrix, once")
             seen.add(name)
     _raise(found)
+
+
+def check_positions(scene) -> None:
+    """What is to move in its sheet exists, and stands on it."""
+    wrong = []
+    for i, asked in enumerate(scene.report.positions):
+        kind, dot, name = asked.partition(".")
+        items = {one.name: one for one in getattr(scene, kind)} if kind in MOVING else {}
+        # The jaws of a tong are called by it and their part.
+        jaws = {f"{one.name}-{part}" for one in items.values() for part in getattr(one, "parts", None) or ()}
+        if kind not in MOVING or (dot and name not in items and name not in jaws):
+            known_ones = [f"{table}.{one.name}" for table in MOVING for one in getattr(scene, table)]
+            wrong.append(f"report.positions[{i}]: there is no {asked!r}; known: {', '.join([*MOVING, *known_ones])}")
+        elif dot and getattr(items.get(name), "hole", None) is not None:
+            wrong.append(f"report.positions[{i}]: {asked!r} stands in a hole, and moves with it alone; leave it out")
+    _raise(wrong)
 
 
 def check_held(scene) -> None:

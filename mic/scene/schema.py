@@ -44,6 +44,11 @@ class Report(Table):
         description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
     )
     fields: Flag = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
+    positions: list[str] = Field(
+        [],
+        description="`welds.NAME`, `locators.NAME` and `clamps.NAME` whose places in their sheets are inputs of "
+        "`mic sensitivity`, too (`welds.NAME.x` …), or all of a kind: `welds`; each takes functionals of its own",
+    )
 
     @field_validator("laws")
     @classmethod

@@ -1,7 +1,8 @@
 """What a step of each input changes: exact derivatives of the key characteristics, about the mean and over samples.
 
 The inputs are the scene's deviations, each by one standard deviation, and what the scene holds fixed: positions of
-locators and clamps, forces of clamps, friction of zones (:mod:`mic.process.sensitivity`).
+locators and clamps, forces of clamps and guns, friction of zones, and places in sheets that the scene's report asks for
+(:mod:`mic.process.inputs`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from mic.process.model import ReducedModel
-from mic.process.sensitivity import known_inputs
+from mic.process.sensitivity import AT_CHANGE, known_inputs
 from mic.results.schema import SENSITIVITIES
 from mic.sampling.draw import draw
 
@@ -41,6 +42,8 @@ class Effects:
         together; infinite if none changes any.
     where : str
         What changes there.
+    at_change : str
+        What changes where the mean assembly is, if it is at a change; else empty.
     failed : int
         Samples that failed, of those asked for, the mean among them.
     """
@@ -48,13 +51,17 @@ class Effects:
     table: pd.DataFrame
     reach: float
     where: str
+    at_change: str
     failed: int
 
 
 def steps(model: ReducedModel) -> dict[str, float]:
-    """By how much each input is moved: a deviation by its standard deviation, a position by 0.1 mm, a clamp's force by
-    a tenth of it, a coefficient of friction by 0.05."""
-    forces = {f"clamps.{one.name}": FORCE * abs(one.force) for one in model.scene.clamps if one.force}
+    """By how much each input is moved: a deviation by its standard deviation, a position by 0.1 mm, the force of a
+    clamp or a gun, or its limit, by a tenth of it, a coefficient of friction by 0.05."""
+    clamps, welds = model.scene.clamps, model.scene.welds
+    forces = {f"clamps.{one.name}": FORCE * abs(one.force) for one in clamps if one.force}
+    forces |= {f"clamps.{one.name}.limit": FORCE * one.limit for one in clamps if one.limit}
+    forces |= {f"welds.{one.name}.gun": FORCE * one.gun for one in welds if one.gun}
     found = {}
     for name, sigma in known_inputs(model).items():
         if name in model.parameters:
@@ -119,11 +126,13 @@ def effects(
             "effect": slopes[0, k, i],
             "effect_low": known[:, k, i].min(),
             "effect_high": known[:, k, i].max(),
+            "effect_below": mean.sides[0, k, i, 0] * size[i],
+            "effect_above": mean.sides[0, k, i, 1] * size[i],
             "reach": mean.reach_along[0, i],
         }
         for k, item in enumerate(scene.measurements)
         for i, one in enumerate(step)
     ]
-    return Effects(
-        pd.DataFrame(rows, columns=SENSITIVITIES.names), float(near.reach[0]), str(near.where[0]), int(failed.sum())
-    )
+    at_change = str(mean.where[0]) if mean.reach[0] <= AT_CHANGE else ""
+    table = pd.DataFrame(rows, columns=SENSITIVITIES.names)
+    return Effects(table, float(near.reach[0]), str(near.where[0]), at_change, int(failed.sum()))

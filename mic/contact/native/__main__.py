@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+import mic.contact.native.tangent  # noqa: F401  (compiles when it is imported)
 from mic.contact.laws import LAWS
 from mic.contact.native.follower import follower
 from mic.contact.native.kernels import compiled

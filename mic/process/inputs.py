@@ -1,0 +1,195 @@
+"""What an assembly may be derived by: the scene's deviations, and whatever else of the scene is a number.
+
+Beside the deviations by their names, inputs are called by where they stand in the scene,
+
+    ``locators.NAME``          the position of a locator along its direction, mm,
+    ``clamps.NAME``            the position of a clamp with a stroke, mm, or the force of one that pushes, N,
+    ``clamps.NAME.limit``      the most that a clamp with a stroke pushes with, N,
+    ``welds.NAME.gun``         the force of the gun, N,
+    ``zones.NAME.friction``    the coefficient of friction of a zone, in all stages alike,
+    ``welds.NAME.x``           the place of a weld, a locator or a clamp in its sheet, mm along x, y or z of the scene:
+                               where the scene's report asks for it (``positions``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from mic.model.sources import sources
+from mic.process.actions import Joints, Row
+from mic.process.drive import Drive
+
+__all__ = ["Inputs", "Place", "known_inputs"]
+
+
+def known_inputs(model) -> dict[str, float]:
+    """All inputs of a model, with their standard deviations; 0 of those that the scene holds fixed.
+
+    Parameters
+    ----------
+    model : mic.model.reduction.Reduction
+    """
+    scene = model.scene
+    found = {one.name: float(one.sigma) for one in scene.deviations}
+    names = [f"{kind}.{one.name}" for kind in ("locators", "clamps") for one in getattr(scene, kind)]
+    names += [f"clamps.{one.name}.limit" for one in scene.clamps if one.limit is not None]
+    names += [f"welds.{one.name}.gun" for one in scene.welds if one.gun is not None]
+    if model.contacts.frictional:
+        names += [f"zones.{one.name}.friction" for one in scene.zones]
+    names += model.labels.get("position", [])
+    return dict.fromkeys(names, 0.0) | found
+
+
+@dataclass(frozen=True)
+class Place:
+    """A row whose place in its sheet is an input.
+
+    Attributes
+    ----------
+    input : int
+        Number of the input.
+    row : (str, int)
+        Kind and number of the row that moves.
+    number : int
+        Of the position row, which reads by how much the row's reading grows per mm.
+    """
+
+    input: int
+    row: Row
+    number: int
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a unit of each of p inputs asks more of an assembly.
+
+    Attributes
+    ----------
+    names : list of str
+    target, push : dict of str to (p, r) array, (p, c) array
+        Positions of rows, and forces of clamps, that no deviation moves.
+    limit : dict of (str, int) to (p,) array
+        Forces of rows that are pushed by a limited one.
+    rougher : (m, p) array
+        Coefficients of friction.
+    places : tuple of Place
+    """
+
+    names: list[str]
+    target: dict[str, np.ndarray]
+    push: np.ndarray
+    limit: dict[Row, np.ndarray]
+    rougher: np.ndarray
+    places: tuple[Place, ...]
+
+    @classmethod
+    def of(cls, model, names: Sequence[str]) -> Inputs:
+        """The inputs of a model with these names.
+
+        Raises
+        ------
+        ValueError
+            For names that are not known, or none.
+        """
+        known = known_inputs(model)
+        if not len(names):
+            raise ValueError("inputs: name at least one")
+        for name in names:
+            if name not in known:
+                raise ValueError(
+                    f"inputs: {name!r} is no input of this model{_why(model, name)}; known: {', '.join(known)}"
+                )
+        p, scene, labels = len(names), model.scene, model.labels
+        joints, own = Joints(tuple(model.weld_size)), [one.name for one in scene.deviations]
+        target = {kind: np.zeros((p, len(labels[kind]))) for kind in ("locator", "clamp")}
+        push, rougher = np.zeros((p, len(labels["clamp"]))), np.zeros((len(model.contacts), p))
+        limit: dict[Row, np.ndarray] = {}
+        places = []
+        for i, name in enumerate(names):
+            if name in own:
+                continue
+            if name in labels.get("position", []):
+                places += [Place(i, row, number) for row, number in _rows_at(model, joints, name)]
+                continue
+            table, item = name.split(".", 1)
+            if table == "zones":
+                zone = [f"{one.name}.friction" for one in scene.zones].index(item)
+                rougher[model.contacts.zone == zone, i] = 1.0
+            elif table == "welds":
+                weld = [f"{one.name}.gun" for one in scene.welds].index(item)
+                limit.setdefault(("weld", int(joints.first[weld])), np.zeros(p))[i] = 1.0
+            elif item in labels[table[:-1]]:
+                row = labels[table[:-1]].index(item)
+                target[table[:-1]][i, row] = 1.0
+                if table == "clamps":
+                    push[i, row] = 1.0
+            else:
+                clamp = [f"{one.name}.limit" for one in scene.clamps].index(item)
+                limit.setdefault(("clamp", clamp), np.zeros(p))[i] = 1.0
+        for name, source in zip(own, sources(scene)):
+            if source.changes == "friction" and name in names:
+                contacts = model.contacts
+                changed = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
+                rougher[:, [i for i, one in enumerate(names) if one == name]] = changed[:, None]
+        return cls(list(names), target, push, limit, rougher, tuple(places))
+
+    def drive(self, process, deviations: np.ndarray) -> Drive:
+        """What a unit of each input asks more, sample by sample of deviations (n, p'), its inputs in a row."""
+        model, n, p = process.model, len(deviations), len(self.names)
+        count = len(model.parameters)
+        zero, unit = process.asked(np.zeros((1, count))), process.asked(np.eye(count))
+        own = [model.parameters.index(name) if name in model.parameters else -1 for name in self.names]
+
+        def less(one, base):
+            moved = np.concatenate([one - base, np.zeros_like(base)])
+            return np.tile(moved[own], (n, 1))
+
+        target = {kind: less(unit.target[kind], zero.target[kind]) for kind in zero.target}
+        rest = {
+            one.name: less(getattr(unit, one.name), getattr(zero, one.name))
+            for one in fields(Drive)
+            if one.name != "target"
+        }
+        for kind, moved in self.target.items():
+            target[kind] += np.tile(moved, (n, 1))
+        rest["push"] += np.tile(self.push, (n, 1))
+        first = Joints(tuple(model.weld_size)).first.tolist()
+        for place in self.places:
+            # Where the row stands then, the stress-free shape is another, and so is the gap of a weld.
+            drawn, (kind, row) = deviations @ (model.rows["position"][place.number] @ model.shape).ravel(), place.row
+            if kind != "weld":
+                target[kind][place.input :: p, row] -= drawn
+            elif row in first:
+                rest["weld_gap"][place.input :: p, first.index(row)] += model.position_gap[place.number] + drawn
+        return Drive(target, **rest)
+
+
+def _rows_at(model, joints: Joints, name: str) -> list[tuple[Row, int]]:
+    """The rows that move with a place, and the position rows of each."""
+    numbers = [i for i, label in enumerate(model.labels["position"]) if label == name]
+    table, item = name.rsplit(".", 1)[0].split(".", 1)
+    kind = table[:-1]
+    if kind == "weld":
+        weld = [one.name for one in model.scene.welds].index(item)
+        return list(zip(joints.rows(weld), numbers))
+    return [((kind, model.labels[kind].index(item)), numbers[0])]
+
+
+def _why(model, name: str) -> str:
+    """What an input of this name would take."""
+    table, _, item = name.partition(".")
+    known = {one.name: one for one in getattr(model.scene, table)} if table in ("locators", "clamps", "welds") else {}
+    owner, _, key = item.rpartition(".")
+    if owner not in known:
+        return ""
+    if key in ("x", "y", "z"):
+        asked = any(label.startswith(f"{table}.{owner}.") for label in model.labels.get("position", []))
+        return (
+            f" (its sheet has no way along {key} there)"
+            if asked
+            else f' (give the scene positions = ["{table}.{owner}"] in [report])'
+        )
+    return f" (it has no {key})" if key in ("limit", "gun") else ""

@@ -1,0 +1,140 @@
+"""Rows whose places in their sheets are inputs, in a step: what moves with them.
+
+With position rows a' (:class:`mic.process.inputs.Place`), a row ℓ that holds a value reads ``ℓ·y + δ a'·y`` where it
+has moved by δ, and its reaction λ acts on ``ℓ + δ a'``. To first order it holds ``a'·y`` less where it was, and λ
+pushes on a' besides. A row that is pushed by a load p pushes on a' with p; a stop, a contact row ``-σ ℓ``, reads ``-σ
+a'·y`` more, and its force f pushes on a' with ``-σ f``. All of ``a'·y`` and λ follow contact forces, values and loads
+linearly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mic.contact.tangent import Bend
+from mic.process.inputs import Place
+from mic.process.stage import EliminatedStep
+from mic.process.state import ProcessState
+
+__all__ = ["Shift"]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """The places that count in a step.
+
+    Attributes
+    ----------
+    places : tuple of Place
+    eliminated : EliminatedStep
+    first : int
+        The first position row among the output rows.
+    """
+
+    places: tuple[Place, ...]
+    eliminated: EliminatedStep
+    first: int
+
+    @classmethod
+    def of(cls, places: Sequence[Place], stage, eliminated) -> Shift:
+        """Of a step of a :class:`mic.process.stage.PreparedStage`."""
+        step = eliminated.step
+        rows = {*step.bilateral, *step.load_rows, *(stop.row for stop in step.stops)}
+        return cls(tuple(one for one in places if one.row in rows), eliminated, stage.output["position"].start)
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def load(self, b: np.ndarray, inputs: int, v: np.ndarray, p: np.ndarray) -> None:
+        """Add to b (n inputs, d m + s), in place, what values (n, b) and loads (n, l) move, the contacts' forces
+        aside."""
+        response = self.eliminated.response
+        for place in self.places:
+            own, α = b[place.input :: inputs], self._beside("L", place)
+            reads = self._reads(place, v, p)
+            for column in self._held(place):
+                pushed = v @ response.reaction_T[column] + p @ response.reaction_L[column]
+                own += pushed[:, None] * α - reads[:, None] * response.T[:, column]
+            for column in self._loads(place):
+                own += p[:, column, None] * α
+            for row, sign in self._stops(place):
+                own[:, row] -= sign * reads
+
+    def bend(self) -> Bend | None:
+        """What the places change of the compliance (d m + s, d m + s) of contacts and stops; None where nothing."""
+        response = self.eliminated.response
+        left: list[np.ndarray] = []
+        lean: list[np.ndarray] = []
+        whose: list[int] = []
+        for place in self.places:
+            α = self._beside("L", place)
+            for column in self._held(place):
+                left += [-response.T[:, column], -α]
+                lean += [α, response.T[:, column]]
+            for row, sign in self._stops(place):
+                unit = np.zeros(len(α))
+                unit[row] = -sign
+                left += [unit, α]
+                lean += [α, unit]
+            whose += [place.input] * (len(left) - len(whose))
+        if not whose:
+            return None
+        return Bend(np.array(left), np.array(lean), np.array(whose))
+
+    def read(
+        self,
+        stage,
+        slope: ProcessState,
+        state: ProcessState,
+        inputs: int,
+        v: np.ndarray,
+        p: np.ndarray,
+        solved: bool,
+    ) -> None:
+        """Add to the slopes of the state at the step's end, in place, what the places move of readings, reactions and,
+        where parts were set down, of the contacts."""
+        step, response, beside = self.eliminated.step, self.eliminated.response, self.eliminated.beside
+        contacts = slope.left.shape[1] * slope.left.shape[2]
+        for place in self.places:
+            own, number = slice(place.input, None, inputs), place.number
+            holds = state.reading["position"][:, number]
+            terms = [(response.T_out[:, j], response.reaction_T[:, j], -holds) for j in self._held(place)]
+            acts = [state.reaction[place.row]] if terms else []
+            acts += [p[:, j] for j in self._loads(place)]
+            acts += [-sign * state.stop[place.row] for _, sign in self._stops(place)]
+            terms += [(beside["L_out"][:, number], beside["reaction_L"][:, number], force) for force in acts]
+            for out, reaction, share in terms:
+                for kind, rows in stage.output.items():
+                    slope.reading[kind][own] += share[:, None] * out[rows]
+                for j, row in enumerate(step.bilateral):
+                    slope.reaction[row][own] += share * reaction[j]
+        if step.sets_down and not solved and contacts:
+            moved = np.zeros((len(slope.left), len(response.T)))
+            self.load(moved, inputs, v, p)
+            moved = moved[:, :contacts].reshape(slope.left.shape)
+            slope.left[:] += moved
+            if not np.shares_memory(slope.anchor, slope.left):
+                slope.anchor[:] += moved[:, :, 1:]
+
+    def _reads(self, place: Place, v: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """(n,) ``a'·y`` but for the contacts' forces."""
+        response, row = self.eliminated.response, self.first + place.number
+        return v @ response.T_out[row] + p @ response.L_out[row]
+
+    def _beside(self, name: str, place: Place) -> np.ndarray:
+        return self.eliminated.beside[name][:, place.number]
+
+    def _held(self, place: Place) -> list[int]:
+        return [j for j, row in enumerate(self.eliminated.step.bilateral) if row == place.row]
+
+    def _loads(self, place: Place) -> list[int]:
+        return [j for j, row in enumerate(self.eliminated.step.load_rows) if row == place.row]
+
+    def _stops(self, place: Place) -> list[tuple[int, int]]:
+        """The contact rows of its stops, and the way they push."""
+        step, rows = self.eliminated.step, len(self.eliminated.response.T)
+        first = rows - len(step.stops)
+        return [(first + j, stop.sign) for j, stop in enumerate(step.stops) if stop.row == place.row]
