@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mic.geometry.pairing import Pressed, Side, find_between, find_pairs, node_pairs
+from mic.geometry.pairing import Pressed, Side, candidate_spacing, find_between, find_pairs, node_pairs
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.scene import Zone
@@ -357,3 +357,38 @@ def test_spacing_points_and_nodal_patches():
     assert len(pairs) == 3 and sum(pair.area for pair in pairs) == pytest.approx(400)
     with pytest.raises(ValueError, match=r"points\[1\]"):
         find_pairs(zone(pairs=None, points=[(5, 5, 0), (55, 5, 0)]), *bodies)
+
+
+def cylinder(radius, degrees, elements, size, flat=0.0):
+    """A cylinder about the x axis, of so many elements across, with its normals; before it the sheet is flat."""
+    angle = np.radians(np.linspace(0, degrees, elements + 1))
+    profile = radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    if flat:
+        profile = np.vstack([[-flat, 0.0], profile])
+    points, triangles, normals = extrude(profile, 0.0, 30.0, size)
+    corner = points[triangles]
+    about = np.where(corner[..., 1:2] > 0, [0.0, 0.0, radius] - corner * [0, 1, 1], [0.0, 0.0, 1.0])
+    return Surface(points, triangles, about * np.sign((about * normals).sum(2, keepdims=True)))
+
+
+def test_on_bends_candidates_stand_as_near_as_bent_sheets_demand_and_as_facets_allow():
+    """√(R t) of the inner sheet, of 7 mm in 2 mm; on two facets of 5.4 mm across nothing nearer than these is read."""
+
+    def spacing(radius, *shape, **flat):
+        inner, outer = cylinder(radius, *shape, **flat), cylinder(radius + 2.0, *shape, **flat)
+        outer = Surface(outer.points - [0, 0, 2.0], outer.triangles, outer.given_normals)
+        return candidate_spacing(zone(pairs=None), Side(inner, 2.0), Side(outer, 2.0)), outer
+
+    assert spacing(7.0, 90, 12, 1.0)[0] == pytest.approx(1.3 * np.sqrt(7 * 2.0), rel=0.01)
+    coarse, outer = spacing(7.0, 90, 2, 6.0)
+    assert coarse == pytest.approx(0.85 * np.median(outer.edge_lengths))
+    assert spacing(400.0, 10, 12, 4.0)[0] == pytest.approx(8.0)  # bent gently: four thicknesses, as if flat
+    assert spacing(7.0, 90, 12, 2.0, flat=40.0)[0] < 5.0
+    assert spacing(7.0, 90, 12, 2.0, flat=300.0)[0] == pytest.approx(8.0)  # a bend of 4 % of the zone
+
+
+def test_a_bend_is_found_whatever_stands_first_and_which_way_its_normals_point():
+    inner, outer = cylinder(7.0, 90, 12, 1.0), cylinder(9.0, 90, 12, 1.0)
+    outer = Surface(outer.points - [0, 0, 2.0], outer.triangles[:, ::-1], -outer.given_normals[:, ::-1])
+    one, other = (Side(body, 2.0) for body in (inner, outer))
+    assert candidate_spacing(zone(pairs=None), one, other) == candidate_spacing(zone(pairs=None), other, one)

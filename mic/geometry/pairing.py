@@ -12,7 +12,10 @@ faces one way and what faces the other, near to each other, are gathered apart: 
 A zone that states neither how many pairs nor which gets *candidates*, so far apart as an element allows and what bends
 between two pairs demands,
 
-    max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius.
+    max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius;
+
+in a zone with bends of radius R no farther than max(0.85 elements, 1.3 √(R t)): what a force does to a bent sheet
+dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass.
 
 They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
 length of the edge; at every place where something presses the sheets together; and over the rest, each reading a cell.
@@ -50,6 +53,9 @@ __all__ = ["ContactPair", "Pressed", "Side", "candidate_spacing", "find_between"
 
 ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
 UNDER = 1.5  # radii of a clamp between two candidates
+BENDS = 1.3  # √(R t) between two candidates on bends
+FACET = 0.85  # of an element: so near to each other, each facet of a bend is read
+TIGHT = 0.05  # of a zone's area: bends that take less do not decide
 RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
 FOLD = 10.0  # degrees: a sheet whose triangles turn by more ends a plane there
 NEAR = 0.005  # of the thinner sheet: what is farther apart than the nearest place of a cell, by so much, is not read
@@ -476,7 +482,22 @@ def candidate_spacing(zone, first: Side, second: Side, pressed: Sequence[Pressed
         return zone.spacing
     thinner = _thinner(sampled, other)
     radii = [place.radius for place in pressed if place.radius and place.weld < 0]
-    return max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+    flat = max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+    radius = min(_bend_radius(body.surface, own, cloud.area) for body, own in surfaces)
+    return min(flat, max(FACET * element, BENDS * np.sqrt(radius * thinner)))
+
+
+def _bend_radius(surface, triangle, area) -> float:
+    """Radius, mm, that so much of the points' area is bent by at least as its `TIGHT` share; infinite if less is bent.
+
+    Along an edge L between corners whose normals differ by Δn a sheet is bent by |Δn|/L.
+    """
+    normal, corner = surface.corner_normals[triangle], surface.corners[triangle]
+    turned = np.linalg.norm(normal - normal[:, [1, 2, 0]], axis=2)
+    bent = (turned / np.linalg.norm(corner - corner[:, [1, 2, 0]], axis=2)).max(1)
+    order = np.argsort(-bent)
+    tightest = bent[order][np.searchsorted(np.cumsum(area[order]), TIGHT * area.sum())]
+    return 1 / tightest if tightest > EQUAL else np.inf
 
 
 def find_between(
