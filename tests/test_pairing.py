@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mic.geometry.pairing import Pressed, Side, find_pairs, node_pairs
+from mic.geometry.pairing import Pressed, Side, candidate_spacing, find_between, find_pairs, node_pairs
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.scene import Zone
@@ -102,6 +102,73 @@ def test_a_candidate_reads_where_its_cell_is_nearest():
         x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)[:, 0]
         read = x[pair.patches[0].weight > 0]
         assert np.ptp(read) <= 0.005 / np.tan(0.02) + 1e-6 and pair.gap <= np.tan(0.02) * x.min() + 0.005
+
+
+def hem():
+    """A hem over y = 0..20 about a sheet that ends before its bend; the upper leaf reaches back to y = 8."""
+    arc = [(20 + np.sin(a), 1 - np.cos(a)) for a in np.linspace(0, np.pi, 7)]
+    about = Side(Surface(*extrude([(0, 0), *arc, (8, 2)], 0.0, 30.0, 2.3)), 1.0)
+    return about, Side(Surface(*extrude([(-10, 1), (19, 1)], 1.0, 28.0, 2.1)), 1.0)
+
+
+@pytest.mark.parametrize("within_first", [False, True])
+@pytest.mark.parametrize(
+    "find, keys",
+    [
+        (find_pairs, dict(pairs=None, spacing=3.0)),
+        (find_pairs, dict(pairs=None, spacing=6.0, patch=2.0)),
+        (find_pairs, dict(pairs=12)),
+        (node_pairs, {}),
+    ],
+)
+def test_of_a_sheet_within_a_hem_each_side_has_pairs_of_its_own(find, keys, within_first):
+    bodies = hem()[::-1] if within_first else hem()
+    pairs = find(zone(**keys), *bodies)
+    up = np.array([pair.frame[2, 0] for pair in pairs]) * (-1 if within_first else 1)
+    np.testing.assert_allclose(np.abs(up), 1.0, atol=1e-9)  # towards the sheet, along it nowhere
+    for pair in pairs:
+        for body, patch in zip(bodies, pair.patches):
+            z = body.surface.at(patch.triangle, patch.barycentric)[:, 2]
+            assert np.ptp(z[patch.weight > 0]) < 1e-9 and abs(pair.gap) < 1e-9
+    area = np.array([pair.area for pair in pairs])
+    assert area[up > 0].sum() == pytest.approx(28 * 19, rel=0.03)  # over the lower leaf, and beneath the upper one
+    assert area[up < 0].sum() == pytest.approx(28 * 11, rel=0.03)
+    if find is find_pairs:
+        between = np.array([one.frame[2, 0] for one in find_between(zone(**keys), *bodies, pairs)])
+        assert (between > 0).sum() == (up > 0).sum() if not within_first else (between < 0).sum() == (up > 0).sum()
+
+
+@pytest.mark.parametrize("within_first", [False, True])
+def test_what_presses_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
+    bodies = hem()[::-1] if within_first else hem()
+    pads = [Pressed(np.array([15.0, 14.0, 1.0]), 4.0), Pressed(np.array([8.0, 12.0, 0.0]), 2.0, weld=5)]
+    pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads)
+    for pad in pads:
+        there = [pair for pair in pairs if np.linalg.norm(pair.point[:2] - pad.point[:2]) < 0.5]
+        assert sorted(np.sign([pair.frame[2, 0] for pair in there])) == [-1, 1]
+    assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {-1, 1}
+
+
+def test_given_points_stand_on_the_side_of_the_sheet_that_they_lie_on():
+    for bodies, sign in ((hem(), 1), (hem()[::-1], -1)):
+        pairs = find_pairs(zone(pairs=None, points=[(15, 10, 0.2), (15, 15, 1.8), (10, 12, 1.9)]), *bodies)
+        np.testing.assert_allclose([sign * pair.frame[2, 0] for pair in pairs], [1, -1, -1], atol=1e-9)
+
+
+def test_fewer_pairs_than_sides_are_refused():
+    with pytest.raises(ValueError, match="face each other on 2 sides of a sheet, and 1 pairs do not"):
+        find_pairs(zone(pairs=1), *hem())
+
+
+def test_a_sheet_within_a_rigid_slot_is_held_on_both_sides():
+    slot = Side(Surface(*extrude([(0, 0), (20, 0), (20, 2.4), (0, 2.4)], 0.0, 30.0, 5.0)))
+    pairs = find_pairs(
+        zone(pairs=None, spacing=4.0), slot, Side(Surface(*extrude([(-5, 1.2), (18, 1.2)], 2, 25, 2)), 2.0)
+    )
+    for way in (-1, 1):
+        own = [pair for pair in pairs if pair.frame[2, 0] * way > 0.999]
+        assert sum(pair.area for pair in own) == pytest.approx(25 * 18, rel=0.03)
+        assert all(pair.gap == pytest.approx(0.2) for pair in own)
 
 
 def test_no_candidate_reads_across_the_rim_of_a_nugget():
@@ -290,3 +357,38 @@ def test_spacing_points_and_nodal_patches():
     assert len(pairs) == 3 and sum(pair.area for pair in pairs) == pytest.approx(400)
     with pytest.raises(ValueError, match=r"points\[1\]"):
         find_pairs(zone(pairs=None, points=[(5, 5, 0), (55, 5, 0)]), *bodies)
+
+
+def cylinder(radius, degrees, elements, size, flat=0.0):
+    """A cylinder about the x axis, of so many elements across, with its normals; before it the sheet is flat."""
+    angle = np.radians(np.linspace(0, degrees, elements + 1))
+    profile = radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    if flat:
+        profile = np.vstack([[-flat, 0.0], profile])
+    points, triangles, normals = extrude(profile, 0.0, 30.0, size)
+    corner = points[triangles]
+    about = np.where(corner[..., 1:2] > 0, [0.0, 0.0, radius] - corner * [0, 1, 1], [0.0, 0.0, 1.0])
+    return Surface(points, triangles, about * np.sign((about * normals).sum(2, keepdims=True)))
+
+
+def test_on_bends_candidates_stand_as_near_as_bent_sheets_demand_and_as_facets_allow():
+    """√(R t) of the inner sheet, of 7 mm in 2 mm; on two facets of 5.4 mm across nothing nearer than these is read."""
+
+    def spacing(radius, *shape, **flat):
+        inner, outer = cylinder(radius, *shape, **flat), cylinder(radius + 2.0, *shape, **flat)
+        outer = Surface(outer.points - [0, 0, 2.0], outer.triangles, outer.given_normals)
+        return candidate_spacing(zone(pairs=None), Side(inner, 2.0), Side(outer, 2.0)), outer
+
+    assert spacing(7.0, 90, 12, 1.0)[0] == pytest.approx(1.3 * np.sqrt(7 * 2.0), rel=0.01)
+    coarse, outer = spacing(7.0, 90, 2, 6.0)
+    assert coarse == pytest.approx(0.85 * np.median(outer.edge_lengths))
+    assert spacing(400.0, 10, 12, 4.0)[0] == pytest.approx(8.0)  # bent gently: four thicknesses, as if flat
+    assert spacing(7.0, 90, 12, 2.0, flat=40.0)[0] < 5.0
+    assert spacing(7.0, 90, 12, 2.0, flat=300.0)[0] == pytest.approx(8.0)  # a bend of 4 % of the zone
+
+
+def test_a_bend_is_found_whatever_stands_first_and_which_way_its_normals_point():
+    inner, outer = cylinder(7.0, 90, 12, 1.0), cylinder(9.0, 90, 12, 1.0)
+    outer = Surface(outer.points - [0, 0, 2.0], outer.triangles[:, ::-1], -outer.given_normals[:, ::-1])
+    one, other = (Side(body, 2.0) for body in (inner, outer))
+    assert candidate_spacing(zone(pairs=None), one, other) == candidate_spacing(zone(pairs=None), other, one)

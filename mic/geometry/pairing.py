@@ -6,10 +6,16 @@ between the *facing* surfaces (both half-thicknesses taken off) within a limit. 
 of about equal size; a pair's patch is its cell, read on one surface and, point for point, at the projections on the
 other, so that a pair's two forces act on one line and leave no couple behind.
 
+A sheet within a hem, or within a slot, faces the other body on both its sides. It is looked at either way, and what
+faces one way and what faces the other, near to each other, are gathered apart: no pair stands for both.
+
 A zone that states neither how many pairs nor which gets *candidates*, so far apart as an element allows and what bends
 between two pairs demands,
 
-    max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius.
+    max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius;
+
+in a zone with bends of radius R no farther than max(0.85 elements, 1.3 √(R t)): what a force does to a bent sheet
+dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass.
 
 They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
 length of the edge; at every place where something presses the sheets together; and over the rest, each reading a cell.
@@ -37,6 +43,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mic.geometry.surface import EQUAL, Patch, Surface
@@ -45,10 +53,14 @@ __all__ = ["ContactPair", "Pressed", "Side", "candidate_spacing", "find_between"
 
 ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
 UNDER = 1.5  # radii of a clamp between two candidates
+BENDS = 1.3  # √(R t) between two candidates on bends
+FACET = 0.85  # of an element: so near to each other, each facet of a bend is read
+TIGHT = 0.05  # of a zone's area: bends that take less do not decide
 RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
 FOLD = 10.0  # degrees: a sheet whose triangles turn by more ends a plane there
 NEAR = 0.005  # of the thinner sheet: what is farther apart than the nearest place of a cell, by so much, is not read
 FINE = 6  # sampling points across a cell
+OPPOSITE = -0.5  # cosine of two normals beyond which they belong to different faces
 SIDEWAYS = 0.05  # of the thinner sheet: how far beside the normal a closest point may lie where surfaces touch
 
 
@@ -166,25 +178,64 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
         raise ValueError(
             f"{count} pairs do not fit into the {area:.3g} mm² where the parts face each other; ask for fewer pairs"
         )
+    face = _faces(cloud, sampled.surface, np.sqrt(area / count))
     if zone.points:
-        centres = np.array(zone.points)
-        lost = np.flatnonzero(cKDTree(cloud.point).query(centres)[0] > np.sqrt(area / count) + tie)
-        if len(lost):
-            raise ValueError(
-                f"points[{lost[0]}] lies where the parts face nothing; move it, or widen max_gap or the region"
-            )
+        number, centres = _given(zone, cloud, face, np.sqrt(area / count), tie)
     else:
-        centres = _centres(cloud.point, cloud.area, count, tie, np.zeros((0, 3)))
-    cell = _nearest(centres, cloud.point, tie)
-    pairs = []
-    for k, centre in enumerate(centres):
-        member = np.flatnonzero(cell == k)
-        if not len(member):
-            raise ValueError(f"pair {k} has no area of its own: its point coincides with another's; remove one of them")
-        own = cloud.take(member)
-        pairs.append(_pair(_reading(zone, sampled, other, own, centre, tie), own.area.sum(), sampled, other, swap))
+        number, centres = _shared(cloud, face, count, tie)
+    pairs: list = [None] * count
+    for one in np.unique(face):
+        own = np.flatnonzero(face == one)
+        of = np.flatnonzero(number == one)
+        cell = _nearest(centres[of], cloud.point[own], tie) if len(of) else own
+        for k, i in enumerate(of):
+            member = cloud.take(own[cell == k])
+            if not len(member.area):
+                raise ValueError(
+                    f"pair {i} has no area of its own: its point coincides with another's; remove one of them"
+                )
+            reading = _reading(zone, sampled, other, member, centres[i], tie)
+            pairs[i] = _pair(reading, member.area.sum(), sampled, other, swap)
     _set_tangents(pairs)
     return pairs
+
+
+def _given(zone, cloud, face, farthest, tie):
+    """Points that a zone states: the face of each, that of the sampling point nearest to it, and the points.
+
+    Where a sheet faces the other body on both its sides, the side that the point lies on.
+    """
+    centres = np.array(zone.points)
+    many = min(2, len(cloud.area))
+    away, near = (table.reshape(len(centres), many) for table in cKDTree(cloud.point).query(centres, many))
+    lost = np.flatnonzero(away[:, 0] > farthest + tie)
+    if len(lost):
+        raise ValueError(
+            f"points[{lost[0]}] lies where the parts face nothing; move it, or widen max_gap or the region"
+        )
+    ahead = np.einsum("ikj,ikj->ik", centres[:, None] - cloud.point[near], cloud.normal[near])
+    ahead[away > away[:, :1] + tie] = -np.inf
+    return face[near[np.arange(len(near)), ahead.argmax(1)]], centres
+
+
+def _shared(cloud, face, count, tie):
+    """So many centres, shared out over the faces by their areas: the face of each, and the centres."""
+    area = np.bincount(face, cloud.area)
+    if count < len(area):
+        raise ValueError(
+            f"the parts face each other on {len(area)} sides of a sheet, and {count} pairs do not reach for all; "
+            "ask for more pairs"
+        )
+    share = np.maximum(1, np.floor(count * area / area.sum() + EQUAL)).astype(int)
+    while share.sum() != count:
+        step = int(np.sign(count - share.sum()))
+        wanting = step * (count * area / area.sum() - share) - np.where(share + step < 1, np.inf, 0.0)
+        share[_first(wanting, EQUAL)] += step
+    none, found = np.zeros((0, 3)), []
+    for one, of in enumerate(share):
+        own = face == one
+        found.append(_centres(cloud.point[own], cloud.area[own], of, tie, none))
+    return np.repeat(np.arange(len(area)), share), np.vstack(found)
 
 
 def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[ContactPair]:
@@ -192,10 +243,23 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
     tie = max(sampled.surface.tie, other.surface.tie)
     cloud = _facing(zone, sampled, other, spacing / FINE)
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))
-    fused = _fused(pressed, cloud, tie)
     edge = _edges(zone, sampled, other, spacing)
     edge = edge.take(np.flatnonzero(_fused(pressed, edge, tie) < 0))
     edge = edge.take(_ranking(edge.point, anchors, tie))
+    face = _faces(cloud, sampled.surface, spacing)
+    along = _face_of(edge.point, edge.normal, cloud, face, spacing)
+    pairs = []
+    for one in np.unique(face):
+        of_face = cloud.take(np.flatnonzero(face == one)), edge.take(np.flatnonzero(along == one))
+        pairs += _of_face(zone, sampled, other, spacing, *of_face, pressed, swap)
+    _set_tangents(pairs)
+    return pairs
+
+
+def _of_face(zone, sampled, other, spacing, cloud, edge, pressed, swap) -> list[ContactPair]:
+    """The candidates of one face; their tangents are not set."""
+    tie = max(sampled.surface.tie, other.surface.tie)
+    fused = _fused(pressed, cloud, tie)
     length, ends = edge.area.sum(), np.zeros((0, 3))
     if len(edge.area):
         ends = _centres(edge.point, edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
@@ -228,8 +292,72 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[C
             cut = _pair(member, member.area.sum(), sampled, other, swap)
             pair = _pair(_nearest_part(reading, sampled, other), cut.area, sampled, other, swap)
             pairs.append(replace(pair, overlap=cut.overlap, overlapping=cut.overlapping, nugget=int(nugget)))
-    _set_tangents(pairs)
     return pairs
+
+
+def _faces(cloud, surface, spacing) -> np.ndarray:
+    """(n,) which of several faces each point belongs to, 0 for the first: those near to each other that look opposite
+    ways are on different faces, and what hangs together is on one.
+
+    Sides of triangles hang together that share a vertex. Of what closes about itself, the sides of the axis along which
+    its normals mostly stand.
+    """
+    ahead = np.einsum("ij,ij->i", cloud.normal, surface.normals[cloud.triangle]) > 0
+    side, of = np.unique(2 * cloud.triangle + ahead, return_inverse=True)
+    of, first = of.ravel(), np.full(len(side), len(cloud.area))
+    np.minimum.at(first, of, np.arange(len(of)))
+    normal = surface.normals[side // 2] * np.where(side % 2, 1.0, -1.0)[:, None]
+    reach = 2 * (spacing + surface.reach[side // 2].max())
+    place = surface.corners[side // 2].mean(1) / reach
+    many = min(8, len(side))
+    away, against = (
+        table.reshape(len(side), many)
+        for table in cKDTree(np.hstack([place, normal])).query(
+            np.hstack([place, -normal]), many, distance_upper_bound=1.0
+        )
+    )
+    own, turn = np.nonzero(np.isfinite(away))
+    if not len(own):
+        return np.zeros(len(of), dtype=np.int64)
+    against = against[own, turn]
+    piece = _pieces(side, surface)
+    for one in np.unique(piece[own][piece[own] == piece[against]]):
+        about = np.flatnonzero(piece == one)
+        n = normal[about]
+        axis = np.linalg.eigh((n * surface.areas[side[about] // 2, None]).T @ n)[1][:, -1]
+        along = (n @ axis) * np.sign(n[first[about].argmin()] @ axis)
+        piece[about[along < -EQUAL]] = piece.max() + 1
+    face = np.full(piece.max() + 1, -1)
+    for one in piece[np.argsort(first)]:
+        if face[one] < 0:
+            taken = face[np.concatenate([piece[against[piece[own] == one]], piece[own[piece[against] == one]]])]
+            face[one] = np.setdiff1d(np.arange(len(taken) + 1), taken)[0]
+    return face[piece][of]
+
+
+def _pieces(side, surface) -> np.ndarray:
+    """(s,) number of the piece that each side of a triangle belongs to: those that share a vertex hang together."""
+    vertex = 2 * surface.triangles[side // 2] + (side % 2)[:, None]
+    used, local = np.unique(vertex, return_inverse=True)
+    row = np.repeat(np.arange(len(side)), 3)
+    touch = coo_matrix((np.ones(len(row)), (row, local.ravel())), shape=(len(side), len(used))).tocsr()
+    return connected_components(touch @ touch.T, directed=False)[1]
+
+
+def _face_of(point, normal, cloud, face, spacing) -> np.ndarray:
+    """(k,) the face of further points: that of the nearest point of the cloud which looks their way."""
+    if not face.any() or not len(point):
+        return np.zeros(len(point), dtype=np.int64)
+    tree = cKDTree(np.hstack([cloud.point / (2 * spacing), cloud.normal]))
+    return face[tree.query(np.hstack([point / (2 * spacing), normal]))[1]]
+
+
+def _alike(point, normal, among, looking):
+    """(n,) distance of each point to the nearest of others that do not look the opposite way, mm."""
+    many = min(8, len(among))
+    away, nearest = (table.reshape(len(point), many) for table in cKDTree(among).query(point, many))
+    opposite = np.einsum("ij,ikj->ik", normal, looking[nearest]) < OPPOSITE
+    return np.where(opposite, np.inf, away).min(1)
 
 
 def _reading(zone, sampled, other, own, centre, tie):
@@ -241,6 +369,7 @@ def _reading(zone, sampled, other, own, centre, tie):
     disc = sampled.surface.patch(seed, float(zone.patch), own.normal.mean(0))
     angle = np.radians(zone.max_angle_deg)
     reading = _project(sampled, other, zone.max_gap, angle, disc.triangle, disc.barycentric, disc.weight)
+    reading = reading.take(np.flatnonzero(reading.normal @ own.normal.mean(0) > 0))
     return reading if len(reading.area) else own.take([nearest])
 
 
@@ -288,17 +417,18 @@ def _edges(zone, sampled, other, spacing):
         at = body.surface.sample_edges(*body.surface.edges(np.radians(FOLD)), step)
         cloud = _project(body, opposite, zone.max_gap, angle, *at)
         if len(cloud.area):  # on a fold a point is there once for each of the two triangles
-            tree = cKDTree(cloud.point)
-            cloud = replace(
-                cloud, area=cloud.area / tree.query_ball_point(cloud.point, body.surface.tie, return_length=True)
-            )
+            one, two = cKDTree(cloud.point).query_pairs(body.surface.tie, output_type="ndarray").T
+            same = np.einsum("ij,ij->i", cloud.normal[one], cloud.normal[two]) > OPPOSITE
+            met = np.concatenate([one[same], two[same]])
+            cloud = replace(cloud, area=cloud.area / (1 + np.bincount(met, minlength=len(cloud.area))))
         seen = _turned(cloud, opposite)
         if body is sampled:
             cloud = replace(cloud, normal=-seen.normal)  # an edge presses along the normal of what it presses on
         else:
             cloud = seen
             if len(found[0].area):
-                cloud = cloud.take(cKDTree(found[0].point).query(cloud.point)[0] > spacing / 4 + sampled.surface.tie)
+                away = _alike(cloud.point, cloud.normal, found[0].point, found[0].normal)
+                cloud = cloud.take(away > spacing / 4 + sampled.surface.tie)
         found.append(cloud.take(_in_region(zone, cloud.point, sampled.surface.tie)))
     return _joined(found)
 
@@ -352,7 +482,22 @@ def candidate_spacing(zone, first: Side, second: Side, pressed: Sequence[Pressed
         return zone.spacing
     thinner = _thinner(sampled, other)
     radii = [place.radius for place in pressed if place.radius and place.weld < 0]
-    return max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+    flat = max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+    radius = min(_bend_radius(body.surface, own, cloud.area) for body, own in surfaces)
+    return min(flat, max(FACET * element, BENDS * np.sqrt(radius * thinner)))
+
+
+def _bend_radius(surface, triangle, area) -> float:
+    """Radius, mm, that so much of the points' area is bent by at least as its `TIGHT` share; infinite if less is bent.
+
+    Along an edge L between corners whose normals differ by Δn a sheet is bent by |Δn|/L.
+    """
+    normal, corner = surface.corner_normals[triangle], surface.corners[triangle]
+    turned = np.linalg.norm(normal - normal[:, [1, 2, 0]], axis=2)
+    bent = (turned / np.linalg.norm(corner - corner[:, [1, 2, 0]], axis=2)).max(1)
+    order = np.argsort(-bent)
+    tightest = bent[order][np.searchsorted(np.cumsum(area[order]), TIGHT * area.sum())]
+    return 1 / tightest if tightest > EQUAL else np.inf
 
 
 def find_between(
@@ -374,11 +519,16 @@ def find_between(
         patch.weight @ sampled.surface.at(patch.triangle, patch.barycentric)
         for patch in (pair.patches[side] for pair in pairs)
     ]
-    nearest = cKDTree(np.array(centres)).query(cloud.point)[0]
+    face = _faces(cloud, sampled.surface, np.sqrt(area / len(pairs)))
+    ways = np.array([-pair.frame[:, 0] if swap else pair.frame[:, 0] for pair in pairs])
+    of_pair = _face_of(np.array(centres), ways, cloud, face, np.sqrt(area / len(pairs)))
     chosen = []
-    for _ in range(min(len(pairs), len(cloud.area))):
-        chosen.append(_first(nearest, tie))
-        nearest = np.minimum(nearest, np.linalg.norm(cloud.point - cloud.point[chosen[-1]], axis=1))
+    for one in np.unique(face):
+        own = np.flatnonzero(face == one)
+        nearest = cKDTree(np.array(centres)[of_pair == one]).query(cloud.point[own])[0]
+        for _ in range(min((of_pair == one).sum(), len(own))):
+            chosen.append(own[_first(nearest, tie)])
+            nearest = np.minimum(nearest, np.linalg.norm(cloud.point[own] - cloud.point[chosen[-1]], axis=1))
     fused = _fused(pressed, cloud, tie)
     between = [
         replace(_pair(cloud.take([i]), cloud.area[i], sampled, other, swap), nugget=int(fused[i])) for i in chosen
@@ -407,9 +557,9 @@ def node_pairs(zone, first: Side, second: Side, pressed: Sequence[Pressed] = ())
     if not other.rigid:
         back = _turned(_vertices(zone, other, sampled), sampled)
         if len(cloud.area):
-            distance, same = cKDTree(cloud.point).query(back.point)
-            np.add.at(cloud.area, same[distance <= tie], back.area[distance <= tie])
-            back = back.take(np.flatnonzero(distance > tie))
+            same = _upon(back, cloud, tie)
+            np.add.at(cloud.area, same[same >= 0], back.area[same >= 0])
+            back = back.take(np.flatnonzero(same < 0))
         cloud = _joined([cloud, back])
         cloud = replace(cloud, area=cloud.area / 2)
     cloud = cloud.take(np.flatnonzero(_in_region(zone, cloud.point, sampled.surface.tie)))
@@ -424,6 +574,15 @@ def node_pairs(zone, first: Side, second: Side, pressed: Sequence[Pressed] = ())
     ]
     _set_tangents(pairs)
     return pairs
+
+
+def _upon(cloud, other, tie):
+    """(n,) the point of another cloud that each lies upon and looks the same way as; -1 for none."""
+    many = min(2, len(other.area))
+    away, nearest = (table.reshape(len(cloud.area), many) for table in cKDTree(other.point).query(cloud.point, many))
+    alike = np.einsum("ij,ikj->ik", cloud.normal, other.normal[nearest]) > OPPOSITE
+    upon = (away <= tie) & alike
+    return np.where(upon.any(1), nearest[np.arange(len(nearest)), upon.argmax(1)], -1)
 
 
 def _vertices(zone, body, opposite):
@@ -454,7 +613,7 @@ def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
     """
     disc = first.surface.patch(point, radius)
     reach = float(second.surface.project(point).distance[0] + first.surface.project(point).distance[0]) + radius
-    reading = _project(first, second, reach, np.pi / 3, disc.triangle, disc.barycentric, disc.weight)
+    reading = _project(first, second, reach, np.pi / 3, disc.triangle, disc.barycentric, disc.weight, both=False)
     if not len(reading.area):
         raise ValueError("the two parts do not face each other there")
     pair = _pair(reading, np.pi * radius**2, first, second, swap=False)
@@ -548,44 +707,64 @@ def _in_region(zone, x, margin):
     return np.ones(len(x), dtype=bool)
 
 
-def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, normal=None):
-    """Sampling points with their closest points on the other surface, those that face nothing left out."""
+def _project(sampled, other, max_gap, max_angle, triangle, barycentric, area, normal=None, both=True):
+    """Sampling points with their closest points on the other surface, those that face nothing left out.
+
+    What faces the other surface on `both` sides is there twice.
+    """
     surface, opposite = sampled.surface, other.surface
     point = surface.at(triangle, barycentric)
     smooth = surface.smooth_normals(triangle, barycentric) if normal is None else normal
     normal = surface.normals[triangle] if normal is None else normal
     reach = max_gap + sampled.half_thickness + other.half_thickness
-    thinner = _thinner(sampled, other)
-    tie = max(surface.tie, opposite.tie)
-    farthest = np.hypot(reach, np.tan(max_angle) * reach + SIDEWAYS * thinner) + 3 * tie
-    foot = opposite.project(point, normal, max_angle, farthest)
+    farthest = np.hypot(reach, np.tan(max_angle) * reach + SIDEWAYS * _thinner(sampled, other)) + 3 * _tie(
+        sampled, other
+    )
+
+    def facing(rows, side=None):
+        foot = opposite.project(point[rows], normal[rows], max_angle, farthest, side)
+        good, along = _meets(sampled, other, reach, max_angle, point[rows], normal[rows], foot)
+        sign = np.where(along < -_tie(sampled, other), -1.0, 1.0)[good]
+        rows, along = rows[good], along[good]
+        return _Cloud(
+            triangle[rows],
+            barycentric[rows],
+            point[rows],
+            smooth[rows] * sign[:, None],
+            area[rows],
+            along * sign,
+            foot.triangle[good],
+            foot.barycentric[good],
+        ), (rows, sign)
+
+    cloud, (rows, sign) = facing(np.arange(len(point)))
+    if both:
+        maybe = opposite.behind(surface, cloud.triangle, sign, farthest, max_angle)
+        if maybe.any():
+            cloud = _joined([cloud, facing(rows[maybe], -sign[maybe])[0]])
+    return cloud
+
+
+def _meets(sampled, other, reach, max_angle, point, normal, foot):
+    """Whether each point faces its closest point, (n,) bool, and how far that lies along the normal, (n,) mm."""
     step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
     along = np.einsum("ij,ij->i", step, normal)
     # A closest point beside the normal faces nothing: past a bend or a corner of what the angle lets pass.
     sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
     # Nor does a closest point on the border of the other surface, off the foot of the perpendicular.
-    across = np.linalg.norm(np.cross(step, opposite.normals[foot.triangle]), axis=1)
+    across = np.linalg.norm(np.cross(step, other.surface.normals[foot.triangle]), axis=1)
+    tie = _tie(sampled, other)
     with np.errstate(invalid="ignore"):
         good = (
             (foot.triangle >= 0)
             & (np.abs(along) <= reach + tie)
-            & (sideways <= np.tan(max_angle) * np.abs(along) + SIDEWAYS * thinner + tie)
+            & (sideways <= np.tan(max_angle) * np.abs(along) + SIDEWAYS * _thinner(sampled, other) + tie)
             & ~(foot.at_border & (across > 1e-3 * foot.distance + tie))
         )
     if other.disc is not None:
         centre, radius = other.disc
         good &= np.linalg.norm(foot.point - np.array(centre), axis=1) <= radius + tie
-    sign = np.where(along < -tie, -1.0, 1.0)
-    return _Cloud(
-        triangle[good],
-        barycentric[good],
-        point[good],
-        (smooth * sign[:, None])[good],
-        area[good],
-        (along * sign)[good],
-        foot.triangle[good],
-        foot.barycentric[good],
-    )
+    return good, along
 
 
 def _ranking(point, anchors, tie):
@@ -649,6 +828,10 @@ def _vertex_uses(surface):
     use = np.flatnonzero(along >= most[vertex] - EQUAL)
     used, first = np.unique(vertex[use], return_index=True)
     return used, use[first]
+
+
+def _tie(*bodies) -> float:
+    return max(body.surface.tie for body in bodies)
 
 
 def _thinner(*bodies) -> float:

@@ -235,7 +235,7 @@ class Surface:
     def _tree(self) -> cKDTree:
         return cKDTree(self._centroids)
 
-    def project(self, x, normal=None, max_angle: float = np.pi / 4, reach: float = np.inf) -> Projection:
+    def project(self, x, normal=None, max_angle: float = np.pi / 4, reach: float = np.inf, side=None) -> Projection:
         """Closest points on the surface, exact over all triangles that pass the filter.
 
         Of triangles that share the closest point, the one whose normal line is nearest to `normal` holds it, then the
@@ -251,12 +251,14 @@ class Surface:
         max_angle : float
             Radians.
         reach : float
-            Closest points farther than this need not be found, mm.
+            Closest points farther than this need not be found, mm. With `side` it must be finite.
+        side : (n,) array, optional
+            +1 or -1: of each triangle, its closest point counts only where it lies ahead along `normal`, or behind.
         """
         x = np.atleast_2d(np.asarray(x, dtype=float))
         if normal is not None:
             normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
-        owner, triangle, barycentric, foot = self._closest(x, normal, max_angle, reach)
+        owner, triangle, barycentric, foot = self._closest(x, normal, max_angle, reach, side)
         best = Projection(
             np.full(len(x), -1, dtype=np.int64),
             np.full((len(x), 3), np.nan),
@@ -282,7 +284,37 @@ class Surface:
         best.at_border[into] = (on_edge | at_corner).any(1)
         return best
 
-    def _closest(self, x, normal, max_angle, reach=np.inf):
+    def behind(self, other: Surface, triangle, side, reach: float, max_angle: float) -> np.ndarray:
+        """(n,) bool: whether any of this surface may lie behind the plane of each of another's triangles.
+
+        Parameters
+        ----------
+        other : Surface
+        triangle : (n,) int array
+            Triangles of `other`.
+        side : (n,) array
+            +1 where the front is along their normals, -1 where against.
+        reach : float
+            How far from them this surface is looked for, mm.
+        max_angle : float
+            Radians: what is turned from them by more does not count.
+        """
+        front, use = np.unique(2 * np.asarray(triangle) + (np.asarray(side) > 0), return_inverse=True)
+        one, sign = front // 2, np.where(front % 2, 1.0, -1.0)
+        near = self._tree.query_ball_point(
+            other._centroids[one], other.reach[one] + reach + self.reach.max() * (1 + 1e-9) + self.tie
+        )
+        owner = np.repeat(np.arange(len(one)), [len(found) for found in near])
+        found = np.concatenate([np.asarray(own, dtype=np.int64) for own in near]) if len(one) else owner
+        kept = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
+        owner, found = owner[kept], found[kept]
+        step = self.corners[found] - other._centroids[one[owner]][:, None]
+        ahead = np.einsum("qcj,qj->qc", step, other.normals[one[owner]] * sign[owner, None])
+        some = np.zeros(len(one), dtype=bool)
+        some[owner[ahead.min(1) < -self.tie]] = True
+        return some[use]
+
+    def _closest(self, x, normal, max_angle, reach=np.inf, side=None):
         """All triangles that hold the closest point of each x: owner, triangle, barycentric, closest point.
 
         Two closest points are one when they lie within `tie` of each other: the squares of their distances, d² and
@@ -290,7 +322,12 @@ class Surface:
         """
         # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
         cosine = np.cos(max_angle)
-        bound = self._tree.query(x)[0] if normal is None else self._nearest_aligned(x, normal, cosine, reach)
+        if side is not None:
+            bound = np.full(len(x), reach)
+        elif normal is None:
+            bound = self._tree.query(x)[0]
+        else:
+            bound = self._nearest_aligned(x, normal, cosine, reach)
         bound = np.where(np.isfinite(bound), np.minimum(bound, reach), -np.inf)
         search = np.where(bound >= 0, bound + self.reach.max() * (1 + 1e-9) + self.tie, 0.0)
         candidates = self._tree.query_ball_point(x, search)
@@ -303,6 +340,10 @@ class Surface:
             owner, triangle = owner[keep], triangle[keep]
         barycentric = _closest_barycentric(self.corners[triangle], x[owner])
         foot = np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
+        if side is not None:
+            along = np.einsum("ij,ij->i", foot - x[owner], normal[owner])
+            ahead = side[owner] * along > self.tie
+            owner, triangle, barycentric, foot = (of[ahead] for of in (owner, triangle, barycentric, foot))
         closest = _least(((foot - x[owner]) ** 2).sum(1), owner, self.tie**2)
         return owner[closest], triangle[closest], barycentric[closest], foot[closest]
 

@@ -68,7 +68,8 @@ class Zone(Table):
     spacing: Positive | None = Field(
         None,
         description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
-        "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii",
+        "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii; nearer "
+        "on bends, 1.3 √(radius · thickness) and no less than 0.85 elements",
     )
     pairs: Annotated[Count, Field(gt=0)] | None = Field(
         None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
