@@ -259,8 +259,8 @@ def _print_sensitivity(console, found):
     console.print(table)
     if found.at_change:
         console.print(
-            f"The mean assembly is at a change of a contact ({plain(found.at_change)}): effects differ below it, towards "
-            "smaller values of the input, and above",
+            f"The mean assembly is at a change of a contact ({plain(found.at_change)}): effects differ below it, "
+            "towards smaller values of the input, and above",
             highlight=False,
             soft_wrap=True,
         )
