@@ -18,6 +18,7 @@ from mic.contact.laws import find
 from mic.contact.tangent import Contact, Varied, retrace
 from mic.contact.trail import Trail
 from mic.errors import SceneError
+from mic.model.resting import put_down, put_down_slope
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
@@ -149,7 +150,11 @@ def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
 @pytest.mark.slow
 def test_along_the_hats_followed_path_too(hat_model):
     """Some hundred steps a sample, in which contacts close, open and slide round corners."""
-    process, samples = hat_model.process("coulomb", TIGHT), draw(hat_model.scene, 1, 0, 2)
+    process = hat_model.process("coulomb", TIGHT)
+    # In the second, a slider is found without a tangential force, and so without a direction.
+    samples = np.concatenate(
+        [draw(hat_model.scene, seed, first, 1) for seed, first in ((1, 0), (hat_model.scene.monte_carlo.seed, 2))]
+    )
     found = sensitivities(process, samples)
     assert found.exact.all() and min(len(trail.ends) for trails in found.steps.values() for trail in trails) > 1
     assert sum(len(trails[0].ends) for trails in found.steps.values()) > 50
@@ -419,6 +424,19 @@ def test_where_a_part_rests_is_derived_too(law, path):
     slope = found.jacobian * sigmas(model)
     assert off(slope, central(model, frozen(process, found.steps), samples, 1e-3)) < EXACT
     assert off(slope, central(model, lambda x: process.evaluate(x).measurements, samples, 1e-3)) < 1e-5
+
+
+def test_where_a_part_is_put_down_follows_the_gaps_that_it_closes():
+    """Two feet overlap; the third hangs free, and does not count. Nothing overlaps: nothing moves."""
+    G, gap = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, -0.5]]), np.array([-0.03, -0.05, 0.2])
+    rng = np.random.default_rng(0)
+    slope = rng.standard_normal((3, 4))
+    found = put_down_slope(gap, slope, G, put_down(gap, G))
+    assert np.abs(found).max() > 0.1
+    for i in range(4):
+        up, down = (put_down(gap + way * slope[:, i], G) for way in (1e-5, -1e-5))
+        np.testing.assert_allclose(found[:, i], (up - down) / 2e-5, rtol=1e-6, atol=1e-8)
+    assert not put_down_slope(gap + 1, slope, G, put_down(gap + 1, G)).any()
 
 
 def test_what_lies_loose_has_no_derivative():
