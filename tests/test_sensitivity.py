@@ -1,19 +1,24 @@
 """Exact derivatives through contact and memory: against central differences, and against contacts solved by hand."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.sparse import vstack
+from support.feet import standing
 from support.springs import STIFFNESS, at_face, six, spring_model
 from typer.testing import CliRunner
 
+import mic
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import find
 from mic.contact.tangent import Contact, Varied, retrace
 from mic.contact.trail import Trail
 from mic.errors import SceneError
+from mic.model.resting import put_down, put_down_slope
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
@@ -145,7 +150,11 @@ def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
 @pytest.mark.slow
 def test_along_the_hats_followed_path_too(hat_model):
     """Some hundred steps a sample, in which contacts close, open and slide round corners."""
-    process, samples = hat_model.process("coulomb", TIGHT), draw(hat_model.scene, 1, 0, 2)
+    process = hat_model.process("coulomb", TIGHT)
+    # In the second, a slider is found without a tangential force, and so without a direction.
+    samples = np.concatenate(
+        [draw(hat_model.scene, seed, first, 1) for seed, first in ((1, 0), (hat_model.scene.monte_carlo.seed, 2))]
+    )
     found = sensitivities(process, samples)
     assert found.exact.all() and min(len(trail.ends) for trails in found.steps.values() for trail in trails) > 1
     assert sum(len(trails[0].ends) for trails in found.steps.values()) > 50
@@ -232,6 +241,34 @@ def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
         np.testing.assert_allclose(found.jacobian[:, :, i], difference, rtol=0, atol=10 * EXACT * largest)
 
 
+@pytest.mark.fem
+@pytest.mark.slow
+def test_a_place_that_is_asked_for_moves_as_the_point_of_the_scene_does(lap_scene, cache):
+    """Without zones, whose pairs would go with pads and locators: a weld and a locator, put elsewhere on the meshes."""
+    bare = lap_scene.model_copy(update={"zones": []})
+    names = [f"welds.{bare.welds[1].name}.x", f"locators.{bare.locators[0].name}.x"]
+    asked = [name.removesuffix(".x") for name in names]
+    report = bare.report.model_copy(update={"positions": asked})
+    model = mic.reduce(bare.model_copy(update={"report": report}), cache)
+    assert set(model.labels["position"]) == {
+        f"{one}.{axis}" for one in asked for axis in "xy"
+    }  # the sheets lie in z = 0
+    found = model.sensitivities({}, "coulomb", names).jacobian[0]
+    for i, name in enumerate(names):
+        table, item, _ = name.split(".")
+        values = []
+        for way in (0.2, -0.2):
+            items = [
+                one.model_copy(update={"point": (one.point[0] + way, *one.point[1:])}) if one.name == item else one
+                for one in getattr(bare, table)
+            ]
+            values.append(
+                mic.reduce(bare.model_copy(update={table: items}), cache).evaluate({}, "coulomb").measurements
+            )
+        difference = (values[0] - values[1])[0] / 0.4
+        np.testing.assert_allclose(found[:, i], difference, rtol=0.01)
+
+
 FORGOTTEN = {
     "where contacts were left": lambda state: replace(state, left=0 * state.left, anchor=0 * state.anchor),
     "what welds froze": lambda state: replace(state, frozen={row: 0 * v for row, v in state.frozen.items()}),
@@ -307,7 +344,36 @@ def test_reach_is_the_way_to_the_next_change_of_state(lap_model):
     assert all(held)
 
 
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("welds.W9", "report.positions[0]: there is no 'welds.W9'; known: welds, locators, clamps, welds.W1, "),
+        ("zones", "report.positions[0]: there is no 'zones'; known: "),
+        ("zones.lap", "report.positions[0]: there is no 'zones.lap'; known: "),
+        ("", "report.positions[0]: there is no ''; known: "),
+        ("welds.", "report.positions[0]: there is no 'welds.'; known: "),
+        ("W1", "report.positions[0]: there is no 'W1'; known: "),
+        ("locators.W1", "report.positions[0]: there is no 'locators.W1'; known: "),
+    ],
+)
+def test_places_that_do_not_exist_are_refused(lap_scene, asked, told):
+    keys = lap_scene.model_dump(exclude_none=True)
+    keys["report"]["positions"] = [asked]
+    with pytest.raises(ValidationError, match=re.escape(told)):
+        lap_scene.model_validate(keys)
+
+
 def test_inputs_that_are_not_known_are_refused(lap_model):
+    for name, why in (
+        ("welds.W1.x", r'give the scene positions = \["welds.W1"\] in \[report\]'),
+        ("welds.W1.gun", "it has no gun"),
+        ("clamps.C1-upper.limit", "it has no limit"),
+        ("welds.W1", "is no input of this model; known: "),
+        ("zones.lap", "is no input of this model; known: "),
+        ("welds", "is no input of this model; known: "),
+    ):
+        with pytest.raises(ValueError, match=why):
+            lap_model.sensitivities({}, inputs=[name])
     with pytest.raises(ValueError, match=r"inputs: 'locators\.nowhere' is no input of this model; known: "):
         lap_model.sensitivities({}, inputs=["locators.nowhere"])
     with pytest.raises(ValueError, match="name at least one"):
@@ -315,14 +381,78 @@ def test_inputs_that_are_not_known_are_refused(lap_model):
     assert all(σ > 0 for name, σ in known_inputs(lap_model).items() if name in lap_model.parameters)
 
 
-def test_a_part_that_rests_is_refused(lap_model):
-    model = replace(lap_model)
-    process = model.process("coulomb")
-    step = process.stages[1].steps[0]
-    rest = replace(step.rest, row=np.array([0]), soft=np.array([True]), direction=np.eye(3)[:1], name=("upper",))
-    process.stages[1].steps[0] = replace(step, rest=rest)
-    with pytest.raises(SceneError, match="part 'upper' rests by contact alone there"):
-        sensitivities(process, draw(model.scene, 1, 0, 1))
+FEET = [(0, 0, 0), (100, 0, 0), (0, 60, 0)]
+
+
+def table(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
+    """b stands on a by three feet, bent by its first deviation, and is pressed down and pushed sideways."""
+    pushed = [("C", (30, 20, 0), (0, 0, -1), force), ("D", (40, 10, 0), (1, 0.5, 0), 0.15 * force)]
+    clamps = [
+        {"name": name, "part": "b", "point": list(at), "direction": list(along), "force": one}
+        for name, at, along, one in pushed
+    ]
+    scene = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0, "rests": name == "b"} for name in "ab"],
+        "locators": six("a"),
+        "clamps": clamps,
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
+        "measurements": [
+            {"name": f"M{i}", "part": "b", "point": foot, "direction": [0, 0, 1], "lower": -1, "upper": 1}
+            for i, foot in enumerate(FEET)
+        ],
+        "deviations": [
+            {"name": "bent", "kind": "force", "part": "b", "point": [0, 0, 0], "direction": [0, 0, 1], "sigma": 0.05},
+            {"name": "C", "kind": "clamp", "target": "C", "sigma": 5.0},
+            {"name": "D", "kind": "clamp", "target": "D", "sigma": 1.0},
+        ],
+        "stages": [{"kind": "locate"}, {"kind": "clamp"} | path, {"kind": "measure"}],
+    }
+    pairs = [("Z", foot, (0, 0, 1)) for foot in FEET]
+    return standing(pairs, gap=gap, shape=lambda part, p: (part == "b") * np.array([0, 0, 0.01 * p[0] + 0.3]), **scene)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "associated"])
+@pytest.mark.parametrize("path", [{}, {"increments": 3}, {"path": "one-step"}])
+def test_where_a_part_rests_is_derived_too(law, path):
+    """It is put down where nothing overlaps, pressed, and slides a little; where it lies follows the inputs."""
+    model = table(**path)
+    process, samples = model.process(law, TIGHT), np.array([[0.1, 0.3, 0.02]])
+    found = sensitivities(process, samples)
+    evaluation = process.evaluate(samples)
+    assert found.exact.all() and not found.failed.any() and not evaluation.failed.any()
+    np.testing.assert_allclose(found.measurements, evaluation.measurements, rtol=0, atol=1e-9)
+    slope = found.jacobian * sigmas(model)
+    assert off(slope, central(model, frozen(process, found.steps), samples, 1e-3)) < EXACT
+    assert off(slope, central(model, lambda x: process.evaluate(x).measurements, samples, 1e-3)) < 1e-5
+
+
+def test_where_a_part_is_put_down_follows_the_gaps_that_it_closes():
+    """Two feet overlap; the third hangs free, and does not count. Nothing overlaps: nothing moves."""
+    G, gap = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, -0.5]]), np.array([-0.03, -0.05, 0.2])
+    rng = np.random.default_rng(0)
+    slope = rng.standard_normal((3, 4))
+    found = put_down_slope(gap, slope, G, put_down(gap, G))
+    assert np.abs(found).max() > 0.1
+    for i in range(4):
+        up, down = (put_down(gap + way * slope[:, i], G) for way in (1e-5, -1e-5))
+        np.testing.assert_allclose(found[:, i], (up - down) / 2e-5, rtol=1e-6, atol=1e-8)
+    assert not put_down_slope(gap + 1, slope, G, put_down(gap + 1, G)).any()
+
+
+def test_what_lies_loose_has_no_derivative():
+    found = table(force=0.0, gap=0.0).sensitivities({}, "coulomb")
+    assert found.failed.all() and np.isnan(found.jacobian).all()
+
+
+def test_places_of_what_a_resting_part_meets_are_refused():
+    model = table()
+    rows = model.rows | {"position": model.rows["locator"][:1]}
+    labels = model.labels | {"position": ["locators.al0.x"]}
+    model = replace(model, rows=rows, labels=labels, position_gap=np.zeros(1))
+    with pytest.raises(
+        SceneError, match=r"stages \(locate\): part 'b' rests by contact alone there, and no derivative by"
+    ):
+        model.sensitivities({}, "coulomb", ["locators.al0.x"])
 
 
 def test_friction_that_deviates_has_the_slope_of_its_zone(lap_model):
@@ -374,6 +504,20 @@ def test_the_command_prints_the_table_and_the_reach(lap_model, tmp_path):
         effect = effect[effect > 1e-6]
         assert all(name in done.output for name in effect.index[:6])
         assert len(effect) > 6 and f"{len(effect) - 6} others" in done.output
+
+
+def test_the_command_tells_both_sides_of_a_change(tmp_path):
+    model = pressed(0.3 * STIFFNESS)
+    model.save(tmp_path / "model.npz")
+    done = CliRunner().invoke(
+        app, ["sensitivity", str(tmp_path / "model.npz"), "--samples", "1"], env={"COLUMNS": "200"}
+    )
+    assert done.exit_code == 0, done.output
+    # A tenth of 15 N: 1.5/50 mm below and half of that above.
+    assert "-30 below, -15 above" in done.output.replace("−", "-")
+    assert "at a change of a contact (clamp: contact 0 of zone Z" in done.output
+    table = effects(model, "coulomb", 1).table.set_index("input").loc["clamps.C"]
+    assert [table["effect_below"], table["effect_above"]] == pytest.approx([-0.03, -0.015])
 
 
 def test_a_scene_that_measures_nothing_has_no_sensitivities(lap_model):

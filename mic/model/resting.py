@@ -28,9 +28,10 @@ from scipy.sparse import csr_matrix, vstack
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import completing, independent, motion_size
 
-__all__ = ["RestRows", "put_down"]
+__all__ = ["RestRows", "put_down", "put_down_slope"]
 
 CLEAR = 1e-9  # mm: how far apart parts are put down that would overlap, more than rounding
+CLOSED = 1e-10  # mm: gaps that are this near to that are those that hold the parts apart
 FEASIBLE = 1e-9  # residual of the dual below which no motion takes the parts apart
 
 
@@ -51,6 +52,15 @@ def put_down(gap: np.ndarray, G: np.ndarray) -> np.ndarray:
     if -residual[-1] <= FEASIBLE:
         return np.zeros(G.shape[1])
     return overlap * residual[:-1] / -residual[-1]
+
+
+def put_down_slope(gap: np.ndarray, slope: np.ndarray, G: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """(k, p) derivatives of what :func:`put_down` found, (k,), with those (m, p) of the gaps: those that it just closes
+    stay closed, by the least motion."""
+    closed = (np.abs(G).max(axis=1, initial=0.0) > FEASIBLE) & (np.abs(gap + G @ moved - CLEAR) <= CLOSED)
+    if not (moved.any() and closed.any()):
+        return np.zeros((len(moved), slope.shape[1]))
+    return -np.linalg.pinv(G[closed]) @ slope[closed]
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,9 @@ class ReducedModel(Reduction):
         deviations, law
             As :meth:`evaluate` takes them.
         inputs : sequence of str, or mapping of str to float, optional
-            With respect to what: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction``; with
-            standard deviations of their own, or those of the scene. Default: all deviations.
+            With respect to what: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction`` and
+            others (:mod:`mic.process.inputs`); with standard deviations of their own, or those of the scene. Default:
+            all deviations.
         steps : mapping, optional
             Steps of the paths, frozen: :attr:`mic.process.sensitivity.Sensitivities.steps` of samples nearby.
 
@@ -108,7 +109,7 @@ class ReducedModel(Reduction):
         ValueError
             As :meth:`evaluate`; for inputs that are not known.
         SceneError
-            Where parts rest by contact alone.
+            Where parts rest by contact alone, and places in sheets are inputs.
         """
         return sensitivities(self.process(law), self.deviations(deviations), inputs, steps)
 

@@ -27,10 +27,12 @@ from mic.contact.path import Path
 from mic.contact.states import OPEN
 from mic.contact.tangent import Bend, Contact, End, Varied, retrace
 from mic.errors import SceneError
+from mic.model.resting import put_down_slope
 from mic.process.drive import Drive
 from mic.process.inputs import Inputs, known_inputs
 from mic.process.path import Ramp
 from mic.process.plan import Step
+from mic.process.rest import Leg
 from mic.process.shift import Shift
 from mic.process.stage import EliminatedStep, PreparedStage
 from mic.process.state import ProcessState
@@ -46,6 +48,9 @@ RESTS = 1e-10
 AT_CHANGE, BESIDE = 1e-6, 1e-5
 #: mm: what overlaps by more there closes.
 TOUCHES = 1e-11
+#: Of where resting parts lie: rounds, what their springs may carry then, of the largest force; stiffness that is none,
+#: of the largest; and what may be left of a derivative where nothing holds them.
+ROUNDS, SETTLED, FREE, LOOSE = 20, 1e-11, 1e-9, 1e-6
 #: Values of samples and their derivatives that are carried at once: memory.
 AT_ONCE = 2_000_000
 
@@ -53,7 +58,7 @@ AT_ONCE = 2_000_000
 THINNER = 1e-4
 
 #: The steps that paths took: by stage and the step's number, the trail (n,) of each sample.
-Steps = Mapping[tuple[str, int], np.ndarray]
+Steps = Mapping[tuple, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,8 @@ class Sensitivities:
     where : (n,) object array of str
         Which contact changes its state there.
     failed : (n,) bool array
-        Samples whose contact missed its tolerance; their derivatives are NaN.
+        Samples whose contact missed its tolerance; their derivatives are NaN, as are those of samples in which nothing
+        determines where a resting part lies.
     exact : (n,) bool array
         Whether every step of the path could be solved for anew; else derivatives are those of the steps as they were
         found, to the error of the path.
@@ -156,6 +162,17 @@ class Sensitivities:
         )
 
 
+def _refuse_resting(process) -> None:
+    for stage in process.stages:
+        for each in stage.steps:
+            if each.rest.soft.any():
+                part = next(own for own, soft in zip(each.rest.name, each.rest.soft) if soft)
+                raise SceneError(
+                    f"stages ({stage.plan.name}): part {part!r} rests by contact alone there, and no derivative by "
+                    "places in sheets is taken of it; leave these inputs out, or give the part six locators"
+                )
+
+
 @one_thread
 def sensitivities(
     process,
@@ -181,20 +198,13 @@ def sensitivities(
     ValueError
         For inputs that are not known, or none.
     SceneError
-        Where parts rest by contact alone: they come to lie by finite ways, of which no derivative is taken.
+        Where parts rest by contact alone, and places in sheets are inputs.
     """
     model = process.model
     names = list(model.parameters if inputs is None else inputs)
-    Inputs.of(model, names)  # what is not known is told first
-    for stage in process.stages:
-        for each in stage.steps:
-            if each.rest.soft.any():
-                part = next(own for own, soft in zip(each.rest.name, each.rest.soft) if soft)
-                raise SceneError(
-                    f"stages ({stage.plan.name}): part {part!r} rests by contact alone there, and comes to lie by "
-                    "finite ways, of which no derivative is taken; give it six locators there, or take differences of "
-                    "evaluations"
-                )
+    asked = Inputs.of(model, names)
+    if asked.places:
+        _refuse_resting(process)
     own = inputs if isinstance(inputs, Mapping) else known_inputs(model)
     sigma = np.array([own[name] for name in names])
     thick = {names.index(one.name): j for j, one in enumerate(model.scene.deviations)
@@ -274,10 +284,11 @@ class _Sensitivity:
         self.n, self.p = len(deviations), len(names)
         self.inputs = Inputs.of(process.model, names)
         self.drive, self.slope_drive = process.asked(deviations), self.inputs.drive(process, deviations)
+        self.loose = np.zeros(self.n, dtype=bool)
         self.aside = np.zeros(self.n) if aside is None else aside
         if aside is not None:
             self.drive = _beside(self.drive, self.slope_drive, aside)
-        self.steps: dict[tuple[str, int], np.ndarray] = {}
+        self.steps: dict[tuple, np.ndarray] = {}
         self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
         self.along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
 
@@ -301,7 +312,7 @@ class _Sensitivity:
             characteristics = self.process.model.characteristics
             jacobian = np.matmul(characteristics.tangent(values), jacobian)
             values = characteristics.values(values)
-        jacobian[state.failed] = np.nan
+        jacobian[state.failed | self.loose] = np.nan
         return Sensitivities(
             self.process.law,
             self.names,
@@ -313,7 +324,7 @@ class _Sensitivity:
             self.reach,
             self.along,
             self.where,
-            state.failed,
+            state.failed | self.loose,
             self.exact,
             self.steps,
         )
@@ -340,6 +351,10 @@ class _Sensitivity:
         converged = None
         if stage.solved(eliminated):
             stops = stage.stops(eliminated)
+            anchors = [of.anchor for _, of, _ in sides]
+            soft = eliminated.rest.soft.any()
+            if soft and eliminated.step.settles:
+                self._put_down(stage, eliminated, sides, ramps, places, anchors)
             starts, stop = (
                 [
                     stage.unloaded(each, drive, ramp, place, s)
@@ -357,17 +372,21 @@ class _Sensitivity:
                 touching = np.column_stack([state.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
                 normal = slice(0, stops.rows, stops.dimension)
                 slope_over[:, normal] -= self._rows(bend.under(touching, self.p))[:, normal]
-            starts[0] += np.maximum(0.0, over)
-            starts[1] += np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)
-            trail, converged = self._trail(stage, number, eliminated, state, starts[0], stop[0])
-            end = self._retraced(
-                self._out(eliminated),
-                self._contact(stage, eliminated, bend),
-                self._varied(*(stops.spread(one) for one in starts)),
-                self._varied(*(stops.spread(one) for one in stop)),
-                self._varied(*(_with_stops(stops, of.anchor) for _, of, _ in sides)),
-                trail,
-            )
+            lifts = [np.maximum(0.0, over), np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)]
+            stands = self._varied(*(_with_stops(stops, one) for one in anchors))
+            if soft:
+                end, converged = self._laid(stage, number, eliminated, ramps, places, starts, stop, lifts, ends, stands)
+            else:
+                starts = [start + lift for start, lift in zip(starts, lifts)]
+                trail, converged = self._trail(stage, number, eliminated, state, starts[0], stop[0])
+                end = self._retraced(
+                    self._out(eliminated),
+                    self._contact(stage, eliminated, bend),
+                    self._varied(*(stops.spread(one) for one in starts)),
+                    self._varied(*(stops.spread(one) for one in stop)),
+                    stands,
+                    trail,
+                )
             self.exact &= end.solved | ~converged
             self._reach(stage, eliminated, end)
             found = (end.force, end.displacement, end.anchor)
@@ -386,6 +405,113 @@ class _Sensitivity:
         if len(shift):
             shift.read(stage, slope_after, after, self.p, *_driven(ramps[0], places[0], 1.0), end is not None)
         return after, slope_after, end
+
+    def _put_down(self, stage, eliminated, sides, ramps, places, anchors) -> None:
+        """Where resting parts are put down, and the anchors, which go with them: in place, with their slopes."""
+        (_, state, drive), (plain, _, slope_drive) = sides
+        start = stage.unloaded(eliminated, drive, ramps[0], places[0], 0.0)
+        slope = self._columns(stage.unloaded(plain, slope_drive, ramps[1], places[1], 0.0))
+        place, anchor = stage.put_down(eliminated, state, start, places[0])
+        soft, (_, m, d) = eliminated.rest.soft, state.force.shape
+        G = eliminated.rest.springs(eliminated.response)[1][: m * d].reshape(m, d, -1)
+        G = np.where(self._out(eliminated)[:m, None, None], 0.0, G)
+        moved, turned = self._columns(places[1]), self._columns(anchors[1])
+        for i in np.flatnonzero((place != places[0]).any(axis=1)):
+            way = (place - places[0])[i, soft]
+            own = put_down_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], way)
+            moved[i, soft] += own
+            turned[i] += np.einsum("mjk,kp->mjp", G[:, 1:], own)
+        places[:], anchors[:] = [place, self._rows(moved)], [anchor, self._rows(turned)]
+
+    def _laid(self, stage, number, eliminated, ramps, places, starts, stop, lifts, ends, anchor):
+        """Where contacts end in a step whose parts rest, and whether they were settled; `places` are where the parts
+        come to lie.
+
+        Where a part lies is one more input of a leg, q̄, of which nothing is left to carry for its springs: ``λ(x, q̄) =
+        0`` (:mod:`mic.process.rest`).
+        """
+        rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
+        (c, G), law = rest.springs(response), stage.solver(eliminated).law
+        k, p = int(rest.soft.sum()), self.p
+        contact = self._contact(stage, eliminated, None)
+        contact = replace(contact, rougher=np.pad(contact.rougher, ((0, 0), (0, k))))
+        drawn = self._varied(*(place[:, rest.soft] for place in places))
+        force = self._varied(*(np.column_stack([f.reshape(len(f), -1), s]) for f, _, _, s in ends))
+        at, s0, converged = drawn, 0.0, np.ones(self.n, dtype=bool)
+
+        def loads(s: float) -> tuple[Varied, Varied]:
+            """b, and what the rest rows are left with, at s of the step."""
+            b = [(1 - s) * (start + lift) + s * last for start, lift, last in zip(starts, lifts, stop)]
+            return self._varied(*b), self._varied(*(rest.pushed(response, ramp.at(s)[1]) for ramp in ramps))
+
+        for leg, (s1, path) in enumerate(rest.legs(stage.path, law)):
+            (b0, _), (b1, e1) = loads(s0), loads(s1)
+            trail, target, good = self._settled(
+                stage, number, leg, eliminated, (loads(s0), loads(s1)), drawn, at, force, anchor, path
+            )
+            converged &= good
+            begin = _plus(b0, _times(_minus(_minus(at, drawn), _scaled(c, _times(force, G))), G.T))
+            ahead = _minus(b1, _times(_plus(drawn, _scaled(c, e1)), G.T))
+            none = np.zeros((self.n, len(G), k))
+            for _ in range(ROUNDS):
+                end = Varied(ahead.value + target @ G.T, np.concatenate([ahead.slope, none + G], axis=2))
+                found = self._retraced(
+                    self._out(eliminated),
+                    contact,
+                    _spread(stops, Varied(begin.value, np.concatenate([begin.slope, none], axis=2))),
+                    _spread(stops, end),
+                    Varied(anchor.value, np.pad(anchor.slope, ((0, 0), (0, 0), (0, k)))),
+                    trail,
+                )
+                f = _gathered(stops, found.force)
+                λ, M = e1.value - f.value @ G, np.einsum("rk,nrj->nkj", G, f.slope[:, :, p:])
+                scale = np.maximum(np.abs(f.value).max(axis=1, initial=0.0), np.abs(e1.value).max(axis=1, initial=0.0))
+                if (np.abs(λ).max(axis=1) <= SETTLED * scale).all():
+                    break
+                target = target + _least(M, λ[..., None])[..., 0]
+            before = e1.slope - np.einsum("rk,nrp->nkp", G, f.slope[:, :, :p])
+            dq = at.slope + _least(M, before - M @ at.slope)
+            left = np.abs(before - M @ dq).max(axis=(1, 2), initial=0.0)
+            self.loose |= left > LOOSE * np.maximum(np.abs(before).max(axis=(1, 2), initial=0.0), 1e-300)
+            found = _combined(found, p, dq)
+            force, anchor, at = _gathered(stops, found.force), found.anchor, Varied(target, dq)
+            self.exact &= found.solved | ~good
+            s0 = s1
+        for side, values in enumerate((at.value, self._rows(at.slope))):
+            places[side] = places[side].copy()
+            places[side][:, rest.soft] = values
+        return found, converged
+
+    def _settled(self, stage, number, leg, eliminated, loads, drawn, at, force, anchor, path):
+        """The steps (n,) that the contacts take on a leg, where its parts come to lie (n, k), and whether they do."""
+        key, lies = (stage.plan.name, number, leg), (stage.plan.name, number, leg, "at")
+        if self.frozen is not None:
+            self.steps[key], self.steps[lies] = self.frozen[key], self.frozen[lies]
+            return self.frozen[key], np.stack(list(self.frozen[lies])), np.ones(self.n, dtype=bool)
+        rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
+        solver, sides = stage.solver(eliminated), stops.dimension - 1
+        (b0, e0), (b1, e1) = loads
+
+        def follow(start, end, pressed, stands, path):
+            way = np.stack([stops.spread(start), stops.spread(end)], axis=1)
+            none = np.zeros((len(start), stops.count, sides))
+            recorded = replace(path, recorded=True)
+            found = solver.follow(way, stops.spread(pressed), np.concatenate([stands, none], axis=1), recorded)
+            solution, stopped = stops.split(found)
+            return solution, np.column_stack([solution.force, stopped])
+
+        stands = anchor.value.reshape(self.n, stops.total, sides)[:, : stops.contacts]
+        moving = Leg(b0.value, b1.value, e0.value, e1.value)
+        solution, pressed, place = rest.settle(
+            response, moving, drawn.value, at.value, force.value, stands, follow, path
+        )
+        c, G = rest.springs(response)
+        target = place + c * (e1.value - pressed @ G)
+        trail: Any = solution.trail
+        kept = np.empty(self.n, dtype=object)
+        kept[:] = list(target)
+        self.steps[key], self.steps[lies] = trail, kept
+        return trail, target, solution.converged
 
     def _retraced(self, out: np.ndarray, contact: Contact, start: Varied, end: Varied, anchor: Varied, trail) -> End:
         """The paths; of samples that are beside their own under the friction there, and contacts may touch that never
@@ -552,3 +678,46 @@ def _beside(drive: Drive, slope: Drive, way: np.ndarray) -> Drive:
         if one.name != "target"
     }
     return Drive({kind: value + way[:, None] * slope.target[kind] for kind, value in drive.target.items()}, **moved)
+
+
+def _plus(one: Varied, other: Varied) -> Varied:
+    return Varied(one.value + other.value, one.slope + other.slope)
+
+
+def _minus(one: Varied, other: Varied) -> Varied:
+    return Varied(one.value - other.value, one.slope - other.slope)
+
+
+def _scaled(factor: float, one: Varied) -> Varied:
+    return Varied(factor * one.value, factor * one.slope)
+
+
+def _times(one: Varied, matrix: np.ndarray) -> Varied:
+    """``X A``, of rows (n, r) and A (r, k)."""
+    return Varied(one.value @ matrix, np.einsum("nrp,rk->nkp", one.slope, matrix))
+
+
+def _spread(stops: Stops, one: Varied) -> Varied:
+    """As the solver has it."""
+    slope = [stops.spread(one.slope[:, :, i]) for i in range(one.slope.shape[2])]
+    return Varied(stops.spread(one.value), np.stack(slope, axis=2))
+
+
+def _gathered(stops: Stops, force: Varied) -> Varied:
+    """(n, d m + s) forces of contacts and stops, as the stage has them."""
+    own = np.concatenate([np.arange(stops.rows), np.arange(stops.rows, force.value.shape[1], stops.dimension)])
+    return Varied(force.value[:, own], force.slope[:, own])
+
+
+def _combined(end: End, p: int, more: np.ndarray) -> End:
+    """With what the inputs behind the first p change when these (n, k, p) move them."""
+
+    def own(one):
+        return Varied(one.value, one.slope[:, :, :p] + one.slope[:, :, p:] @ more) if isinstance(one, Varied) else one
+
+    return End(**{one.name: own(getattr(end, one.name)) for one in fields(End)})
+
+
+def _least(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(n, k, p) least solutions of systems (n, k, k) that may leave motions free."""
+    return np.matmul(np.linalg.pinv(matrix, rcond=FREE), right)

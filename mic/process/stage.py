@@ -428,7 +428,7 @@ class PreparedStage:
             return self.unloaded(eliminated, drive, ramp, place, s)
 
         if step.settles and rest.soft.any():
-            place, anchor = self._put_down(eliminated, state, unloaded(0.0, place), place)
+            place, anchor = self.put_down(eliminated, state, unloaded(0.0, place), place)
         start, end = unloaded(0.0, place), unloaded(1.0, place)
         lift = np.maximum(0.0, self.overlap(eliminated, state, drive, start))
         solver = self.solver(eliminated)
@@ -463,7 +463,7 @@ class PreparedStage:
         place[:, rest.soft] = at
         return PathSolution.join(pieces), force[:, contacts:], place
 
-    def _put_down(self, eliminated, state, unloaded, place) -> tuple[np.ndarray, np.ndarray]:
+    def put_down(self, eliminated, state, unloaded, place) -> tuple[np.ndarray, np.ndarray]:
         """Where resting parts are (n, k) that nothing presses yet, so that they overlap nowhere, and the anchors, which
         go with them."""
         rest, (_, m, d) = eliminated.rest, state.force.shape

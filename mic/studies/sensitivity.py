@@ -97,7 +97,7 @@ def effects(
     ValueError
         If nothing is measured.
     SceneError
-        Where parts rest by contact alone.
+        Where parts rest by contact alone, and places in sheets are inputs.
     """
     scene = model.scene
     if not scene.measurements:
