@@ -242,8 +242,8 @@ BAD = {
     "of parts": ({"part": ["upper", "lower"]}, "part"),
     "without spread": ({"sigma": None}, r"sigma \(T\): required key is missing"),
     "negative spread": ({"sigma": -0.1}, "sigma"),
-    "in micrometres": ({"sigma": 20.0}, r"lead from -119 to 121 mm, and part 'upper' is 1 mm thick.*both are in mm"),
-    "in metres, as a whole": ({"mean": 1.0, "sigma": 0.001}, r"lead from 1.99 to 2.01 mm.*correct them"),
+    "in micrometres": ({"sigma": 20.0}, r"lead from -119 to 121 mm, and part 'upper' is 1 mm thick.*all in mm"),
+    "in metres, as a whole": ({"mean": 1.0, "sigma": 0.001}, r"lead from 1.994 to 2.006 mm.*correct them"),
     "a sheet that is not there": ({"mean": -0.9}, "lead from -0.02 to 0.22 mm"),
     "the thickness itself": ({"mean": 1.0, "sigma": 0.02}, r"lead from 1.88 to 2.12 mm"),
     "a face of no name": ({"skin": "top"}, "skin"),
@@ -272,10 +272,28 @@ def test_two_of_one_sheet_and_maps_are_refused(cache):
         assemble(read(table), cache)
 
 
+@pytest.mark.parametrize("key", ["stiffness", "compliance"])
+def test_a_sheet_whose_matrix_is_given_keeps_its_thickness(key, assembled, cache, tmp_path):
+    surface = assembled.parts[1].surface
+    lines = ["*NODE", *(f"{i + 1}, {x}, {y}, {z}" for i, (x, y, z) in enumerate(surface.points)), "*ELEMENT, TYPE=S3"]
+    lines += [f"{i + 1}, {a + 1}, {b + 1}, {c + 1}" for i, (a, b, c) in enumerate(surface.triangles)]
+    (tmp_path / "upper.inp").write_text("\n".join(lines) + "\n")
+    table = lap([T], pairs=2)
+    table["parts"][0]["geometry"] = str(LAP / "geometry.py")
+    table["parts"][1] = {"name": "upper", "mesh": "upper.inp", "thickness": 1.0, key: "upper.mtx"}
+    with pytest.raises(mic.SceneError, match=rf"\(T\): part: 'upper' has its {key} from a file, which holds for one"):
+        assemble(read_table(table, tmp_path / "scene.toml"), cache)
+
+
 def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
     cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}])), cache)
     assert cut.parts[1].range == pytest.approx((0.9, 1.1))
     listed = lap([T], pairs=2)
+    listed["monte_carlo"] = {"values": [[1.02], [0.98]]}  # the thickness itself
+    with pytest.raises(
+        mic.SceneError, match=r"\(T\): the samples of the table lead from 1.98 to 2.02 mm, and part 'upper'"
+    ):
+        assemble(read(listed), cache)
     listed["monte_carlo"] = {"values": [[0.3], [-0.02]]}
     assert assemble(read(listed), cache).parts[1].range == pytest.approx((0.88, 1.3))
     fixed = assemble(read(lap([T | {"sigma": 0.0, "mean": 0.2}])), cache)

@@ -14,6 +14,7 @@ from mic import cache_folder
 from mic.commands.call import keep_studies, on_one_process, requested
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
+from mic.compliance.thickness import chebyshev
 from mic.console import plain
 from mic.contact.laws import LAWS
 from mic.errors import MissingProvider, SceneError, StorageError
@@ -281,11 +282,12 @@ def _print_normals(console, assembly):
 
 def _coefficients(part):
     """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
+    many = "" if part.range is None else f", at {len(chebyshev(*part.range))} thicknesses"
     if is_cached(part, cache_folder()):
-        return "cached"
+        return "cached" + many
     if part.superelement is None:
         check_element(part.element)
-    return "to be computed" if part.superelement is None else "of a superelement"
+    return "to be computed" + many if part.superelement is None else "of a superelement"
 
 
 def _friction_words(zone) -> str:
@@ -363,6 +365,8 @@ def _print_cost(console, assembly, plans):
         )
     else:
         console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
+    if any(item.kind in ("friction", "thickness") and item.sigma for item in scene.deviations):
+        console.print("• friction or thickness varies: each sample is set up by itself, which takes many times as long")
     console.print(f"• {forecast(assembly, laws, samples, len(os.sched_getaffinity(0)))}")
     fields = "mean and 6σ fields: a few further solves per part and law"
     console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))

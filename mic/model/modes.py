@@ -55,9 +55,7 @@ ABOUT = 0.75  # spacings from a point within which measured ones are fitted
 FEW = 6  # measured points to which a plane is fitted
 FACING = 0.85  # cosine between normals of one side of a fold
 TOLD = 3  # files at fault that are told one by one
-WIDER = 1.25  # by which the spacing grows where too few points lie about it
-FEWEST = 30  # points, below which the spacing does not grow
-WELL = 0.9  # of the points must then have measured ones about them
+AMONG = 24.0  # measured points about one, where they are sparse: at an edge half of them, of some pieces fewer
 COVERED = 0.5  # of the points of a part must have measured ones about them
 NORMAL = 0.01  # probability below which scores are said not to be normal
 LONGEST = 50  # letters of a name to which the number of a mode is added
@@ -288,9 +286,10 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
             f"{np.sqrt(SPREAD * area / MOST):.2g} mm or more"
         )
     centres, values, shares = _taken(surface, pieces, spacing)
-    known, enough = ~np.isnan(values).any(axis=1), COVERED
-    while item.spacing is None and known.mean() < enough and len(centres) > FEWEST:
-        enough, spacing = WELL, WIDER * spacing
+    known = ~np.isnan(values).any(axis=1)
+    if item.spacing is None and known.mean() < COVERED:  # the points are sparse
+        fewest = min(len(piece.points) for piece in pieces)
+        spacing = max(spacing, np.sqrt(AMONG * area / (np.pi * ABOUT**2 * fewest)))
         centres, values, shares = _taken(surface, pieces, spacing)
         known = ~np.isnan(values).any(axis=1)
     if known.mean() < COVERED or known.sum() <= 6:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -232,9 +232,8 @@ class Process:
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         """
-        own = self.parted(deviations)
-        if any(process is not self for _, process in own):
-            return Evaluation.join([process.evaluate(deviations[part]) for part, process in own])
+        if (deviations[:, self._changing] != self._changed_by).any():
+            return Evaluation.join([process.evaluate(deviations[part]) for part, process in self.parted(deviations)])
         asked, state = self.asked(deviations), self.start(len(deviations))
         resolutions, readings = {}, np.zeros((len(deviations), 0))
         for stage in self.stages:
@@ -262,15 +261,13 @@ class Process:
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
         return ProcessState.start(n, len(model.contacts), model.contacts.dimension, rows)
 
-    def parted(self, deviations: np.ndarray) -> list[tuple[slice, Process]]:
-        """Samples in runs (slices of them) whose deviations change the contacts alike, and the process of each: this
-        one where nothing changes them."""
+    def parted(self, deviations: np.ndarray) -> Iterator[tuple[slice, Process]]:
+        """Samples in runs (slices of them) whose deviations change contacts and parts alike, and the process of each,
+        one by one: this one where nothing changes them."""
         own = deviations[:, self._changing]
         edges = [0, *(np.flatnonzero((own[1:] != own[:-1]).any(axis=1)) + 1).tolist(), len(own)]
-        return [
-            (slice(a, b), self if (own[a:b] == self._changed_by).all() else self._changed(own[a]))
-            for a, b in zip(edges, edges[1:])
-        ]
+        for a, b in zip(edges, edges[1:]):
+            yield slice(a, b), self if (own[a:b] == self._changed_by).all() else self._changed(own[a])
 
     def _changed(self, amplitudes: np.ndarray) -> Process:
         """The process with contacts and parts as these deviations change them; shapes stay as they are."""
@@ -284,20 +281,18 @@ class Process:
                 vars(model)["eliminations"] = self.model.eliminations
             elif self._limited:
                 vars(model)["eliminations"] = eliminate_steps(model, self._plans)
-            smooth = (model.contacts.friction == self.model.contacts.friction).all()
+            alike = (model.contacts.friction == self.model.contacts.friction).all()
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
-            how["plans"] = (
-                self._plans if smooth else None
-            )  # what rests under the scene's friction may not under another
+            how["plans"] = self._plans if alike else None  # what rests under one friction may not under another
             try:
                 process = Process(model, self.law, backend=backend, **how)
             except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
             process._changed_by = amplitudes
             vars(process)["_unit_motions"] = self._unit_motions
-            if len(self._varied) >= KEPT:
+            if len(self._varied) >= (KEPT if model.compliance is self.model.compliance else 1):  # compliance is large
                 self._varied.clear()
             self._varied[key] = process
         return self._varied[key]

@@ -4,13 +4,13 @@ all modes of measured pieces, which names the piece."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from mic.errors import SceneError
 from mic.scene.checks import entry
+from mic.scene.deviation import ShapeDeviation
 from mic.scene.schema import Scene
 from mic.scene.stages import known
 from mic.scene.tables import DECIMAL, read_cells
@@ -76,8 +76,8 @@ def _columns(path: Path, given, scene: Scene) -> list[str]:
     names, found = [item.name for item in scene.deviations], []
     for column in given:
         if column not in names:
-            batches = {item.batch for item in scene.deviations if getattr(item, "scores", None) is not None}
-            found += _unknown(f"{path}: row 1", str(column), [*names, *sorted(batches - {None})])
+            batches = sorted({item.batch for item in _scored(scene) if item.batch is not None})
+            found += _unknown(f"{path}: row 1", str(column), [*names, *batches])
     missing = [repr(name) for name in names if name not in given]
     if len(missing) == 1:
         found.append(f"{path}: row 1: there is no column {missing[0]}; add it, with a value in each row")
@@ -91,20 +91,15 @@ def _columns(path: Path, given, scene: Scene) -> list[str]:
 def _spread(path: Path, frame: pd.DataFrame, scene: Scene) -> pd.DataFrame:
     """A column under the name of a batch of measured pieces names one of them in each row; in its place come those of
     the batch's deviations, with what the piece has of each."""
-    batches: dict[str, list[Any]] = {}
-    for item in scene.deviations:
-        if getattr(item, "batch", None) in frame.columns:
-            batches.setdefault(str(getattr(item, "batch", "")), []).append(item)
-    for batch, own in batches.items():
-        scored = [item for item in own if item.scores is not None]
-        if not scored:
-            continue  # modes that are drawn: no piece has them
+    for first in {item.batch: item for item in _scored(scene) if item.batch in frame.columns}.values():
+        batch = first.batch
+        own = [item for item in scene.deviations if isinstance(item, ShapeDeviation) and item.batch == batch]
         twice = [item.name for item in own if item.name in frame.columns]
         if twice:
             raise SceneError(
                 f"{path}: row 1: there are columns {batch!r} and {twice[0]!r}; give the piece, or what it has of each"
             )
-        names = scored[0].pieces or [str(i + 1) for i in range(len(scored[0].scores))]
+        names = first.pieces or [str(i + 1) for i in range(len(first.scores or []))]
         cells = [str(cell).strip() for cell in frame[batch]]
         for row, cell in zip(frame.index, cells):
             if cell and cell not in names:
@@ -114,9 +109,14 @@ def _spread(path: Path, frame: pd.DataFrame, scene: Scene) -> pd.DataFrame:
                 )
         frame = frame.drop(columns=batch)
         for item in own:
-            value = [repr(item.mean + item.sigma * (score if item.scores else 0.0)) for score in item.scores or names]
+            value = [repr(item.mean + item.sigma * score) for score in item.scores or [0.0] * len(names)]
             frame[item.name] = [value[names.index(cell)] if cell else "" for cell in cells]
     return frame
+
+
+def _scored(scene: Scene) -> list[ShapeDeviation]:
+    """The deviations that measured pieces have scores in; of modes that are drawn no piece is told."""
+    return [item for item in scene.deviations if isinstance(item, ShapeDeviation) and item.scores is not None]
 
 
 def _unknown(at: str, column: str, names: list[str]) -> list[str]:

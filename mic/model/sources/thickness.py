@@ -39,27 +39,35 @@ class SheetThickness(Source):
             raise SceneError(
                 f"{at}: fields are those of the thickness that the parts are drawn with; leave fields out of [report]"
             )
-        low, high = self.range
-        if not (LEAST * part.sheet[0] <= low and high <= MOST * part.sheet[0]):
-            raise SceneError(
-                f"{at}: mean and sigma: {REACH:g} sigma about the mean lead from {low:.4g} to {high:.4g} mm, and part "
-                f"{part.name!r} is {part.sheet[0]:g} mm thick; at least {LEAST:g} and at most {MOST:g} times that can "
-                "be computed: correct them (both are in mm), or give truncated"
-            )
+        t = part.sheet[0]
+        for what, (low, high) in self._reaches.items():
+            if not (LEAST * t <= t + low and t + high <= MOST * t):
+                raise SceneError(
+                    f"{at}: {what} from {t + low:.4g} to {t + high:.4g} mm, and part {part.name!r} is {t:g} mm thick; "
+                    f"at least {LEAST:g} and at most {MOST:g} times that can be computed: correct them (all in mm), "
+                    "or give truncated"
+                )
+
+    @property
+    def _reaches(self) -> dict[str, tuple[float, float]]:
+        """By how much the sheet is thicker at least and at most, mm, by what says so."""
+        item, asked = self.deviation, self.scene.monte_carlo
+        low, high = item.mean - REACH * item.sigma, item.mean + REACH * item.sigma
+        if item.truncated is not None:
+            low, high = max(low, item.truncated[0]), min(high, item.truncated[1])
+        found = {f"mean and sigma: {REACH:g} sigma about the mean lead": (low, high)}
+        if asked.values is not None:
+            own = np.array(asked.values)[:, [one.name for one in self.scene.deviations].index(item.name)]
+            found["the samples of the table lead"] = (float(own.min()), float(own.max()))
+        return found
 
     @property
     def range(self) -> tuple[float, float]:
         """Smallest and largest thickness that samples may have, mm."""
-        item, asked = self.deviation, self.scene.monte_carlo
-        (t,) = (part.sheet[0] for part in self.scene.parts if part.name == item.part)
-        low, high = item.mean - REACH * item.sigma, item.mean + REACH * item.sigma
-        if item.truncated is not None:
-            low, high = max(low, item.truncated[0]), min(high, item.truncated[1])
-        if asked.values is not None:
-            own = np.array(asked.values)[:, [one.name for one in self.scene.deviations].index(item.name)]
-            low, high = min(low, own.min()), max(high, own.max())
-        middle = 0.5 * (low + high)
-        half = max(0.5 * (high - low), NARROW * t)
+        (t,) = (part.sheet[0] for part in self.scene.parts if part.name == self.deviation.part)
+        lows, highs = zip(*self._reaches.values())
+        middle, half = 0.5 * (min(lows) + max(highs)), 0.5 * (max(highs) - min(lows))
+        half = max(half, NARROW * t)
         return t + middle - half, t + middle + half
 
     def thickening(self):
