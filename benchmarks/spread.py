@@ -4,8 +4,8 @@
     python benchmarks/spread.py --repetitions 100
 
 The scene's deviations, and then every locator beside them, each by 0.05 mm. Repeated with other samples; the error is
-the root mean square over repetitions, the largest over the key characteristics, against twenty times all samples
-together. `costs` is processor time in evaluations.
+the root mean square over repetitions, the largest over the key characteristics, against a regression on all samples of
+all repetitions and twenty times as many as one has. Costs are processor time in evaluations.
 """
 
 from __future__ import annotations
@@ -52,17 +52,15 @@ def _compare(model, asked) -> None:
     whole = n * asked.repetitions
     process.attempt(draw(model.scene, 1, 0, 4))
     start = time.process_time()
-    much = process.attempt(draw(model.scene, 1, 0, 20 * n)).measurements
+    drawn = draw(model.scene, 1, 0, 20 * n)
+    much = process.attempt(drawn).measurements
     one = (time.process_time() - start) / len(much)
     x = draw(model.scene, 2, 0, whole)
     start = time.process_time()
     found = model.sensitivities(x, asked.law)
     cost = (time.process_time() - start) / whole / one
-    y, slopes, truth = (
-        found.measurements,
-        found.jacobian,
-        np.concatenate([found.measurements, much]).std(axis=0, ddof=1),
-    )
+    y, slopes = found.measurements, found.jacobian
+    truth = _improved(model, np.concatenate([x, drawn]), np.concatenate([y, much]))
     print(f"{len(model.parameters)} inputs: with derivatives a sample costs {cost:.1f} evaluations")
     for count in sorted({n, round(n * cost)}):
         parts = [slice(i, i + count) for i in range(0, whole - count + 1, count)]
