@@ -413,7 +413,7 @@ def remedy(
     shim: Annotated[float, typer.Option(help="The most by which a locator or clamp is moved, mm.")] = 0.5,
     force: Annotated[float, typer.Option(help="The most by which a clamp's force is multiplied, or divided.")] = 2.0,
     capability: Annotated[float, typer.Option(min=0.0, help="Cpk that is asked for.")] = 1.0,
-    samples: Annotated[int, typer.Option(min=3, help="Samples of each set.")] = 40,
+    samples: Annotated[int, typer.Option(min=3, help="Samples of each set.")] = 60,
     seed: StudySeed = None,
     law: StudyLaw = None,
     save: Annotated[

@@ -15,7 +15,7 @@ from mic.report.page import write_report
 from mic.report.style import change
 from mic.results.budget import error_budget, whole_yield
 from mic.results.outcome import read_outcome
-from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE
+from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, REMEDIES
 from mic.runs import run
 
 SAMPLES = 30
@@ -127,12 +127,23 @@ def test_samples_that_failed_are_told_beside_the_answer(copied):
 
 def test_a_rare_miss_is_told_as_it_was_computed(copied):
     row = {"law": "coulomb", "measurement": "", "outside": 2.5e-5, "outside_low": 1e-5, "outside_high": 6e-5}
-    RARE.write(
-        copied,
-        pd.DataFrame([row | {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2.4e-5, "agrees": True}]),
-    )
+    row |= {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2e-5, "agrees": True}
+    RARE.write(copied, pd.DataFrame([row]))
     said = answer(read_outcome(copied)).sentences
     assert "By subset simulation 25 ppm (10 to 60) of the assemblies miss a limit." in said
+    assert not any("likeliest misses" in each for each in said)
+    RARE.write(copied, pd.DataFrame([row | {"first_order": 2e-6, "agrees": False}]))
+    said = answer(read_outcome(copied)).sentences
+    assert "The likeliest misses alone would say 2.0: limits are curved." in said
+
+
+def test_a_remedy_that_serves_is_told_and_one_that_does_not_is_not(copied):
+    row = {"law": "coulomb", "remedy": "together", "adjustment": "locators.A1", "change": -0.12, "value": -0.12}
+    REMEDIES.write(copied, pd.DataFrame([row | {"reached": True, "rounds": 3}]))
+    said = answer(read_outcome(copied)).sentences
+    assert "locators.A1 −0.12 mm would bring all of them within limits." in said
+    REMEDIES.write(copied, pd.DataFrame([row | {"reached": False, "rounds": 3}]))
+    assert not any("would bring" in each for each in answer(read_outcome(copied)).sentences)
 
 
 @pytest.mark.slow

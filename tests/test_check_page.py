@@ -1,13 +1,11 @@
 """The page of a check: one file, all that the scene places on the parts, gaps as a map, warnings beside it."""
 
-import base64
-import gzip
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.pages import unpacked
 from typer.testing import CliRunner
 
 from mic.options import app
@@ -35,7 +33,7 @@ def checked(tmp_path, cache, *edits, page=None):
     page = page or tmp_path / "results" / "lap-joint" / "check.html"
     html = page.read_text() if page.is_file() else ""
     data = re.search(r'<script type="text/plain" id="viewer-data">(.*?)</script>', html, re.S)
-    return html, json.loads(gzip.decompress(base64.b64decode(data.group(1)))) if data else None, done.output
+    return html, unpacked(data.group(1)) if data else None, done.output
 
 
 def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):

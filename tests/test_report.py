@@ -1,7 +1,6 @@
 """The report: whole, self-contained, and written for any scene."""
 
 import base64
-import gzip
 import importlib
 import json
 import pkgutil
@@ -14,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from support.pages import unpacked
 from support.runs import all_fail, edit, fail
 
 import mic.report
@@ -147,7 +147,7 @@ def test_every_figure_is_there(page):
 
 @pytest.mark.fem
 def test_the_viewer_has_the_surfaces_and_fields(page, folder):
-    data = json.loads(gzip.decompress(base64.b64decode(page.scripts["viewer-data"])))
+    data = unpacked(page.scripts["viewer-data"])
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and data["laws"] == [
         "coulomb",
         "associated",

@@ -130,7 +130,8 @@ def contributors(source, samples, seed, law):
             "alone; take monte_carlo.table out, so that they are drawn"
         )
     found = len(driving.groups(scene))
-    count = samples * (found + 2) + 2 * len(scene.deviations) if found <= MANY else None
+    varying = sum(one.sigma > 0 for one in scene.deviations)
+    count = samples * (found + 2) + 2 * varying if found <= MANY else None
     with counting(console, f"evaluations under {asked}", count) as advance:
         found = driving.contributors(model, asked, samples, seed_of(scene, seed), threads(), advance)
     _print_contributors(console, scene, found)

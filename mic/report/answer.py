@@ -16,6 +16,7 @@ from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, 
 __all__ = ["SHOWN", "Answer", "answer"]
 
 SHOWN = 10  # characteristics in the table of the first screen, the least capable ones
+FEW = 10  # independent groups of samples: fewer leave intervals that say little
 CAPABLE = 1.0  # Cpk whose interval lies above that: all but 3 in a thousand are inside
 
 
@@ -101,8 +102,10 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str
     linearity = outcome.study(LINEARITY)
     if linearity is None:
         said.append("What drives them is not measured: mic contributors tells, of this folder.")
-    elif not linearity[linearity["law"] == law]["linear"].all():
+    elif (beyond := linearity[(linearity["law"] == law) & ~linearity["linear"]])["r_squared"].notna().any():
         said.append("A linear analysis would mislead here: see what drives it.")
+    elif len(beyond):
+        said.append("Whether a linear analysis holds is not known: mic contributors took too few samples.")
     table = outcome.study(REMEDIES)
     serving = [] if table is None else table[(table["law"] == law) & table["reached"]].to_dict("records")
     if serving:
@@ -128,6 +131,12 @@ def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
         missing = [one.name for one in budget if not one.measured]
         unknown = f"; not measured: {', '.join(missing)}" if missing else ""
         said.append(f"Means can be trusted to {mean} and 6σ to {six_sigma}, most of it from {most.name}{unknown}.")
+    groups = len(outcome.sample_numbers(law)) // outcome.together
+    if outcome.together > 1 and groups < FEW:
+        said.append(
+            f"Its design makes {outcome.together} samples together, and there are {groups} such groups: intervals are "
+            f"as wide as {groups} values leave them; draw {FEW * outcome.together}, or independent samples."
+        )
     lost = len(outcome.failed[law]) + outcome.missing[law]
     if lost:
         said.append(f"{lost} of {outcome.record['samples']} samples failed or are missing, and do not count.")

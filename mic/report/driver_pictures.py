@@ -21,7 +21,7 @@ def contributor_picture(outcome: Outcome, context: Context) -> Picture | None:
     table, linearity = outcome.study(CONTRIBUTORS), outcome.study(LINEARITY)
     if table is None or linearity is None:
         return None
-    told = linearity[linearity["r_squared"].notna()]
+    told = linearity[linearity["interaction"].notna()]
     told = told.sort_values("r_squared", kind="stable").head(MOST_PANELS).sort_index()  # the least linear, if many
     if not len(told):
         return None
@@ -47,7 +47,9 @@ def contributor_picture(outcome: Outcome, context: Context) -> Picture | None:
     fig.legend(handles, labels, loc="outside upper left", ncols=4)
     least = told.sort_values("r_squared", kind="stable").iloc[0]
     caption = (
-        f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; red, "
-        f"what a linear analysis says. {least['measurement']} is the least linear, R² {percent(least['r_squared'], 1)}."
+        f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; red, what a "
+        "linear analysis says."
     )
+    if least["r_squared"] == least["r_squared"]:
+        caption += f" {least['measurement']} is the least linear, R² {percent(least['r_squared'], 1)}."
     return svg(fig, "What drives the key characteristics", caption)

@@ -32,7 +32,12 @@ def linear_words(table: pd.DataFrame, linearity: pd.DataFrame) -> list[str]:
             said.append(f"{name} hardly varies (σ {number(1e3 * row['sigma'], 2)} µm): nothing drives it.")
         elif not row["linear"]:
             own = table[(table["law"] == row["law"]) & (table["measurement"] == name)].to_dict("records")
-            said.append(f"Warning: {name}: a linear analysis misleads: {'; '.join(_reasons(row, own))}.")
+            reasons = _reasons(row, own)
+            said.append(
+                f"Warning: {name}: a linear analysis misleads: {'; '.join(reasons)}."
+                if reasons
+                else f"{name}: whether a linear analysis holds is not known: take more samples."
+            )
     if linearity["linear"].all() and linearity["r_squared"].notna().any():
         least = number(linearity["r_squared"].min())
         said.append(f"All key characteristics are nearly linear (R² {least} and more): a linear analysis ranks alike.")
@@ -54,9 +59,9 @@ def _left_out(table: pd.DataFrame) -> list[str]:
 
 def _reasons(row: dict[Any, Any], own: list[dict[Any, Any]]) -> list[str]:
     found, own = [], [each for each in own if each["total"] == each["total"]]
-    if not row["r_squared"] >= R_SQUARED:
+    if row["r_squared"] < R_SQUARED:
         found.append(f"R² is {number(row['r_squared'], 2)}")
-    if row["interaction"] > INTERACTION:
+    if row["interaction"] > INTERACTION and not row["interaction_low"] <= 0:
         most = max(own, key=lambda each: each["total"] - each["first"])
         found.append(
             f"{most['contributor']} makes {percent(max(most['first'], 0.0))} of the variance alone, and "

@@ -41,7 +41,8 @@ from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extend
 
 __all__ = ["CAPABILITY", "SAMPLES", "Limits", "Remedies", "Remedy", "remedies", "smallest"]
 
-SAMPLES = 40
+SAMPLES = 60
+DERIVED = 20  # of these, the first: with derivatives, which cost several evaluations
 CAPABILITY = 1.0  #: Cpk that is asked for
 SINGLES = 3  # remedies of one adjustment each that are evaluated in full
 ROUNDS = 10  # of linear programs about one remedy
@@ -244,7 +245,7 @@ class _Search:
         self.scene, self.samples, self.seed, self.progress = model.scene, samples, seed, progress
         self.process = self.extended.process(law, threads=threads)
         self.low, self.high = (np.array([getattr(one, end) for one in some]) for end in ("low", "high"))
-        self.drawn = self._drawn(0)
+        self.drawn = self._drawn(0)[:DERIVED]
 
     def _drawn(self, batch: int) -> np.ndarray:
         """(n, p) deviations of a set of samples: 0 those that remedies are found with, others fresh ones."""
@@ -318,7 +319,7 @@ class _Search:
             fresh = after[1] if len(after[1]) else after[0]
             plain = np.where(wanted, 0.0, -np.inf)
             short = self.short(fresh, plain)
-            if short <= REACHED or not len(after[1]) or self.short(after[0], plain) > REACHED or batch == JUDGED:
+            if short <= REACHED or self.short(at.y, ask) > REACHED:  # done, or nothing more can be asked for
                 break
             known = fresh[np.isfinite(fresh).all(axis=1)]
             ask = ask + np.maximum(0.0, -self.limits.margin(known))
@@ -353,7 +354,7 @@ def remedies(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples, seed : int
-        Of each set of samples.
+        Of each set of samples; derivatives are taken of the first 20 of the first set.
     shim, factor, names
         What may be adjusted, as :func:`mic.studies.adjustment.adjustments` has it.
     capability : float
