@@ -12,7 +12,7 @@ from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
 from mic.process.model import ReducedModel
 from mic.process.process import Process
-from mic.process.stage import FLOOR
+from mic.process.stage import LEAST_MOTION
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -284,7 +284,7 @@ def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
     closely = mic.scene.process.FollowedPath(tolerance=2e-5)
     for changes, tolerance in (({}, Followed.tolerance), ({"path": closely}, 2e-5)):
         followed = paths("coulomb", **changes)
-        assert followed == [Followed(tolerance, FLOOR)] * 2
+        assert followed == [Followed(tolerance, LEAST_MOTION)] * 2
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 
