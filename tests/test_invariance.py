@@ -71,7 +71,9 @@ def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_pat
     for law in ("coulomb", "frictionless"):
         given_one = case.measurements(tmp_path_factory.mktemp("given"), law)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit)  # lengths too, though no scene states them
+            patch.setattr(
+                "mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit
+            )  # lengths too, though no scene states them
             patch.setattr("mic.contact.watched.PENETRATION", PENETRATION / unit)
             changed = other.measurements(tmp_path_factory.mktemp("changed"), law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())

@@ -288,6 +288,17 @@ def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 
+def test_a_tighter_path_is_nearer_its_end_where_contacts_move_little(hat_model):
+    deviations = draw(hat_model.scene, 3, 0, 4)
+
+    def positions(tolerance):
+        resolutions = Process(hat_model, "coulomb", path_tolerance=tolerance).evaluate(deviations).resolutions.values()
+        return np.concatenate([resolution.displacement[:, :, 1:].ravel() for resolution in resolutions])
+
+    usual, tight, exact = (positions(Followed.tolerance * share) for share in (1, 1 / 16, 0.01))
+    assert np.linalg.norm(tight - exact) < np.linalg.norm(usual - exact) / 3  # of second order, a sixth is left
+
+
 def test_a_part_left_without_support_is_refused_before_anything_is_computed(lap_scene, cache, monkeypatch):
     stages = [
         stage.model_copy(update={"keep": ["lower-A1", "lower-A2"]}) if stage.kind == "release" else stage
