@@ -112,7 +112,7 @@ def test_a_contact_that_opens_while_it_slides_has_slipped_as_far_as_on_the_fines
 def test_a_motion_that_is_less_than_may_be_in_error_takes_one_step():
     exact = tractrix(Followed(1e-9))[1].anchor
     for floor, steps in ((2.0, 1), (0.2, 2)):
-        found = tractrix(Followed(floor=floor))[1]
+        found = tractrix(Followed(1e-3, least=1e3 * floor))[1]
         assert found.trace.steps[0] == steps
         assert np.linalg.norm(found.anchor - exact) < found.trace.error[0] < floor
 

@@ -8,7 +8,7 @@ from support.random_scenes import in_units, moved_by, random_case, renumbered, r
 
 from mic.contact.watched import PENETRATION
 from mic.model.assembly import assemble
-from mic.process.stage import FLOOR
+from mic.process.stage import LEAST_MOTION
 
 #: How each transformed scene is made from the case and a number, with the matrix and the unit that it is seen in.
 SAME = {
@@ -72,7 +72,9 @@ def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_pat
     for law in ("coulomb", "frictionless"):
         given_one = case.measurements(here, law)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("mic.process.stage.FLOOR", FLOOR / unit)  # lengths too, though no scene states them
+            patch.setattr(
+                "mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit
+            )  # lengths too, though no scene states them
             patch.setattr("mic.contact.watched.PENETRATION", PENETRATION / unit)
             changed = other.measurements(there, law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())

@@ -55,7 +55,7 @@ def zone_rms(moved):
 
 def test_a_tighter_path_is_of_the_same_kind():
     assert tighter(Increments(3)) == Increments(12)
-    assert tighter(Followed(1e-3, 1.6e-5)) == Followed(1e-3 / 16, 1e-6)
+    assert tighter(Followed(1e-3, 0.2)) == Followed(1e-3 / 16, 0.2)
 
 
 def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, on_both, lap_model):

@@ -12,7 +12,7 @@ from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
 from mic.process.model import ReducedModel
 from mic.process.process import Process
-from mic.process.stage import FLOOR
+from mic.process.stage import LEAST_MOTION
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -284,8 +284,19 @@ def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
     closely = mic.scene.process.FollowedPath(tolerance=2e-5)
     for changes, tolerance in (({}, Followed.tolerance), ({"path": closely}, 2e-5)):
         followed = paths("coulomb", **changes)
-        assert followed == [Followed(tolerance, FLOOR)] * 2
+        assert followed == [Followed(tolerance, LEAST_MOTION)] * 2
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
+
+
+def test_a_tighter_path_is_nearer_its_end_where_contacts_move_little(hat_model):
+    deviations = draw(hat_model.scene, 3, 0, 4)
+
+    def positions(tolerance):
+        resolutions = Process(hat_model, "coulomb", path_tolerance=tolerance).evaluate(deviations).resolutions.values()
+        return np.concatenate([resolution.displacement[:, :, 1:].ravel() for resolution in resolutions])
+
+    usual, tight, exact = (positions(Followed.tolerance * share) for share in (1, 1 / 16, 0.01))
+    assert np.linalg.norm(tight - exact) < np.linalg.norm(usual - exact) / 3  # of second order, a sixth is left
 
 
 def test_a_part_left_without_support_is_refused_before_anything_is_computed(lap_scene, cache, monkeypatch):

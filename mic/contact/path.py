@@ -39,8 +39,8 @@ class Followed:
     tolerance : float
         Largest error of a step, as a share of the tangential motion that the contacts made on the leg so far (root mean
         squares over the contacts).
-    floor : float
-        Or as a length, if that is larger [length].
+    least : float
+        Of a motion at least so large, however little the contacts have moved [length].
     steps : int or None
         So many equal steps instead, whatever their error: to show the order of the method.
     recorded : bool
@@ -48,7 +48,7 @@ class Followed:
     """
 
     tolerance: float = 2.5e-4
-    floor: float = 0.0
+    least: float = 0.0
     steps: int | None = None
     recorded: bool = False
 

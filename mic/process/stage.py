@@ -46,9 +46,11 @@ from mic.process.state import ProcessState
 from mic.process.stops import Stops
 from mic.product import product
 
-__all__ = ["FLOOR", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
+__all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
 
-FLOOR = 5e-5  # mm: forty steps that err alike leave the 2 µm that a coordinate measuring machine tells
+#: mm: a step's error is a share of this at least. By the usual tolerance forty steps that err alike leave the 2 µm that
+#: a coordinate measuring machine tells; a tighter one leaves less, however little the contacts move.
+LEAST_MOTION = 0.2
 ROUNDING = 1e-9  # mm: a way left that is none
 #: kinds of rows that are read at the end of a stage
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between", "position")
@@ -525,5 +527,5 @@ class PreparedStage:
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:
     """How a stage's steps are followed under a law."""
     if plan.path == "followed" and law.followed:
-        return Followed(tolerance, FLOOR)
+        return Followed(tolerance, LEAST_MOTION)
     return Increments(plan.increments)

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from mic.process.process import TOLERANCE
-from mic.process.stage import FLOOR
+from mic.process.stage import LEAST_MOTION
 from mic.store import fingerprint
 
 __all__ = ["FORMAT", "differences", "identity", "inputs", "program_version"]
@@ -49,7 +49,7 @@ def inputs(model, seed: int) -> dict[str, Any]:
         "design": scene.monte_carlo.design if given is None else fingerprint(given),
         "backend": scene.monte_carlo.backend,
         "tolerance": TOLERANCE,
-        "path_floor": FLOOR,
+        "path_floor": LEAST_MOTION * scene.path.tolerance,
         "fields": scene.report.fields,
         "dimension": model.contacts.dimension,
         "scene": {key: fingerprint(table) for key, table in tables.items()},

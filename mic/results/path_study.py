@@ -121,7 +121,7 @@ def tighter(path: ContactPath) -> ContactPath:
     """The path that a study compares with."""
     if isinstance(path, Increments):
         return Increments(INCREMENTS * path.count)
-    return replace(path, tolerance=TOLERANCE * path.tolerance, floor=TOLERANCE * path.floor)
+    return replace(path, tolerance=TOLERANCE * path.tolerance)
 
 
 def study_path(outcome: Outcome) -> PathStudy | None:

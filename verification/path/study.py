@@ -25,7 +25,7 @@ SLIP, KEY, LENGTH = 0.01, 0.005, 0.002  # of a mean or 6σ, and mm: what a numbe
 ROUNDING = 1e-6  # mm: errors below are neither estimated nor of use
 STEPS = (8, 16, 32, 64)
 #: A twenty-fifth of what production asks of a step, and less; and a tenth of that, which judges.
-TIGHT, TIGHTER = Followed(tolerance=1e-5, floor=1e-7), Followed(tolerance=1e-6, floor=1e-8)
+TIGHT, TIGHTER = Followed(tolerance=1e-5, least=0.01), Followed(tolerance=1e-6, least=0.01)
 #: How far a step may err, mm: of the full solve's path, and of the reduced model's, in ever finer ones.
 FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 3e-14)
 QUICK_FULL, QUICK_REDUCED = (1e-4, 1e-6), (1e-8, 1e-10)
@@ -208,7 +208,7 @@ def against_full(context, tolerances, floors):
     for tolerance, found in zip(tolerances, full):
         add("full finite elements", f"extrapolated to {tolerance:.0e} mm", found.measurements, found.resolutions)
     for path, label in [(Followed(), "followed")] + [
-        (Followed(100 * mm, mm), f"followed to {mm:.0e} mm") for mm in floors
+        (Followed(100 * mm, 0.01), f"followed to {mm:.0e} mm") for mm in floors
     ]:
         found = evaluate(model, deviations, path)
         add("reduced model", label, found.measurements[0], found.resolutions)

@@ -131,7 +131,7 @@ class NativeSolver:
         if isinstance(path, Increments):
             settings: tuple = (1, path.ends, 0.0, 0.0)
         else:
-            settings = (2, path.ends, path.tolerance, path.floor)
+            settings = (2, path.ends, path.tolerance, path.tolerance * path.least)
         settings += (
             ladder.MARGIN * self.tol,
             follower.SWEEPS * problem.law.gauss_seidel,
