@@ -275,3 +275,19 @@ def test_friction_of_no_zone_is_refused_with_the_remedy(change, said, cache):
     table["zones"][0] |= {key: value for key, value in change.items() if key.startswith("friction")}
     with pytest.raises(mic.SceneError, match=said):
         assemble(read(table), cache)
+
+
+def test_what_rests_by_contact_alone_presses_with_its_weight_as_well(cache):
+    """The upper strip without locators: lap and pad carry the clamp and its weight; without the pad it tips over."""
+    table = lap([GRAVITY | {"direction": [0, 0, -1], "mean": 20.0}])
+    table["parts"] = [part | {"rests": part["name"] == "upper"} for part in table["parts"]]
+    table["locators"] = [one for one in table["locators"] if one["part"] == "lower"]
+    with pytest.raises(mic.SceneError, match="contact alone holds 'upper', and no forces of it balance"):
+        mic.reduce(read(table), cache)
+    table["fixtures"] = [{"name": "P", "point": [150, 12.5, 0.5], "normal": [0, 0, 1], "radius": 5}]
+    table["zones"].append({"name": "pad", "parts": ["P", "upper"], "friction": 0.2})
+    found = mic.reduce(read(table), cache).evaluate({})
+    weight = 20.0 * 9806.65e-12 * ρ * 100.0 * 25.0
+    assert not found.failed.any() and weight > 3
+    carried = found.resolutions["clamp"].force[0].sum(axis=0)
+    np.testing.assert_allclose(carried, [60.0 + weight, 0.0, 0.0], atol=1e-6)

@@ -203,6 +203,11 @@ class Assembly:
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
+    def centres(self) -> np.ndarray:
+        """(P, 3) centres of the parts' surfaces, mm."""
+        return np.array([part.surface.centroid for part in self.parts])
+
+    @property
     def offsets(self) -> np.ndarray:
         """First stacked functional of each part, and the total at the end."""
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])

@@ -52,7 +52,7 @@ class Reduction:
         As in :class:`mic.model.assembly.Assembly`: with the scene, all that the model was made from.
     thicknesses : dict of str to Thicknesses
         Compliance of the parts whose thickness varies, by name.
-    position_gap : (q,) array
+    position_gap, centres
         As in :class:`mic.model.assembly.Assembly`.
     """
 
@@ -69,6 +69,7 @@ class Reduction:
     inputs: dict[str, str | None]
     thicknesses: Mapping[str, Thicknesses] = field(default_factory=dict)
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    centres: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     @one_thread
@@ -109,6 +110,7 @@ class Reduction:
             assembly.inputs,
             {one.part: one.thicknesses for one in own if one.thicknesses is not None},
             assembly.position_gap,
+            assembly.centres,
         )
 
     @property
@@ -175,7 +177,7 @@ class Reduction:
     def save(self, path) -> None:
         """Write to one ``.npz`` file."""
         arrays = {"weld_gap": self.weld_gap, "shape": self.shape, "shape_forces": self.shape_forces}
-        arrays["position_gap"] = self.position_gap
+        arrays |= {"position_gap": self.position_gap, "centres": self.centres}
         arrays |= {f"H_{p}": H for p, H in enumerate(self.compliance.H)}
         arrays |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
         arrays |= {
@@ -235,6 +237,7 @@ class Reduction:
                 if f"thicknesses_{p}_t" in data
             },
             data["position_gap"],
+            data["centres"],
         )
 
 

@@ -143,7 +143,7 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
                 f"holds it {bodies.named(p, error.motions)}; {remedy}"
             ) from error
     names = ", ".join(repr(scene.parts[p].name) for p in parts)
-    least, most, pushing = _loads(scene, bodies, joints, step)
+    least, most, pushing = _loads(assembly, bodies, joints, step)
     pairs = csr_matrix(normal), csr_matrix(tangents[:, 0]), csr_matrix(tangents[:, 1])
     found = _balanced(held, pairs, mu, least, most, pushing, bodies.size, np.zeros(len(normal)))
     if found is None:
@@ -161,17 +161,15 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
             )
 
 
-def _loads(scene, bodies, joints: Joints, step):
-    """Between which forces (l,) and along what (l, 6P) clamps and guns push: a clamp with its force, a limited one with
-    that at most; a gun is not told from the weld that it presses."""
+def _loads(assembly, bodies, joints: Joints, step):
+    """Between which forces (l,) and along what (l, 6P) clamps, guns and weights push: a clamp with its force, a limited
+    one with that at most; a gun is not told from the weld that it presses. Forces are told in N."""
+    scene = assembly.scene
     varied = {name for one in scene.deviations if one.kind == "clamp" for name in np.atleast_1d(one.target)}
-    rows, least, most = [], [], []
-    weights = [one.mean for one in scene.deviations if one.kind == "gravity" for _ in scene.parts]
+    rows, least, most, weights = [], [], [], []
     for i in step.loads:
         if i >= len(scene.clamps):
-            rows.append(("clamp", i))
-            least.append(weights[i - len(scene.clamps)])
-            most.append(least[-1])
+            weights.append(_weight(assembly, bodies, i))
             continue
         clamp = scene.clamps[i]
         any_force = clamp.name in varied and not clamp.force  # a nominal force of zero, of either sign in a sample
@@ -184,7 +182,18 @@ def _loads(scene, bodies, joints: Joints, step):
         rows += [(kind, row + axis) for axis in range(3 if gun else 1)]
         least += [-np.inf] * 3 if gun else [min(0.0, limit.load)]
         most += [np.inf] * 3 if gun else [max(0.0, limit.load)]
-    return np.array(least), np.array(most), bodies.held(joints, rows)
+    ends = np.array([[one[0], one[0]] for one in weights]).reshape(-1, 2)
+    low, high = np.concatenate([least, ends[:, 0]]), np.concatenate([most, ends[:, 1]])
+    return low, high, np.concatenate([bodies.held(joints, rows), *(one[1][None] for one in weights)])
+
+
+def _weight(assembly, bodies, row: int) -> tuple[float, np.ndarray]:
+    """A part's weight, N, and along what (6P,) it pulls: the clamp row that a source of gravity adds for each part."""
+    scene, entry = assembly.scene, assembly.rows["clamp"][row].tocoo()
+    sources = [one for one in scene.deviations if one.kind == "gravity"]
+    number = row - len(scene.clamps)
+    source, part = sources[number // len(scene.parts)], scene.parts[number % len(scene.parts)]
+    return source.mean * float(entry.data.sum()), bodies.pulled(assembly, part.name, source.direction)
 
 
 def _balanced(held, pairs, mu, least, most, pushing, size, wanted) -> bool | None:
@@ -251,6 +260,12 @@ class _Bodies:
             else:
                 item = getattr(self.scene, f"{kind}s")[row]
                 line[self._own(item.part)] = self._along(item.point, item.direction)
+        return reading
+
+    def pulled(self, assembly, part: str, direction) -> np.ndarray:
+        """(6P,) what a part's centre reads along a direction, of an assembly or its reduction."""
+        reading = np.zeros(len(self.size))
+        reading[self._own(part)] = self._along(assembly.centres[self.number[part]], direction)
         return reading
 
     def whole(self, parts) -> np.ndarray:
