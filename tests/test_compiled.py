@@ -24,6 +24,6 @@ def python(*arguments):
 
 def test_once_the_kernels_are_compiled_no_evaluation_compiles(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
-    python("-m", "mic.contact.native")
+    python("-m", "mic.commands.compile")
     told = python("-c", EVALUATE, str(tmp_path / "model.npz"), *(name for name, law in LAWS.items() if not law.reads))
     assert "data loaded from" in told and "data saved to" not in told

@@ -1,4 +1,4 @@
-"""Compile all kernels now, so that no first evaluation waits for it: ``python -m mic.contact.native``.
+"""Compile all kernels now, so that no first evaluation waits for it: ``python -m mic.commands.compile``.
 
 Whatever is compiled is kept beside the program, or where ``NUMBA_CACHE_DIR`` says, and read again in a third of a
 second until the program or Numba change.
@@ -7,8 +7,10 @@ second until the program or Numba change.
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 import mic.contact.native.tangent  # noqa: F401  (compiles when it is imported)
+from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
 from mic.contact.native.follower import follower
 from mic.contact.native.kernels import compiled
@@ -20,3 +22,7 @@ if __name__ == "__main__":
     for law in LAWS.values():
         if law.equation is not None:
             compiled(law.equation)
+    one = csr_matrix(np.ones((1, 1)))
+    blocks = Blocks.single(np.ones((1, 1)), np.zeros((1, 6)))
+    blocks.gather(one, one)
+    blocks.diagonal(one)
