@@ -18,13 +18,14 @@ from mic.results.schema import (
     REMEDIES,
     REMEDY_EFFECTS,
     SENSITIVITIES,
+    SPREADS,
 )
 from mic.runs import run
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
 SECTIONS = {
     "Find out what drives a characteristic": (CONTRIBUTORS, LINEARITY),
-    "Find out what a step of each input changes": (SENSITIVITIES,),
+    "Find out what a step of each input changes": (SENSITIVITIES, SPREADS),
     "Find out whether friction matters": (FRICTION_EFFECTS,),
     "Find out how often a limit is missed where that is rare": (RARE, DESIGN_POINTS),
     "Find out what would mend it": (REMEDIES, REMEDY_EFFECTS),

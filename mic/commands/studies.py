@@ -23,6 +23,7 @@ from mic.results.schema import (
     REMEDIES,
     REMEDY_EFFECTS,
     SENSITIVITIES,
+    SPREADS,
 )
 from mic.store import write_text
 from mic.studies import contributors as driving
@@ -221,7 +222,7 @@ def sensitivity(source, samples, seed, law):
     with counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
         found = slopes.effects(model, asked, samples, seed_of(scene, seed), advance)
     _print_sensitivity(console, found)
-    keep_studies(console, folder, {SENSITIVITIES: found.table})
+    keep_studies(console, folder, {SENSITIVITIES: found.table, SPREADS: found.spread})
 
 
 def _print_sensitivity(console, found):
@@ -266,6 +267,18 @@ def _print_sensitivity(console, found):
         console.print(f"Nothing is changed by {plain(', '.join(still))}", highlight=False, soft_wrap=True)
     if found.failed:
         console.print(f"{found.failed} samples failed and are left out")
+    told = found.spread[found.spread["kind"] != "plain"]
+    for row in told.to_dict("records"):
+        by, alone = (
+            f"{number(1e3 * row[name])} µm ({number(1e3 * row[f'{name}_low'])} … {number(1e3 * row[f'{name}_high'])})"
+            for name in ("six_sigma", "plain_six_sigma")
+        )
+        console.print(
+            f"6σ of {plain(row['measurement'])} by {row['samples']} samples and their derivatives: {by}; by the "
+            f"samples alone: {alone}",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 @on_one_process

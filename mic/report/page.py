@@ -20,7 +20,7 @@ from mic.report.template import rendered
 from mic.report.viewer import packed, viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, REMEDIES, REMEDY_EFFECTS
+from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, REMEDIES, REMEDY_EFFECTS, SPREADS
 from mic.results.statistics import LEVEL, covered_share
 from mic.store import replacing, write_text
 from mic.studies.contributors import joint_ranking
@@ -104,7 +104,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
 def _drivers(outcome: Outcome) -> dict[str, Any]:
     """What drives the key characteristics and whether friction matters, as far as it was measured."""
     table, linearity, effects = (outcome.study(t) for t in (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS))
-    found: dict[str, Any] = {"rows": [], "words": [], "joint": [], "friction": [], "friction_words": []}
+    found: dict[str, Any] = {"rows": [], "words": [], "joint": [], "spreads": [], "friction": [], "friction_words": []}
     if table is not None and linearity is not None:
         for told in _records(linearity):
             own = table[(table["law"] == told["law"]) & (table["measurement"] == told["measurement"])]
@@ -113,6 +113,9 @@ def _drivers(outcome: Outcome) -> dict[str, Any]:
             found["rows"].append(told | {"contributors": ordered[:LISTED_CONTRIBUTORS]})
         found["words"] = linear_words(table, linearity)
         found["joint"] = _records(joint_ranking(table, linearity, outcome.model.scene))[:LISTED_CONTRIBUTORS]
+    spreads = outcome.study(SPREADS)
+    if spreads is not None:
+        found["spreads"] = _records(spreads[spreads["kind"] != "plain"])
     if effects is not None:
         found["friction"] = _records(effects)
         found["friction_words"] = friction_words(effects, friction_needed(effects))

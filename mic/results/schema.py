@@ -51,6 +51,7 @@ __all__ = [
     "SAMPLES",
     "SENSITIVITIES",
     "SLIPS",
+    "SPREADS",
     "STATISTICS",
     "STUDIES",
     "ZONE_STATISTICS",
@@ -686,6 +687,22 @@ SENSITIVITIES = _statistic(
     "What steps of the inputs change: exact derivatives through contact and memory (`mic.process.sensitivity`). "
     "Written by `mic sensitivity`.",
     version=2,
+)
+SPREADS = _statistic(
+    "spreads",
+    "one law and key characteristic",
+    (
+        _LAW,
+        Column("measurement", "str", "", "name of the key characteristic"),
+        _USED,
+        *_estimate("plain_six_sigma", "mm", "6σ of these samples alone"),
+        Column("kind", "str", "", "`linear` or `quadratic` in the deviations; `plain` where neither is narrower"),
+        Column("explained", "float64", "1", "share of the variance that it explains"),
+        *_estimate("mean", "mm", "mean by a regression on values and derivatives"),
+        *_estimate("six_sigma", "mm", "6σ by it"),
+    ),
+    "What few samples with their exact derivatives tell of mean and 6σ (`mic.results.slope_regression`). Written by "
+    "`mic sensitivity`; empty where the deviations' moments are not known, or they depend on each other.",
 )
 LINEARITY = _statistic(
     "linearity",

@@ -15,7 +15,9 @@ import pandas as pd
 
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import AT_CHANGE, known_inputs
-from mic.results.schema import SENSITIVITIES
+from mic.results.schema import SENSITIVITIES, SPREADS
+from mic.results.slope_regression import by_slopes
+from mic.results.statistics import six_sigma
 from mic.sampling.draw import draw
 
 __all__ = ["SAMPLES", "Effects", "effects", "steps"]
@@ -37,6 +39,8 @@ class Effects:
     ----------
     table : DataFrame
         As :data:`mic.results.schema.SENSITIVITIES` declares it.
+    spread : DataFrame
+        As :data:`mic.results.schema.SPREADS` declares it: what the samples and their derivatives tell of 6σ.
     reach : float
         How far the mean assembly is from the next change of a contact's state, in standard deviations of the deviations
         together; infinite if none changes any.
@@ -49,6 +53,7 @@ class Effects:
     """
 
     table: pd.DataFrame
+    spread: pd.DataFrame
     reach: float
     where: str
     at_change: str
@@ -70,6 +75,37 @@ def steps(model: ReducedModel) -> dict[str, float]:
         else:
             found[name] = forces.get(name, FRICTION if name.endswith(".friction") else POSITION)
     return found
+
+
+def _spread(scene, law: str, inputs: list[str], drawn, values, jacobians) -> pd.DataFrame:
+    """What samples with their derivatives tell of mean and 6σ, as :data:`mic.results.schema.SPREADS` declares it."""
+    names = [item.name for item in scene.deviations]
+    x, y = (
+        np.concatenate([np.zeros((0, len(names))), *drawn]),
+        np.concatenate([*values]) if values else np.zeros((0, 0)),
+    )
+    if not len(x):
+        return SPREADS.empty()
+    slopes = np.zeros((*y.shape, len(names)))
+    own = [name for name in inputs if name in names]
+    slopes[:, :, [names.index(name) for name in own]] = np.concatenate(jacobians)[:, :, [inputs.index(n) for n in own]]
+    best, plain = by_slopes(scene, x, y, slopes), six_sigma(y)
+    if best is None:
+        return SPREADS.empty()
+    return pd.DataFrame(
+        {
+            "law": law,
+            "measurement": [item.name for item in scene.measurements],
+            "samples": np.isfinite(y).all(axis=1).sum(),
+            "plain_six_sigma": plain.value,
+            "plain_six_sigma_low": plain.low,
+            "plain_six_sigma_high": plain.high,
+            "kind": best.kind.astype(str),
+            "explained": best.explained,
+            **{f"mean{end}": one for end, one in zip(("", "_low", "_high"), best.mean)},
+            **{f"six_sigma{end}": 6 * one for end, one in zip(("", "_low", "_high"), best.sigma)},
+        }
+    )[SPREADS.names]
 
 
 def effects(
@@ -103,6 +139,7 @@ def effects(
     if not scene.measurements:
         raise ValueError(f"scene {scene.name!r} has no measurements: nothing is asked for")
     step, name = steps(model), law or scene.report.laws[0]
+    drawn, values = [], []
     mean = model.sensitivities({}, name, step)
     own = [one for one in step if one in model.parameters]
     near = model.sensitivities({}, name, own) if own else mean
@@ -111,7 +148,10 @@ def effects(
     found = [mean.jacobian]
     for first in range(0, samples, BLOCK):
         some = draw(scene, seed, first, min(BLOCK, samples - first))
-        found.append(model.sensitivities(some, name, step).jacobian)
+        told = model.sensitivities(some, name, step)
+        found.append(told.jacobian)
+        drawn.append(some)
+        values.append(np.where(told.failed[:, None], np.nan, told.measurements))
         progress(len(some))
     slopes = np.concatenate(found) * size
     failed = np.isnan(slopes).any(axis=(1, 2))
@@ -135,4 +175,5 @@ def effects(
     ]
     at_change = str(mean.where[0]) if mean.reach[0] <= AT_CHANGE else ""
     table = pd.DataFrame(rows, columns=SENSITIVITIES.names)
-    return Effects(table, float(near.reach[0]), str(near.where[0]), at_change, int(failed.sum()))
+    spread = _spread(scene, name, list(step), drawn, values, found[1:])
+    return Effects(table, spread, float(near.reach[0]), str(near.where[0]), at_change, int(failed.sum()))
