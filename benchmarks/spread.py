@@ -19,6 +19,7 @@ import numpy as np
 
 import mic
 from mic.results.regression import Regression
+from mic.results.slope_regression import by_slopes
 from mic.sampling.draw import draw
 from mic.studies.adjustment import adjustments, extended
 
@@ -69,7 +70,10 @@ def _compare(model, asked) -> None:
         print(f"  {count:4d} samples, plain:         {_error(plain, truth)}")
         print(f"  {count:4d} samples, by regression: {_error(regressed, truth)}")
     parts = [slice(i, i + n) for i in range(0, whole, n)]
-    both = np.array([_by_slopes(model, x[own], y[own], slopes[own]) for own in parts])
+    told = [by_slopes(model.scene, x[own], y[own], slopes[own]) for own in parts]
+    both = np.array(
+        [np.where(one.kind == "plain", y[own].std(axis=0, ddof=1), one.sigma[0]) for one, own in zip(told, parts)]
+    )
     print(f"  {n:4d} with derivatives:       {_error(both, truth)}", flush=True)
 
 
@@ -83,36 +87,6 @@ def _improved(model, x, y) -> np.ndarray:
     sums.add(np.arange(len(x)), x, y)
     best = sums.improved()
     return np.where(best.kind == "plain", y.std(axis=0, ddof=1), best.sigma[0])
-
-
-def _by_slopes(model, x, y, slopes, groups: int = 5) -> np.ndarray:
-    """σ by a quadratic that fits values and derivatives, for each fifth of the samples that of the other four: of what
-    it leaves the mean products are those of the samples."""
-    sums = Regression.of(model.scene)
-    p, (mean, sigma) = x.shape[1], np.array([[one.mean, one.sigma] for one in model.scene.deviations]).T
-    t = (x - mean) / sigma
-    i, j = np.triu_indices(p, 1)
-    scale = np.sqrt(sums.kurtosis - 1)
-    phi = np.column_stack([t, (t**2 - 1) / scale, t[:, i] * t[:, j]])
-    turned = np.zeros((len(x), p, phi.shape[1]))
-    for a in range(p):
-        turned[:, a, a] = 1.0
-        turned[:, a, p + a] = 2 * t[:, a] / scale[a]
-    turned[:, i, 2 * p + np.arange(len(i))] = t[:, j]
-    turned[:, j, 2 * p + np.arange(len(i))] = t[:, i]
-    slopes = slopes * sigma
-    variance = []
-    for group in range(groups):
-        out = np.arange(len(x)) % groups == group
-        rows = np.concatenate([phi[~out] - phi[~out].mean(axis=0), turned[~out].reshape(-1, phi.shape[1])])
-        right = np.concatenate(
-            [y[~out] - y[~out].mean(axis=0), np.moveaxis(slopes[~out], 1, 2).reshape(-1, y.shape[1])]
-        )
-        b = np.linalg.lstsq(rows, right, rcond=None)[0]
-        linear, rest = phi[out] @ b, y[out] - phi[out] @ b
-        rest = rest - rest.mean(axis=0)
-        variance.append((b**2).sum(axis=0) + (rest**2).sum(axis=0) / (len(rest) - 1) + 2 * (linear * rest).mean(axis=0))
-    return np.sqrt(np.maximum(np.mean(variance, axis=0), 0.0))
 
 
 if __name__ == "__main__":
