@@ -207,7 +207,7 @@ if sys.argv[4] == "increments":
     stages = [s.model_copy(update=steps) if s.kind in ("clamp", "release") else s for s in scene.stages]
     scene = scene.model_copy(update={"stages": stages})
 assembly = assemble(scene, Path(sys.argv[2]) / str(MPI.COMM_WORLD.rank))
-full = FullModel(assembly, path_tolerance=1e-2).evaluate(draw(scene, 5, 0, 1)[0])
+full = FullModel(assembly, path_tolerance=5e-2).evaluate(draw(scene, 5, 0, 1)[0])
 values = [full.measurements, *full.field("release").values()]
 values += [a for r in full.resolutions.values() for a in (r.force, r.displacement, r.reaction, r.trace.slip)]
 assert all(np.array_equal(a, b) for a, b in zip(values, MPI.COMM_WORLD.bcast(values)))

@@ -24,7 +24,7 @@ from mic.results.lock import LOCK
 from mic.runs import conclude, sample_into
 from mic.store import PARTIAL
 
-LAWS, SAMPLES, SEED = ["coulomb"], 60, 4
+LAWS, SAMPLES, SEED = ["coulomb"], 12, 4
 EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
 KILLED = -signal.SIGKILL
 
