@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
-from support.springs import at_face, six, spring_model
+from support.springs import LIFT, MU, PULL, at_face, dragged, six, spring_model
 from typer.testing import CliRunner
 
 from mic.commands.explain import read_measured
@@ -14,28 +14,8 @@ from mic.results.schema import EXPLANATION, FURTHER
 from mic.sampling.normal import from_normal, normal_slopes
 from mic.studies.explanation import explain, posterior
 
-MU, LIFT, PULL, SIGMA, GAUGE = 0.3, 0.4, 2.0, 0.1, 0.002
+SIGMA, GAUGE = 0.1, 0.002
 SLOPE = MU / 8  # of M, per mm of the locator
-
-
-def dragged(**changes):
-    """b is lifted by h = P/2 at its face and presses on t, which moves along x by D and drags it by μ h/4."""
-    scene = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
-        "locators": [*six("b"), *six("t")],
-        "clamps": [at_face("t", (1, 0, 0), name="T", stroke=0.0)],
-        "zones": [{"name": "z", "parts": ["b", "t"], "friction": MU, "pairs": 1}],
-        "measurements": [
-            at_face("b", (1, 0, 0), name="M", lower=-1, upper=1),
-            at_face("t", (1, 0, 0), name="N", lower=-5, upper=5),
-        ],
-        "deviations": [
-            {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": SIGMA},
-            {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
-        ],
-        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
-    }
-    return spring_model([0.0], **scene | changes)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from support.springs import at_face, six, spring_model
+from support.springs import LIFT, MU, PULL, at_face, dragged
 from typer.testing import CliRunner
 
 from mic.commands.predict import Log, read_parts
@@ -18,32 +18,14 @@ from mic.options import app
 from mic.results.schema import PREDICTIONS
 from mic.studies.prediction import Predictor
 
-MU, LIFT, PULL, SIGMA = 0.3, 0.4, 2.0, 0.1
-
-
-def dragged(upper=0.05, **changes):
-    """b is lifted by h = P/2 at its face and presses on t, which moves along x by D and drags it by μ h/4."""
-    scene = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
-        "locators": [*six("b"), *six("t")],
-        "clamps": [at_face("t", (1, 0, 0), name="T", stroke=0.0)],
-        "zones": [{"name": "z", "parts": ["b", "t"], "friction": MU, "pairs": 1}],
-        "measurements": [
-            at_face("b", (1, 0, 0), name="M", lower=0.0, upper=upper),
-            at_face("t", (1, 0, 0), name="N", lower=PULL - 1, upper=PULL + 1),
-        ],
-        "deviations": [
-            {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": SIGMA},
-            {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
-        ],
-        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
-    }
-    return spring_model([0.0], **scene | changes)
+SIGMA = 0.1
 
 
 @pytest.fixture(scope="module")
 def model():
-    return dragged()
+    """M is at most 0.05 mm."""
+    limits = (("b", "M", 0.0, 0.05), ("t", "N", PULL - 1, PULL + 1))
+    return dragged(measurements=[at_face(part, (1, 0, 0), name=n, lower=a, upper=b) for part, n, a, b in limits])
 
 
 def row(found, name):

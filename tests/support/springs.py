@@ -14,6 +14,7 @@ from mic.model.assembly import Between, Contacts
 from mic.model.rows import KINDS
 from mic.process.model import ReducedModel
 
+MU, LIFT, PULL = 0.3, 0.4, 2.0  # of :func:`dragged`
 STIFFNESS = 50.0  # N/mm, of a face along z
 FACE = (5.0, 5.0, 0.0)
 FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
@@ -132,3 +133,24 @@ def _pairs(friction, gap) -> Contacts:
         frame=np.tile(np.eye(3)[:, [2, 0, 1]], (m, 1, 1)),
         dimension=3,
     )
+
+
+def dragged(**changes):
+    """b is lifted by h = P/2 at its face and presses on t, which moves along x by D and drags it by μ h/4: M and N read
+    b and t along x."""
+    scene = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
+        "locators": [*six("b"), *six("t")],
+        "clamps": [at_face("t", (1, 0, 0), name="T", stroke=0.0)],
+        "zones": [{"name": "z", "parts": ["b", "t"], "friction": MU, "pairs": 1}],
+        "measurements": [
+            at_face("b", (1, 0, 0), name="M", lower=-1, upper=1),
+            at_face("t", (1, 0, 0), name="N", lower=PULL - 1, upper=PULL + 1),
+        ],
+        "deviations": [
+            {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": 0.1},
+            {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
+        ],
+        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    }
+    return spring_model([0.0], **scene | changes)
