@@ -342,6 +342,8 @@ def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
         text = source.read_text(encoding="utf-8").rstrip("\n")
         write_text(save, f"{text}\n\n# {serving[-1].name}\n{written(model.scene, serving[-1].changes)}")
         console.print(f"scene: {plain(save)}")
+    elif save is not None:
+        console.print(f"No remedy serves, so that {plain(save)} is not written.", highlight=False, soft_wrap=True)
     keep_studies(console, folder, {REMEDIES: found.table, REMEDY_EFFECTS: found.effects})
 
 
