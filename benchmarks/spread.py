@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +42,7 @@ def _with_locators(model):
     """The model with every locator a deviation too."""
     found, names = extended(model, adjustments(model, names=[one.name for one in model.scene.locators]))
     items = [one.model_copy(update={"sigma": POSITION}) if one.name in names else one for one in found.scene.deviations]
-    wide = replace(found, scene=found.scene.model_copy(update={"deviations": items}))
-    vars(wide).update({name: getattr(found, name) for name in ("eliminations", "likely", "rest")})
-    return wide
+    return found.varied(found.scene.model_copy(update={"deviations": items}))
 
 
 def _compare(model, asked) -> None:

@@ -13,7 +13,7 @@ from mic.commands.call import counting, law_of, on_one_process, seed_of, studied
 from mic.console import plain
 from mic.errors import SceneError
 from mic.results.schema import EXPLANATION, FURTHER
-from mic.scene.tables import DECIMAL, read_cells
+from mic.scene.tables import read_cells, read_number
 from mic.studies.explanation import explain as explained
 
 __all__ = ["explain", "read_measured"]
@@ -89,10 +89,7 @@ def read_measured(path: Path, gauge: float | None) -> tuple[dict[str, float], di
 
 
 def _number(path: Path, row: int, column: str, cell: str, separator: str) -> float:
-    try:
-        value = float(cell if separator == "," else DECIMAL.sub(".", cell))
-    except ValueError:
-        value = np.nan
+    value = read_number(cell, separator)
     if not np.isfinite(value) or (column == "gauge" and value <= 0):
         kind = "number above 0" if column == "gauge" else "finite number"
         raise SceneError(f"{path}: row {row}, column {column}: {cell!r} is no {kind}; give mm")

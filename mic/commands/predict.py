@@ -17,7 +17,7 @@ from mic.console import plain
 from mic.errors import FormatError, SceneError, Stopped, StorageError
 from mic.results.identity import identity
 from mic.results.schema import PREDICTIONS
-from mic.scene.tables import DECIMAL, read_cells
+from mic.scene.tables import read_cells, read_number
 from mic.store import write_text
 from mic.studies.prediction import Predictor
 
@@ -116,10 +116,7 @@ def read_parts(path: Path, names: list[str]) -> Iterator[tuple[int, dict[str, fl
             text = str(cell).strip()
             if not text:
                 continue
-            try:
-                value = float(text if separator == "," else DECIMAL.sub(".", text))
-            except ValueError:
-                value = np.nan
+            value = read_number(text, separator)
             if not np.isfinite(value):
                 raise SceneError(
                     f"{path}: row {number}, column {column}: {text!r} is no finite number; correct it, or leave the "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +19,7 @@ from mic.process.process import TOLERANCE, Process
 from mic.process.sensitivity import Sensitivities, Steps, sensitivities
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.product import one_thread
+from mic.scene import Scene
 
 __all__ = ["ReducedModel"]
 
@@ -66,6 +68,20 @@ class ReducedModel(Reduction):
         if key not in self._processes:
             self._processes[key] = Process(self, *key)
         return self._processes[key]
+
+    def varied(self, scene: Scene) -> ReducedModel:
+        """The model of a scene that differs in its deviations alone: further ones, which give no part another shape,
+        follow its own. What is eliminated is shared.
+
+        Parameters
+        ----------
+        scene : Scene
+        """
+        none = np.zeros((len(self.shape), len(scene.deviations) - len(self.scene.deviations)))
+        shape, forces = (np.column_stack([known, none]) for known in (self.shape, self.shape_forces))
+        found = replace(self, scene=scene, shape=shape, shape_forces=forces)
+        vars(found).update({name: getattr(self, name) for name in ("eliminations", "likely", "rest")})
+        return found
 
     def evaluate(self, deviations: Any, law: str | None = None) -> Evaluation:
         """Take one assembly, or a batch, through all stages.

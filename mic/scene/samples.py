@@ -13,7 +13,7 @@ from mic.scene.checks import entry
 from mic.scene.deviation import ShapeDeviation
 from mic.scene.schema import Scene
 from mic.scene.stages import known
-from mic.scene.tables import DECIMAL, read_cells
+from mic.scene.tables import DECIMAL, read_cells, read_number
 from mic.store import fingerprint
 
 __all__ = ["DESIGNS", "take_samples"]
@@ -136,21 +136,13 @@ def _text(path: Path, scene: Scene) -> np.ndarray:
     if separator != ",":
         cells = cells.apply(lambda column: column.str.replace(DECIMAL, ".", regex=True))
     cells = cells[(cells != "").any(axis=1)]
-    values = np.array([[_number(cell) for cell in row] for row in cells.to_numpy()]).reshape(len(cells), len(names))
+    values = np.array([[read_number(cell) for cell in row] for row in cells.to_numpy()]).reshape(len(cells), len(names))
     for row, column in np.argwhere(~np.isfinite(values)):
         raise SceneError(
             f"{path}: row {cells.index[row] + 2}, column {names[column]}: {cells.iloc[row, column]!r} is no finite "
             "number; fill it in, or take the row out"
         )
     return _some(path, values)
-
-
-def _number(cell: str) -> float:
-    """As exactly as it was written; NaN for what is none."""
-    try:
-        return float(cell) if "_" not in cell else np.nan
-    except ValueError:
-        return np.nan
 
 
 def _parquet(path: Path, scene: Scene) -> np.ndarray:

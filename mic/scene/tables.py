@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 
 from mic.errors import SceneError
 
-__all__ = ["DECIMAL", "read_cells", "read_rows", "written_out"]
+__all__ = ["DECIMAL", "read_cells", "read_number", "read_rows", "written_out"]
 
 AXES = ("x", "y", "z")
 #: A comma that stands for the point of a number.
@@ -181,6 +181,15 @@ def read_cells(path: Path) -> tuple[pd.DataFrame, str]:
     frame = frame.iloc[1:].reset_index(drop=True)
     frame.columns = pd.Index(columns)
     return frame, separator
+
+
+def read_number(cell: str, separator: str = ",") -> float:
+    """A cell's number, exactly as it was written; NaN for what is none. Where commas do not separate the cells they may
+    stand for the point."""
+    try:
+        return float(cell if separator == "," else DECIMAL.sub(".", cell)) if "_" not in cell else float("nan")
+    except ValueError:
+        return float("nan")
 
 
 def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, Any]]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -162,15 +162,7 @@ def extended(model: ReducedModel, some: Sequence[Adjustment]) -> tuple[ReducedMo
     """The model with one deviation more for each adjustment, and the names of these; they follow the scene's own."""
     more = _deviations(model.scene, some, [0.0] * len(some))
     scene = model.scene.model_copy(update={"deviations": [*model.scene.deviations, *more]})
-    still = np.zeros((len(model.shape), len(more)))
-    found = replace(
-        model,
-        scene=scene,
-        shape=np.column_stack([model.shape, still]),
-        shape_forces=np.column_stack([model.shape_forces, still]),
-    )
-    vars(found).update({name: getattr(model, name) for name in ("eliminations", "likely", "rest")})
-    return found, [one.name for one in more]
+    return model.varied(scene), [one.name for one in more]
 
 
 def written(scene, changes: Mapping[Adjustment, float]) -> str:

@@ -19,7 +19,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -236,11 +236,7 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
         raise SceneError(f"scene {scene.name!r}: no zone has a constant friction that could be unknown")
     deviations = [*scene.model_dump(mode="json")["deviations"], *items]
     grown = Scene(**scene.model_dump() | {"deviations": deviations, "folder": scene.folder})
-    none = np.zeros((model.shape.shape[0], len(items)))
-    shape, forces = (np.column_stack([known, none]) for known in (model.shape, model.shape_forces))
-    found = replace(model, scene=grown, shape=shape, shape_forces=forces)
-    vars(found).update({name: getattr(model, name) for name in ("eliminations", "likely", "rest")})
-    return found
+    return model.varied(grown)
 
 
 def _judge(scene: Scene, measured, gauges, names) -> None:
