@@ -38,6 +38,16 @@ def test_gap_normal_and_sides_do_not_depend_on_orientation(flip_a, flip_b):
     assert max(areas) < 1.6 * min(areas)
 
 
+@pytest.mark.parametrize("thickness", [(None, 0.8), (1.0, None)])
+@pytest.mark.parametrize("find", [find_pairs, node_pairs])
+def test_the_normal_points_to_the_second_body_whichever_of_them_is_a_fixture(find, thickness):
+    first, second = Side(plane(0), thickness[0]), Side(plane(1.5, n=7), thickness[1])
+    apart = 1.5 - first.half_thickness - second.half_thickness
+    for pair in find(zone(), first, second):
+        np.testing.assert_allclose(pair.frame[:, 0], [0, 0, 1], atol=1e-12)
+        assert pair.gap == pytest.approx(apart) and pair.sides == (1, -1)
+
+
 def corner(n=8, size=20.0, start=5.0, z=1.0):
     """A plate whose far quarter is bent up on both sides: three walls that meet in one vertex."""
     flat = plane(z, size=size, n=n, x0=start).points

@@ -1,0 +1,35 @@
+"""What of a scene reaches its parts, and what the rows of its joints read: production and reference share both, so that
+an error there is invisible when the two are compared."""
+
+import numpy as np
+import pytest
+
+from mic.model.assembly import assemble
+
+SHEETS = ((0.8, 70e3, 0.33), (1.3, 206e3, 0.28))
+
+
+def test_each_part_has_its_own_sheet(lap_scene, cache):
+    changed = [
+        part.model_copy(update=dict(zip(("thickness", "young", "poisson"), sheet)))
+        for part, sheet in zip(lap_scene.parts, SHEETS)
+    ]
+    parts = assemble(lap_scene.model_copy(update={"parts": changed}), cache).parts
+    assert tuple((part.thickness, part.young, part.poisson) for part in parts) == SHEETS
+
+
+@pytest.mark.parametrize("part", [0, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_contact_reads_its_faces_so_that_a_body_may_turn_about_it(part, axis, lap_model):
+    """The lap joint's sheets touch at z = 0.5; about a point there a face turns, and does not slip."""
+    at = lap_model.contacts.point * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.5]
+    centre, turn = lap_model.centres[part], np.eye(3)[axis]
+    for k, point in enumerate(at):
+        motion = np.zeros(12)
+        motion[6 * part : 6 * part + 6] = [*np.cross(turn, centre - point), *turn]
+        reading = lap_model.compliance.rigid(lap_model.rows["contact"][3 * k : 3 * k + 3]) @ motion
+        np.testing.assert_allclose(reading, 0.0, atol=1e-9)
+        motion[6 * part : 6 * part + 3] += [0.0, 0.0, 1.0]
+        assert (lap_model.compliance.rigid(lap_model.rows["contact"][3 * k : 3 * k + 1]) @ motion)[0] == pytest.approx(
+            2 * part - 1
+        )

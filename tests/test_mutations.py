@@ -1,0 +1,50 @@
+"""The list of planted errors is one of this program as it stands, and planting tells what it should."""
+
+from pathlib import Path
+
+import pytest
+from support import mutations
+from support.mutations import Mutation, judged
+
+ROOT = Path(__file__).resolve().parents[1]
+EVERY = mutations.mutations()
+
+
+@pytest.mark.parametrize("mutation", EVERY, ids=lambda one: one.what)
+def test_what_is_to_be_planted_stands_once_where_the_list_says(mutation):
+    assert (ROOT / mutation.file).read_text(encoding="utf-8").count(mutation.right) == 1
+    assert mutation.wrong != mutation.right
+    assert mutation.tests and all((ROOT / test).is_file() for test in mutation.tests)
+
+
+def test_the_list_is_of_sixty_errors_at_least_and_holds_none_twice():
+    planted = {(one.file, one.right, one.wrong) for one in EVERY}
+    assert len(planted) == len(EVERY) >= 60
+    assert len({one.what for one in EVERY}) == len(EVERY)
+
+
+def test_the_page_is_made_from_the_list():
+    made = mutations.page(EVERY)
+    assert (ROOT / "docs" / "mutations.md").read_text(encoding="utf-8") == made, (
+        "run: PYTHONPATH=tests python -m support.mutations --page > docs/mutations.md"
+    )
+
+
+@pytest.mark.parametrize(
+    "right, wrong, word",
+    [
+        ("return a + b", "return a - b", "caught"),
+        ("return a + b", "return b + a", "survived"),
+        ("return a + b", "return a +", "broken"),
+        ("return a * b", "return a / b", "stale"),
+    ],
+)
+def test_an_error_is_caught_survives_or_is_none(right, wrong, word, tmp_path, monkeypatch):
+    for folder in (tmp_path / "own", tmp_path / "copy"):
+        folder.mkdir()
+        (folder / "sums.py").write_text("def total(a, b):\n    return a + b\n")
+        (folder / "test_sums.py").write_text("from sums import total\n\n\ndef test_total():\n    assert total(2, 1) == 3\n")
+    monkeypatch.setattr(mutations, "ROOT", tmp_path / "own")
+    found = judged(Mutation("it subtracts", "sums.py", right, wrong, ["test_sums.py"]), tmp_path / "copy")
+    assert found.word == word, found.by
+    assert (tmp_path / "copy" / "sums.py").read_text() == (tmp_path / "own" / "sums.py").read_text()
