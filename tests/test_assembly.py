@@ -1,21 +1,38 @@
 """What of a scene reaches its parts, and what the rows of its joints read: production and reference share both, so that
 an error there is invisible when the two are compared."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import mic
 from mic.model.assembly import assemble
 
+ROOT = Path(__file__).resolve().parents[1]
 SHEETS = ((0.8, 70e3, 0.33), (1.3, 206e3, 0.28))
 
 
-def test_each_part_has_its_own_sheet(lap_scene, cache):
+@pytest.fixture(scope="module")
+def unlike(cache):
+    """The lap joint of two unlike sheets."""
+    scene = mic.load_scene(ROOT / "meshes" / "lap_joint")
     changed = [
         part.model_copy(update=dict(zip(("thickness", "young", "poisson"), sheet)))
-        for part, sheet in zip(lap_scene.parts, SHEETS)
+        for part, sheet in zip(scene.parts, SHEETS)
     ]
-    parts = assemble(lap_scene.model_copy(update={"parts": changed}), cache).parts
-    assert tuple((part.thickness, part.young, part.poisson) for part in parts) == SHEETS
+    return assemble(scene.model_copy(update={"parts": changed}), cache)
+
+
+def test_each_part_has_its_own_sheet(unlike):
+    assert tuple((part.thickness, part.young, part.poisson) for part in unlike.parts) == SHEETS
+
+
+def test_candidates_yield_through_half_of_either_sheet(unlike):
+    """c = (t₁/2E₁ + t₂/2E₂)/A, of each candidate's own area."""
+    through = sum(t / (2 * young) for t, young, _ in SHEETS)
+    np.testing.assert_allclose(unlike.contacts.layer, through / unlike.contacts.area, rtol=1e-12)
+    assert len(set(unlike.contacts.area.round(6))) > 1
 
 
 @pytest.mark.parametrize("part", [0, 1])

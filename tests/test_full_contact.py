@@ -207,7 +207,7 @@ if sys.argv[4] == "increments":
     stages = [s.model_copy(update=steps) if s.kind in ("clamp", "release") else s for s in scene.stages]
     scene = scene.model_copy(update={"stages": stages})
 assembly = assemble(scene, Path(sys.argv[2]) / str(MPI.COMM_WORLD.rank))
-full = FullModel(assembly, path_tolerance=5e-2).evaluate(draw(scene, 5, 0, 1)[0])
+full = FullModel(assembly, path_tolerance=2e-1).evaluate(draw(scene, 5, 0, 1)[0])
 values = [full.measurements, *full.field("release").values()]
 values += [a for r in full.resolutions.values() for a in (r.force, r.displacement, r.reaction, r.trace.slip)]
 assert all(np.array_equal(a, b) for a, b in zip(values, MPI.COMM_WORLD.bcast(values)))
@@ -223,8 +223,8 @@ def on_ranks(processes, folder, path):
         return [data[name] for name in data.files]
 
 
-# A followed path is hundreds of Newton solves: a tight one, or four processes on two cores, would take minutes.
-@pytest.mark.parametrize("processes, path", [(2, "followed"), (4, "increments")])
+# A followed path is hundreds of Newton solves: a tight one, or three processes on two cores, would take minutes.
+@pytest.mark.parametrize("processes, path", [(2, "followed"), (3, "increments")])
 @pytest.mark.slow
 def test_equal_on_any_number_of_processes(processes, path, tmp_path):
     (tmp_path / "serial").mkdir()
