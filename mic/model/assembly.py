@@ -29,10 +29,12 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
+from mic.geometry.surface import Surface
 from mic.model import characteristics
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.modes import write_modes
+from mic.model.nugget_mesh import resolved
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.positions import position_rows
@@ -163,6 +165,7 @@ class Assembly:
         What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
         and directions are vectors, clamps single ones.
     parts : tuple of Part
+        On the meshes that they are solved on (:mod:`mic.model.nugget_mesh`).
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
     labels : dict of str to list of str
@@ -185,6 +188,8 @@ class Assembly:
         By how much the gap of the weld that a position row belongs to grows as it moves; 0 for others.
     placed : tuple of str
         What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
+    surfaces : dict of str to Surface
+        Of the parts as their meshes draw them, before elements at nuggets are divided.
     """
 
     scene: Scene
@@ -201,6 +206,7 @@ class Assembly:
     decks: Mapping[str, Deck] = field(default_factory=dict)
     placed: tuple[str, ...] = ()
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
 
     @property
     def centres(self) -> np.ndarray:
@@ -322,6 +328,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for body in parts:
         if body.superelement is not None:
             body.superelement.readings(body)  # what it cannot read is told before anything is computed
+    parts = tuple(resolved(part, scene) for part in parts)
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
     for zone in scene.zones:
@@ -343,6 +350,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         {one.part.name: one.deck for one in loaded if one.deck is not None},
         placed,
         position_gap,
+        surfaces,
     )
 
 
