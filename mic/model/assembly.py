@@ -334,7 +334,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for zone in scene.zones:
         first, second = (bodies[name] for name in zone.parts)
         asked = pairs and zone.candidates
-        spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone)) if asked else None)
+        spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone, bodies)) if asked else None)
     return Assembly(
         scene,
         parts,
@@ -444,22 +444,31 @@ def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[Cont
         with problems:
             try:
                 if every_node:
-                    found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
+                    found.append(node_pairs(zone, a, b, _pressed(scene, zone, bodies)))
                 else:
-                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
+                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone, bodies)))
             except ValueError as error:
                 raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
             refuse_untold(entry("zones", i, zone), zone.parts, found[-1], a, b)
     return found
 
 
-def _pressed(scene, zone) -> list[Pressed]:
+def _pressed(scene, zone, bodies) -> list[Pressed]:
     """Where something presses the bodies of a zone together: clamps, welds and locators."""
     places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
-            places.append(Pressed(np.array(weld.point), weld.radius, i))
+            places.append(Pressed(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
     return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
+
+
+def _weld_normal(zone, weld, bodies) -> np.ndarray | None:
+    """From the zone's first body to its second where a weld joins them; None where it finds them nowhere."""
+    try:
+        pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
+    except ValueError:
+        return None  # said where its rows are drawn
+    return pair.frame[:, 0] if weld.parts[0] == zone.parts[0] else -pair.frame[:, 0]
 
 
 def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
@@ -469,7 +478,7 @@ def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     zones: list[int] = []
     for i, (zone, own) in enumerate(zip(scene.zones, pairs)):
         a, b = (bodies[name] for name in zone.parts)
-        found = find_between(zone, a, b, own, landmarks, _pressed(scene, zone))
+        found = find_between(zone, a, b, own, landmarks, _pressed(scene, zone, bodies))
         for one in found:
             _joint_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, one, 1)
             points.append(one)
