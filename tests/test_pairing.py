@@ -1,5 +1,7 @@
 """Contact pairs on surfaces whose pairs are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -157,6 +159,10 @@ def test_what_presses_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_f
         there = [pair for pair in pairs if np.linalg.norm(pair.point[:2] - pad.point[:2]) < 0.5]
         assert sorted(np.sign([pair.frame[2, 0] for pair in there])) == [-1, 1]
     assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {-1, 1}
+    for up in (1, -1):  # a weld joins two sheets: on one side of the sheet within
+        joined = replace(pads[1], normal=np.array([0.0, 0.0, up]))
+        pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=[pads[0], joined])
+        assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {up}
 
 
 def test_given_points_stand_on_the_side_of_the_sheet_that_they_lie_on():

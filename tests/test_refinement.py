@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from mic.geometry.refinement import halved
+from mic.geometry.refinement import divided, halved
 from mic.geometry.surface import Surface
 
 R = 50.0
@@ -112,3 +113,94 @@ def test_the_neighbours_of_a_junction_share_its_midpoints():
     assert len(new) == 5 + 7
     assert new[children[0, 1]] == pytest.approx([0, 5, 0], abs=1e-9)
     assert children[0, 1] in children[4] and children[0, 1] in children[8]
+
+
+def jittered(n=6, seed=0):
+    """A flat sheet of 100 mm, its inner points moved, and everything that decides by order shuffled."""
+    rng = np.random.default_rng(seed)
+    points, triangles, _ = sheet(n, lambda u, v: 100 * np.column_stack([u, v, 0 * u]), direction)
+    inner = ((points[:, :2] > 1) & (points[:, :2] < 99)).all(axis=1)
+    points[inner, :2] += rng.uniform(-3, 3, (inner.sum(), 2))
+    return points, triangles, np.broadcast_to([0, 0, 1.0], (len(triangles), 3, 3))
+
+
+def sizes(points, triangles):
+    corner = points[triangles]
+    return np.sqrt(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
+
+
+PLACES, REACHES, WANTED = np.array([[30, 40, 0.0], [85, 95, 0.0]]), np.array([3.0, 2.0]), np.array([1.5, 0.7])
+
+
+def test_triangles_near_a_place_are_divided_down_to_its_size_and_no_vertex_hangs():
+    points, triangles, normals = jittered()
+    found = divided(points, triangles, normals, PLACES, REACHES, WANTED)
+    new = Surface(found.points, found.triangles, found.normals)
+    assert new.areas.sum() == pytest.approx(1e4)
+    assert (new.normals[:, 2] > 0.999).all()
+    for place, reach, wanted in zip(PLACES, REACHES, WANTED):
+        patch = new.patch(place, reach)
+        assert sizes(found.points, found.triangles)[patch.triangle].max() <= wanted
+    # the border is that of the square, every other edge has two triangles, and what is far stays as it was
+    assert new.edge_lengths[new.border].sum() == pytest.approx(400)
+    assert (found.points[: len(points)] == points).all()
+    far = np.linalg.norm(points[triangles].mean(axis=1)[:, None] - PLACES, axis=2).min(axis=1) > 50
+    kept = {tuple(sorted(one)) for one in found.triangles.tolist()}
+    assert all(tuple(sorted(one)) in kept for one in triangles[far].tolist()) and far.any()
+    assert len(found.triangles) - len(triangles) < 2 * 400
+
+
+def test_no_triangle_becomes_needle_shaped():
+    points, triangles, normals = jittered()
+    found = divided(points, triangles, normals, PLACES, REACHES, WANTED / 4)
+    shape = lambda surface: (surface.areas / surface.edge_lengths.max(axis=1) ** 2).min()
+    assert shape(Surface(found.points, found.triangles)) > 0.4 * shape(Surface(points, triangles))
+
+
+def test_what_is_fine_enough_stays_as_it_is():
+    points, triangles, normals = jittered()
+    found = divided(points, triangles, normals, PLACES, REACHES, np.array([40.0, 40.0]))
+    assert (found.triangles == triangles).all() and len(found.points) == len(points)
+
+
+def test_points_of_the_mesh_are_carried_to_the_pieces_that_hold_them():
+    points, triangles, normals = jittered()
+    found = divided(points, triangles, normals, PLACES, REACHES, WANTED)
+    old, new = Surface(points, triangles), Surface(found.points, found.triangles)
+    rng = np.random.default_rng(1)
+    triangle = rng.integers(0, len(triangles), 500)
+    barycentric = rng.dirichlet([1, 1, 1], 500)
+    barycentric[:9] = np.tile(np.eye(3), (3, 1))
+    piece, inside = found.carried(triangle, barycentric)
+    assert inside.min() > -1e-12 and inside.sum(axis=1) == pytest.approx(1)
+    assert new.at(piece, inside) == pytest.approx(old.at(triangle, barycentric), abs=1e-10)
+    assert (found.of[piece] == triangle).all()
+
+
+def test_the_same_mesh_turned_mirrored_and_renumbered_is_divided_alike():
+    points, triangles, normals = sheet(8, lambda u, v: 100 * np.column_stack([u, v, 0 * u]), direction)
+    places = np.array([[50, 50, 0.0], [12.5, 25, 0.0]])  # where distances and sizes tie
+    rng = np.random.default_rng(3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    number, order = rng.permutation(len(points)), rng.permutation(len(triangles))
+    moved = np.empty_like(points)
+    moved[number] = points @ turn.T * 7.0
+    again = np.roll(number[triangles[order]], 1, axis=1)
+    given = divided(points, triangles, normals, places, np.full(2, 6.25), np.full(2, 3.125))
+    found = divided(moved, again, normals[order], places @ turn.T * 7.0, np.full(2, 43.75), np.full(2, 21.875))
+    middle = lambda division: division.points[division.triangles].mean(axis=1)
+    a, b = middle(given) @ turn.T * 7.0, middle(found)
+    assert len(a) == len(b)
+    assert cKDTree(a).query(b)[0].max() < 1e-9
+
+
+def test_normals_between_the_corners_are_those_between_their_ends():
+    points, triangles, normals = sheet(4, ball, direction)
+    place = points[12][None]
+    found = divided(points, triangles, normals, place, np.array([1.0]), np.array([4.0]))
+    piece = Surface(points, triangles, normals)
+    exact = piece.smooth_normals(np.repeat(found.of, 3), found.corners.reshape(-1, 3)).reshape(-1, 3, 3)
+    assert found.normals == pytest.approx(exact, abs=1e-12)
+    assert found.points[found.triangles] == pytest.approx(
+        np.einsum("kij,kjl->kil", found.corners, points[triangles][found.of]), abs=1e-12
+    )

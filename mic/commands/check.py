@@ -94,7 +94,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         folder = Path("results") / asked.name
         if _holds(folder, assembly):
             keep_studies(console, folder, {DENSITY: _density_table(asked, converged)})
-    surfaces = {part.name: part.surface for part in assembly.parts}
+    surfaces = assembly.surfaces
     _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
@@ -251,7 +251,7 @@ def _print_told(console, asked, assembly):
     """What the parts' mesh files were taken for."""
     for part, source, filled in zip(assembly.parts, asked.parts, assembly.scene.parts):
         deck = assembly.decks.get(part.name)
-        for sentence in told(source, filled, deck, part.surface) if deck is not None else ():
+        for sentence in told(source, filled, deck, assembly.surfaces[part.name]) if deck is not None else ():
             console.print(plain(sentence), highlight=False, soft_wrap=True)
 
 
@@ -259,7 +259,7 @@ def _print_normals(console, assembly):
     """What decided the normals of the curved sheets, and where the mesh tells too little."""
     table = Table("part", "given by", "given", "estimated", "flat", "refused", title="Normals at triangles' corners")
     for part, source in zip(assembly.parts, assembly.scene.parts):
-        counts = np.bincount(part.surface.curvature.rule.ravel(), minlength=len(Rule))
+        counts = np.bincount(assembly.surfaces[part.name].curvature.rule.ravel(), minlength=len(Rule))
         table.add_row(
             part.name,
             ("the geometry" if source.geometry is not None else "the deck") if counts[Rule.GIVEN] else "nobody",
@@ -267,10 +267,11 @@ def _print_normals(console, assembly):
         )
     console.print(table)
     for part in assembly.parts:
+        curvature = assembly.surfaces[part.name].curvature
         for places, words in (
-            (part.surface.curvature.coarse, f"turn by more than {COARSE:g}°, too far to follow a bend: mesh it finer"),
+            (curvature.coarse, f"turn by more than {COARSE:g}°, too far to follow a bend: mesh it finer"),
             (
-                part.surface.curvature.single,
+                curvature.single,
                 "lie between a bend and a single wide row of triangles, of which it cannot be told whether it is flat: "
                 "give it two rows, or normals",
             ),

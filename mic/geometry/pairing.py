@@ -136,11 +136,15 @@ class Pressed:
         both, candidates lie within or outside, none across the rim. Nothing hangs on that of a locator.
     weld : int
         Number of the weld; -1 for anything else.
+    normal : (3,) array, optional
+        Of a weld, from the zone's first body to its second where they are joined. On the other face of a sheet within a
+        hem, which looks the opposite way, nothing is joined; without it the weld joins either face.
     """
 
     point: np.ndarray
     radius: float = 0.0
     weld: int = -1
+    normal: np.ndarray | None = None
 
 
 def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[Pressed] = ()) -> list[ContactPair]:
@@ -387,7 +391,8 @@ def _within(one, cloud, tie) -> np.ndarray:
     step = cloud.point - one.point
     along = np.einsum("ij,ij->i", step, cloud.normal)
     sideways = np.linalg.norm(step - along[:, None] * cloud.normal, axis=1)
-    return (sideways <= one.radius + tie) & (np.abs(along) <= cloud.distance + one.radius)
+    inside = (sideways <= one.radius + tie) & (np.abs(along) <= cloud.distance + one.radius)
+    return inside if one.normal is None else inside & (cloud.normal @ one.normal > 0)
 
 
 def _grouped(pressed, cloud, fused, spacing, tie) -> np.ndarray:

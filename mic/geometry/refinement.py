@@ -15,12 +15,20 @@ hole's rim does not become rounder.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-__all__ = ["halved"]
+from mic.geometry.surface import closest_barycentric
+
+__all__ = ["Division", "divided", "halved"]
 
 FOLD = np.radians(20.0)  # sheets that meet at a smaller angle are one smooth surface
 EDGES = ((0, 1), (1, 2), (2, 0))
+FOUR = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])  # pieces by corners 0 to 2 and middles 3 to 5 of EDGES
+TWO = np.array([[(0, 3, 2), (3, 1, 2)], [(1, 4, 0), (4, 2, 0)], [(2, 5, 1), (5, 0, 1)]])  # by the edge that is cut
+SHIFT = 32  # bits: an edge is the lower of its vertices, shifted by so many, and the higher
+EVEN = 1e-6  # sizes and distances that differ by less are equal
 
 
 def halved(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -77,3 +85,165 @@ def _across(L, end, edges, sides, of_side, normals):
     kept[:, 2] = True
     share = np.einsum("eic,ei->ec", direction, L) * kept
     return np.einsum("eic,ec->ei", direction, share)
+
+
+@dataclass(frozen=True)
+class Division:
+    """A mesh some of whose triangles are divided.
+
+    Attributes
+    ----------
+    points : (n + e, 3) array
+        The given ones, then those that are new, mm.
+    triangles : (k, 3) int array
+        Oriented as those that they come from.
+    normals : (k, 3, 3) array
+        At their corners, unit length.
+    of : (k,) int array
+        The triangle that each is a piece of.
+    corners : (k, 3, 3) array
+        Barycentric coordinates, within that triangle, of the piece's corners.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+    normals: np.ndarray
+    of: np.ndarray
+    corners: np.ndarray
+
+    def carried(self, triangle: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The piece (q,) that holds each point of the given triangles, and its barycentric coordinates there (q, 3)."""
+        order = np.argsort(self.of, kind="stable")
+        first, last = (np.searchsorted(self.of[order], triangle, side) for side in ("left", "right"))
+        owner = np.repeat(np.arange(len(triangle)), last - first)
+        start = np.repeat(np.cumsum(last - first) - (last - first), last - first)
+        piece = order[np.repeat(first, last - first) + np.arange(len(owner)) - start]
+        local = np.linalg.solve(self.corners[piece].transpose(0, 2, 1), barycentric[owner][:, :, None])[:, :, 0]
+        best = np.lexsort((-local.min(axis=1), owner))
+        best = best[np.unique(owner[best], return_index=True)[1]]
+        return piece[best], local[best]
+
+
+def divided(
+    points: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    places: np.ndarray,
+    reach: np.ndarray,
+    size: np.ndarray,
+) -> Division:
+    """Divide triangles that come near to places until none is larger there than a size.
+
+    The size of a triangle of area A is √(2 A), the side of two squares' halves. Large ones are divided into four;
+    neighbours follow where two of their edges are divided, or one twice, and where one is they are cut in two. The
+    sheet stays what it was: new vertices lie in the middle of the edges, the normals there between the ends'.
+
+    Parameters
+    ----------
+    points, triangles, normals
+        As `halved` takes them.
+    places : (p, 3) array
+        mm.
+    reach : (p,) array
+        How near to each a triangle counts, mm.
+    size : (p,) array
+        The largest that is wanted there, mm.
+    """
+    mesh = _Leaves(points, triangles)
+    while True:
+        large = mesh.large(places, reach, size)
+        if not large.any():
+            mesh.close()
+            between = np.einsum("kij,kjl->kil", mesh.corners, normals[mesh.of])
+            between /= np.linalg.norm(between, axis=2, keepdims=True)
+            return Division(mesh.points, mesh.triangles, between, mesh.of, mesh.corners)
+        while large.any():
+            mesh.divide(large)
+            large = mesh.uneven()
+
+
+class _Leaves:
+    """Triangles that were divided into four, again and again; vertices may hang on the edges of larger ones."""
+
+    def __init__(self, points, triangles):
+        self.points, self.triangles = np.asarray(points), np.asarray(triangles)
+        self.of = np.arange(len(self.triangles))
+        self.corners = np.tile(np.eye(3), (len(self.triangles), 1, 1))
+        self._edges = np.zeros(0, dtype=np.int64)  # those that have a middle, in order, and which vertex it is
+        self._middle = np.zeros(0, dtype=np.int64)
+
+    def large(self, places, reach, size) -> np.ndarray:
+        """(k,) bool."""
+        corner = self.points[self.triangles]
+        own = np.sqrt(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
+        found = np.zeros(len(own), dtype=bool)
+        for place, far, wanted in zip(places, reach, size):
+            ball = np.linalg.norm(corner.mean(axis=1) - place, axis=1) <= far + 2 * np.sqrt(3) * own.max()
+            near = np.flatnonzero(ball & ~found & (own > wanted * (1 + EVEN)))
+            share = closest_barycentric(corner[near], np.broadcast_to(place, (len(near), 3)))
+            away = np.linalg.norm(np.einsum("qi,qij->qj", share, corner[near]) - place, axis=1)
+            found[near[away <= far * (1 + EVEN)]] = True
+        return found
+
+    def uneven(self) -> np.ndarray:
+        """(k,) bool: of which two edges have a middle, or one whose halves have one."""
+        sides = self.triangles[:, EDGES]
+        middle = self._middles(sides)
+        hanging = middle >= 0
+        twice = np.zeros(hanging.shape, dtype=bool)
+        for end in (0, 1):
+            half = np.stack([sides[:, :, end], np.maximum(middle, 0)], axis=2)
+            twice |= hanging & (self._middles(half) >= 0)
+        return (hanging.sum(axis=1) > 1) | twice.any(axis=1)
+
+    def divide(self, chosen) -> None:
+        """Into four each."""
+        whole = self.triangles[chosen]
+        edges = np.unique(self._keys(whole[:, EDGES]))
+        new = edges[~np.isin(edges, self._edges)]
+        ends = np.stack([new >> SHIFT, new & (2**SHIFT - 1)], axis=1)
+        number = len(self.points) + np.arange(len(new))
+        self.points = np.vstack([self.points, self.points[ends].mean(axis=1)])
+        order = np.argsort(np.concatenate([self._edges, new]))
+        self._edges = np.concatenate([self._edges, new])[order]
+        self._middle = np.concatenate([self._middle, number])[order]
+        middle = self._middles(whole[:, EDGES])
+        vertex, corner = np.concatenate([whole, middle], axis=1), _with_middles(self.corners[chosen])
+        self._take(
+            ~chosen, np.repeat(self.of[chosen], 4), vertex[:, FOUR].reshape(-1, 3), corner[:, FOUR].reshape(-1, 3, 3)
+        )
+
+    def close(self) -> None:
+        """Let no vertex hang: a triangle one of whose edges has a middle is cut in two."""
+        middle = self._middles(self.triangles[:, EDGES])
+        cut = (middle >= 0).any(axis=1)
+        rows = np.flatnonzero(cut)
+        two = TWO[(middle[rows] >= 0).argmax(axis=1)]
+        vertex, corner = np.concatenate([self.triangles[rows], middle[rows]], axis=1), _with_middles(self.corners[rows])
+        row = np.arange(len(rows))[:, None, None]
+        self._take(
+            ~cut, np.repeat(self.of[rows], 2), vertex[row, two].reshape(-1, 3), corner[row, two].reshape(-1, 3, 3)
+        )
+
+    def _take(self, kept, of, triangles, corners) -> None:
+        """Put pieces behind the triangles that are kept."""
+        self.of = np.concatenate([self.of[kept], of])
+        self.triangles = np.concatenate([self.triangles[kept], triangles])
+        self.corners = np.concatenate([self.corners[kept], corners])
+
+    def _keys(self, sides) -> np.ndarray:
+        """One number for the two ends of each edge."""
+        return (sides.min(axis=-1) << SHIFT) + sides.max(axis=-1)
+
+    def _middles(self, sides) -> np.ndarray:
+        """The vertex in the middle of each edge; -1 where there is none."""
+        if not len(self._edges):
+            return np.full(sides.shape[:-1], -1)
+        keys = self._keys(sides)
+        at = np.minimum(np.searchsorted(self._edges, keys), len(self._edges) - 1)
+        return np.where(self._edges[at] == keys, self._middle[at], -1)
+
+
+def _with_middles(corner) -> np.ndarray:
+    """(k, 6, 3) what stands at the corners (k, 3, 3), and its means over the edges."""
+    return np.concatenate([corner, np.stack([corner[:, i] + corner[:, j] for i, j in EDGES], axis=1) / 2], axis=1)

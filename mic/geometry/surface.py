@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.normals import CornerNormals, corner_normals
 
-__all__ = ["EQUAL", "Patch", "Projection", "Surface"]
+__all__ = ["EQUAL", "Patch", "Projection", "Surface", "closest_barycentric"]
 
 EQUAL = 1e-7  #: lengths that differ by less than this share of the size of things are equal; so are cosines and ratios
 
@@ -338,7 +338,7 @@ class Surface:
         if normal is not None:
             keep = self._aligned(triangle, normal[owner], cosine)
             owner, triangle = owner[keep], triangle[keep]
-        barycentric = _closest_barycentric(self.corners[triangle], x[owner])
+        barycentric = closest_barycentric(self.corners[triangle], x[owner])
         foot = np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
         if side is not None:
             along = np.einsum("ij,ij->i", foot - x[owner], normal[owner])
@@ -537,7 +537,7 @@ def _subtriangles(n: int) -> np.ndarray:
     return np.stack([1 - first - second, first, second], axis=2)
 
 
-def _closest_barycentric(corners, x):
+def closest_barycentric(corners, x):
     """(q, 3) barycentric coordinates of the point of each triangle (q, 3, 3) closest to x (q, 3)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac, ax = b - a, c - a, x - a

@@ -174,7 +174,7 @@ def estimate_accuracy(
             continue  # a superelement has no mesh that could be finer
         question = _Question.of(assembly, p)
         finer = finer_surface(assembly.scene.parts[p], assembly.scene.folder, cache, assembly.sizes.get(part.name))
-        if not len(finer.triangles) > len(part.surface.triangles):
+        if not len(finer.triangles) > len(assembly.surfaces[part.name].triangles):
             raise SceneError(
                 f"part {part.name!r}: geometry: the script makes no more triangles at half the size; let build(part, "
                 "size) take notice of the size"

@@ -29,10 +29,12 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
+from mic.geometry.surface import Surface
 from mic.model import characteristics
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.modes import write_modes
+from mic.model.nugget_mesh import resolved
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.positions import position_rows
@@ -163,6 +165,7 @@ class Assembly:
         What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
         and directions are vectors, clamps single ones.
     parts : tuple of Part
+        On the meshes that they are solved on (:mod:`mic.model.nugget_mesh`).
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
     labels : dict of str to list of str
@@ -185,6 +188,8 @@ class Assembly:
         By how much the gap of the weld that a position row belongs to grows as it moves; 0 for others.
     placed : tuple of str
         What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
+    surfaces : dict of str to Surface
+        Of the parts as their meshes draw them, before elements at nuggets are divided.
     """
 
     scene: Scene
@@ -201,6 +206,7 @@ class Assembly:
     decks: Mapping[str, Deck] = field(default_factory=dict)
     placed: tuple[str, ...] = ()
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
 
     @property
     def centres(self) -> np.ndarray:
@@ -322,12 +328,13 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for body in parts:
         if body.superelement is not None:
             body.superelement.readings(body)  # what it cannot read is told before anything is computed
+    parts = tuple(resolved(part, scene) for part in parts)
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
     for zone in scene.zones:
         first, second = (bodies[name] for name in zone.parts)
         asked = pairs and zone.candidates
-        spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone)) if asked else None)
+        spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone, bodies)) if asked else None)
     return Assembly(
         scene,
         parts,
@@ -343,6 +350,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         {one.part.name: one.deck for one in loaded if one.deck is not None},
         placed,
         position_gap,
+        surfaces,
     )
 
 
@@ -436,22 +444,31 @@ def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[Cont
         with problems:
             try:
                 if every_node:
-                    found.append(node_pairs(zone, a, b, _pressed(scene, zone)))
+                    found.append(node_pairs(zone, a, b, _pressed(scene, zone, bodies)))
                 else:
-                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone)))
+                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone, bodies)))
             except ValueError as error:
                 raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
             refuse_untold(entry("zones", i, zone), zone.parts, found[-1], a, b)
     return found
 
 
-def _pressed(scene, zone) -> list[Pressed]:
+def _pressed(scene, zone, bodies) -> list[Pressed]:
     """Where something presses the bodies of a zone together: clamps, welds and locators."""
     places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
-            places.append(Pressed(np.array(weld.point), weld.radius, i))
+            places.append(Pressed(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
     return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
+
+
+def _weld_normal(zone, weld, bodies) -> np.ndarray | None:
+    """From the zone's first body to its second where a weld joins them; None where it finds them nowhere."""
+    try:
+        pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
+    except ValueError:
+        return None  # said where its rows are drawn
+    return pair.frame[:, 0] if weld.parts[0] == zone.parts[0] else -pair.frame[:, 0]
 
 
 def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
@@ -461,7 +478,7 @@ def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
     zones: list[int] = []
     for i, (zone, own) in enumerate(zip(scene.zones, pairs)):
         a, b = (bodies[name] for name in zone.parts)
-        found = find_between(zone, a, b, own, landmarks, _pressed(scene, zone))
+        found = find_between(zone, a, b, own, landmarks, _pressed(scene, zone, bodies))
         for one in found:
             _joint_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, one, 1)
             points.append(one)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["chosen_sizes"]
 
-CHOSEN = Format("choice of element sizes", 2, ABSENT)
+CHOSEN = Format("choice of element sizes", 3, ABSENT)
 ROUNDS = 8
 SAFETY = 1.25  # of the estimate
 MARGIN = 0.9  # of the size that the estimate would allow
