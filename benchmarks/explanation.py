@@ -1,6 +1,6 @@
 """How often the truth lies in the region of ``mic explain``: assemblies made with known sources, and explained.
 
-    python benchmarks/explanation.py SCENE [--cases 100] [--gauge 0.002] [--size coarse] [--without M2] [--friction 0.05]
+    python benchmarks/explanation.py SCENE [--cases 100] [--gauge 0.002] [--size coarse] [--friction 0.05]
 
 Of each assembly the sources are drawn as the scene says, its key characteristics evaluated in full, and the gauge's
 errors added. Told are the share of assemblies whose sources lie in the joint 95 % region and, source by source, within
@@ -58,7 +58,9 @@ def main() -> None:
     told = zip((item.name for item in model.scene.deviations), np.mean(single, axis=0), strict=True)
     print("each:", ", ".join(f"{name} {share:.3f}" for name, share in told))
     print(f"contacts in another state than in the mean assembly: {np.mean(changed):.1%} (most {np.max(changed):.1%})")
-    print(f"evaluations {np.mean(count):.0f} (most {np.max(count)}), CPU s {np.mean(took):.1f} (most {np.max(took):.1f})")
+    print(
+        f"evaluations {np.mean(count):.0f} (most {np.max(count)}), CPU s {np.mean(took):.1f} (most {np.max(took):.1f})"
+    )
 
 
 def _asked() -> argparse.Namespace:

@@ -9,10 +9,10 @@ h is asked for at some assemblies only, drawn from the posterior as it is known 
 (:mod:`mic.studies.emulator`). e is what the spline errs by at assemblies that it had not seen, and what a looser path
 errs by: both are found before they are trusted, and added until e is small against s.
 
-Modes of (1) are found by Levenberg and Marquardt's method from several starts: where contacts change their state, φ
+Modes of (1) are found by Levenberg and Marquardt's method from several starts: where contacts change their state, φ has
 kinks and may have several. About each mode the posterior is nearly normal with covariance C = (1 + JᵀJ)⁻¹; what kinks
-make of it is told by importance sampling [1]_: samples of a mixture q of such normals weigh exp(−φ)/q, and the mixture is
-fitted to them anew until enough of them count.
+make of it is told by importance sampling [1]_: samples of a mixture q of such normals weigh exp(−φ)/q, and the mixture
+is fitted to them anew until enough of them count.
 
 References
 ----------

@@ -102,7 +102,10 @@ class Predictor:
             self._adjusted = _Adjusted(*extended(model, some), some)
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
-        self._emulator, self._off = self._learned() if quick else (None, np.zeros(len(self._lower)))
+        self._emulator: Emulator | None = None
+        self._off = np.zeros(len(self._lower))  # what it errs by
+        if quick:
+            self._emulator, self._off = self._learned()
 
     def judge(self, values: Mapping[str, float]) -> pd.DataFrame:
         """Foretell one assembly.
@@ -182,8 +185,8 @@ class Predictor:
                 return Emulator(u, h), off
         worst = int((off / fine).argmax())
         raise SceneError(
-            f"scene {scene.name!r}: quick answers for {scene.measurements[worst].name} err by {off[worst]:.3g} mm, more "
-            f"than {FINE:.1%} of its tolerance, after {len(u)} evaluations; leave quick out, so that each assembly is "
+            f"scene {scene.name!r}: quick answers for {scene.measurements[worst].name} err by {off[worst]:.3g} mm after "
+            f"{len(u)} evaluations, more than {FINE:.1%} of its tolerance; leave quick out, so that each assembly is "
             "evaluated"
         )
 
