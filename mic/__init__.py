@@ -4,6 +4,10 @@
 >>> scene = mic.load_scene("meshes/wheelhouse/scene.toml")     # doctest: +SKIP
 >>> model = mic.reduce(scene)                                   # doctest: +SKIP
 >>> model.evaluate({"F1": 20.0}).measurements                   # doctest: +SKIP
+
+Each command is a function of the same name here, from a scene or model to tables and figures as data:
+``mic.explain(model, measured, gauge)`` is ``mic explain``. ``mic report`` is :func:`mic.report.write_report`; pictures
+of what the functions return are drawn by :mod:`mic.report`.
 """
 
 from __future__ import annotations
@@ -16,11 +20,20 @@ from typing import TYPE_CHECKING, Any
 from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError, StorageError
 
 if TYPE_CHECKING:
+    from mic.judgement import Warned
     from mic.process.model import ReducedModel
+    from mic.proposal import write_scene as init
     from mic.runs import read_run, run
     from mic.scene import Scene, load_scene
     from mic.studies.comparison import compare
+    from mic.studies.contributors import contributors
     from mic.studies.explanation import explain
+    from mic.studies.friction import friction_effects as friction
+    from mic.studies.order import order
+    from mic.studies.prediction import predict
+    from mic.studies.rare import rare
+    from mic.studies.remedy import remedies as remedy
+    from mic.studies.sensitivity import effects as sensitivity
 
 __all__ = [
     "FormatError",
@@ -32,12 +45,21 @@ __all__ = [
     "SceneError",
     "StorageError",
     "cache_folder",
+    "check",
     "compare",
+    "contributors",
     "explain",
+    "friction",
+    "init",
     "load_scene",
+    "order",
+    "predict",
+    "rare",
     "read_run",
     "reduce",
+    "remedy",
     "run",
+    "sensitivity",
 ]
 
 __version__ = "0.2.0"
@@ -88,14 +110,51 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
 
 
+def check(scene: Scene, cache: Path | None = None) -> tuple[Warned, ...]:
+    """Put a scene on its meshes and judge it: what no rule forbids and no workshop would build.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path, optional
+        Folder of generated meshes; default :func:`cache_folder`.
+
+    Returns
+    -------
+    tuple of mic.judgement.Warned
+        In the order of the rules; none where nothing is unusual.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot be built, naming the key and the remedy.
+    """
+    from mic.judgement import judge
+    from mic.model.assembly import assemble
+    from mic.process.plan import plan_assembly
+
+    assembly = assemble(scene, cache or cache_folder(), check=plan_assembly)
+    plan_assembly(assembly)
+    return judge(scene, assembly)
+
+
+#: Module and name of what is public here.
 _HOMES = {
-    "ReducedModel": "mic.process.model",
-    "Scene": "mic.scene",
-    "compare": "mic.studies.comparison",
-    "explain": "mic.studies.explanation",
-    "load_scene": "mic.scene",
-    "read_run": "mic.runs",
-    "run": "mic.runs",
+    "ReducedModel": ("mic.process.model", "ReducedModel"),
+    "Scene": ("mic.scene", "Scene"),
+    "compare": ("mic.studies.comparison", "compare"),
+    "contributors": ("mic.studies.contributors", "contributors"),
+    "explain": ("mic.studies.explanation", "explain"),
+    "friction": ("mic.studies.friction", "friction_effects"),
+    "init": ("mic.proposal", "write_scene"),
+    "load_scene": ("mic.scene", "load_scene"),
+    "order": ("mic.studies.order", "order"),
+    "predict": ("mic.studies.prediction", "predict"),
+    "rare": ("mic.studies.rare", "rare"),
+    "read_run": ("mic.runs", "read_run"),
+    "remedy": ("mic.studies.remedy", "remedies"),
+    "run": ("mic.runs", "run"),
+    "sensitivity": ("mic.studies.sensitivity", "effects"),
 }
 
 
@@ -106,7 +165,8 @@ def __getattr__(name: str) -> Any:
     that evaluates a model needs no tables.
     """
     if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        home, own = _HOMES[name]
+        return getattr(importlib.import_module(home), own)
     if not name.startswith("_"):
         try:
             return importlib.import_module(f"mic.{name}")

@@ -28,7 +28,7 @@ STYLES = {"accepted": "green", "rejected": "red", "open": "yellow", "refused": "
 
 
 @on_one_process
-def predict(source, parts, watch, log, adjust, shim, force, error, law):
+def predict(source, parts, watch, log, adjust, shim, force, error, quick, law):
     """``mic predict``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     if (parts is None) == (watch is None):
@@ -37,7 +37,7 @@ def predict(source, parts, watch, log, adjust, shim, force, error, law):
         raise SceneError(f"--watch: there is no folder {watch}; make it, or name another")
     model, _ = studied(console, source)
     try:
-        predictor = Predictor(model, law_of(model, law), adjust or (), shim, force, error)
+        predictor = Predictor(model, law_of(model, law), adjust or (), shim, force, error, quick)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
     kept = Log(log, identity(model, 0)[:12])

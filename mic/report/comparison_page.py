@@ -25,7 +25,7 @@ from mic.results.statistics import LEVEL, density
 from mic.store import write_text
 from mic.studies.comparison import Comparison
 
-__all__ = ["sentences", "write_comparison"]
+__all__ = ["comparison_pictures", "sentences", "write_comparison"]
 
 BEFORE, AFTER = "#58626e", "#0b5cad"
 NAMED = 3  # characteristics in a sentence
@@ -42,14 +42,12 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
     fields : sequence of FieldChange
         Of the two runs, where they have fields.
     """
-    with matplotlib.style.context(["default", RC]):
-        pictures = [_forest(found), _densities(found), *([_maps(fields)] if fields else [])]
     page = rendered(
         "comparison.html",
         found=found,
         sentences=sentences(found),
         rows=[row for row in _records(found) if row["quantity"]],
-        pictures=pictures,
+        pictures=comparison_pictures(found, fields),
         samples=int(found.table["samples"].iloc[0]),
         level=f"{100 * LEVEL:.0f} %",
         sure=_sure,
@@ -58,6 +56,12 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
     path = Path(path)
     write_text(path, page)
     return path
+
+
+def comparison_pictures(found: Comparison, fields: Sequence[FieldChange] = ()) -> list[Picture]:
+    """The pictures of a comparison: changes with their intervals, distributions before and after, and maps."""
+    with matplotlib.style.context(["default", RC]):
+        return [_forest(found), _densities(found), *([_maps(fields)] if fields else [])]
 
 
 def sentences(found: Comparison) -> list[str]:

@@ -16,30 +16,35 @@ from mic.results.statistics import LEVEL
 from mic.store import write_text
 from mic.studies.explanation import Explanation
 
-__all__ = ["sentences", "write_explanation"]
+__all__ = ["explanation_pictures", "sentences", "write_explanation"]
 
 NAMED = 3  # sources in a sentence
 UNUSUAL = 2.0  # standard deviations: a source this far off its mean is named as a cause
 DOUBT = 0.01  # probability below which the model does not explain what was measured
 FEW = 100.0  # samples that count, below which the intervals are rough
+ROUGH = 0.5  # of the gauge's standard deviation: from then on it is said what the search errs by
 BEFORE, AFTER = "#9aa5b1", "#0b5cad"
 
 
 def write_explanation(path: str | PathLike[str], found: Explanation) -> Path:
     """Write the page of an explanation; nothing is solved."""
-    with matplotlib.style.context(["default", RC]):
-        pictures = [_sources(found), _reached(found)]
     page = rendered(
         "explanation.html",
         found=found,
         sentences=sentences(found),
         sources=found.table.to_dict("records"),
         further=found.further.to_dict("records"),
-        pictures=pictures,
+        pictures=explanation_pictures(found),
     )
     path = Path(path)
     write_text(path, page)
     return path
+
+
+def explanation_pictures(found: Explanation) -> list[Picture]:
+    """The pictures of an explanation: its sources before and after, and what they give against what was measured."""
+    with matplotlib.style.context(["default", RC]):
+        return [_sources(found), _reached(found)]
 
 
 def sentences(found: Explanation) -> list[str]:
@@ -68,12 +73,26 @@ def sentences(found: Explanation) -> list[str]:
             f"Measuring {best['measurement']} as well would tell most ({number(best['bits'], 2)} bits): it would take "
             f"away {percent(best['told'])} of what is left of the variance of {best['source']}."
         )
+    measured = found.reached["measured"].notna().to_numpy()
+    error, gauge = found.posterior.error[measured], found.reached["gauge"].to_numpy()[measured]
+    worst = int((error / gauge).argmax())
+    if error[worst] > ROUGH * gauge[worst]:
+        told.append(
+            f"Between the {found.posterior.evaluations} assemblies that were evaluated {_measured(found, worst)} is "
+            f"known to {number(1e3 * error[worst], 2)} µm, by its gauge to {number(1e3 * gauge[worst], 2)} µm: intervals "
+            "are wider for it. Contacts change their state here, or the gauge is much finer than the sources."
+        )
     if found.posterior.count < FEW:
         told.append(
             f"Only {number(found.posterior.count, 2)} samples count: the intervals are rough. Contacts change their "
             "state here, or the gauge is much finer than the sources."
         )
     return told
+
+
+def _measured(found: Explanation, i: int) -> str:
+    """Name of the i-th characteristic that was measured."""
+    return str(found.reached["measurement"][found.reached["measured"].notna()].iloc[i])
 
 
 def _sources(found: Explanation) -> Picture:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from markupsafe import Markup  # which jinja2 brings
+from markupsafe import Markup, escape  # which jinja2 brings
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -63,6 +63,11 @@ class Picture:
         for sign, told in (("%", "%25"), ("#", "%23"), ("&", "%26"), ("\n", "%0A")):
             text = text.replace(sign, told)
         return Markup("data:image/svg+xml;charset=utf-8," + text)  # no quote and no ampersand is left in it
+
+    def _repr_html_(self) -> str:
+        """As notebooks show it."""
+        told = f"<figcaption>{escape(self.caption)}</figcaption>"
+        return f'<figure><img alt="{escape(self.title)}" src="{self.uri}" style="max-width:100%">{told}</figure>'
 
 
 def svg(fig: Figure, title: str, caption: str) -> Picture:

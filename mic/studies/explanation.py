@@ -3,12 +3,16 @@
 With the sources as functions x(z) of independent standard normal numbers z, key characteristics h, measured values y
 and the gauge's standard deviations s, the posterior density of z is exp(−φ) up to a factor,
 
-    φ(z) = ‖z‖²/2 + ‖r(z)‖²/2,        r = (h(x(z)) − y)/s.                                              (1)
+    φ(z) = ‖z‖²/2 + Σ_k (h_k(x(z)) − y_k)² / 2 (s_k² + e_k²).                                              (1)
 
-Its modes are found by Levenberg and Marquardt's method on exact sensitivities, from several starts: where contacts
-change their state, φ has kinks and may have several. About each mode the posterior is nearly normal with covariance
-C = (1 + JᵀJ)⁻¹, J = ∂r/∂z; what kinks make of it is told by importance sampling [1]_: samples of a mixture q of such
-normals weigh exp(−φ)/q, and the mixture is fitted to them anew until enough of them count.
+h is asked for at some assemblies only, drawn from the posterior as it is known so far, and is a spline between them
+(:mod:`mic.studies.emulator`). e is what the spline errs by at assemblies that it had not seen, and what a looser path
+errs by: both are found before they are trusted, and added until e is small against s.
+
+Modes of (1) are found by Levenberg and Marquardt's method from several starts: where contacts change their state, φ has
+kinks and may have several. About each mode the posterior is nearly normal with covariance C = (1 + JᵀJ)⁻¹; what kinks
+make of it is told by importance sampling [1]_: samples of a mixture q of such normals weigh exp(−φ)/q, and the mixture
+is fitted to them anew until enough of them count.
 
 References
 ----------
@@ -19,33 +23,44 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
+from mic.contact.path import Followed
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
+from mic.process.process import Process
 from mic.results.schema import EXPLANATION, FURTHER
 from mic.results.statistics import LEVEL
-from mic.sampling.normal import from_normal, normal_slopes
+from mic.sampling.normal import from_normal
 from mic.scene import Scene
+from mic.studies.emulator import Emulator
 
 __all__ = ["Explanation", "Posterior", "explain", "posterior", "with_friction"]
 
-STARTS = 4  # the means, and random ones
+STARTS = 32  # the means, and random ones
+MODES = 8  # of those found, the most probable
 STEPS = 40  # of Levenberg and Marquardt
 STEEP, FLAT = 10.0, 0.3  # by which λ grows after a step that failed, and shrinks after one that did not
-STILL = 1e-3  # of φ: a step that gains no more is the last; what a path leaves in φ is of that size
+STILL = 1e-9  # of φ: a step that gains no more is the last
 UNLIKELY = 10.0  # above the least φ: a mode there has no weight
 APART = 0.1  # of its own standard deviations: modes that are no farther apart are one
-ROUND = 250  # samples of a round
-ROUNDS = 6
-ENOUGH = 200.0  # samples that count: shares of 0.95 are known to 0.015 then
+ROUND = 1000  # samples of a round
+ROUNDS = 10
+ENOUGH = 2000.0  # samples that count: shares of 0.95 are known to 0.005 then
 WIDE = 2.0  # of the covariance: a fifth of the samples are drawn so much wider, for tails
 WIDE_SHARE = 0.2
+FIRST = 8  # assemblies to begin with, beside 3/2 of each number
+BATCH = 16  # assemblies between two looks
+BATCHES = 8
+CLOSE = 0.3  # of the gauge's standard deviation: e that is no larger makes intervals wider by 5 % at most
+LOOSE = (2e-2, 5e-3, 1e-3)  # tolerances of the path, the loosest first
+LOOSENED = 0.15  # of the gauge's standard deviation: what a looser path may err by
+PROBES = 4  # assemblies at which that is looked at
 TOGETHER = 0.9  # correlation of sources that the measurement cannot tell apart
 KNOWN = 0.75  # of its variance taken away: half of the standard deviation is left, and a source counts as known
 UNTOLD = 0.9  # of its standard deviation: what keeps more of it is not told
@@ -67,7 +82,13 @@ class Posterior:
     best : (p,) array
         The most probable z.
     least : float
-        φ there.
+        φ there, evaluated.
+    target : _Target
+        φ itself, with what was learnt of h.
+    error : (k,) array
+        e of (1), of all key characteristics, mm.
+    evaluations : int
+        What it took.
     """
 
     z: np.ndarray
@@ -76,6 +97,9 @@ class Posterior:
     weight: np.ndarray
     best: np.ndarray
     least: float
+    target: _Target = field(repr=False)
+    error: np.ndarray = field(default_factory=lambda: np.empty(0))
+    evaluations: int = 0
 
     @property
     def count(self) -> float:
@@ -85,6 +109,10 @@ class Posterior:
     def level(self, share: float = LEVEL) -> float:
         """The φ below which the densest region lies that holds this share of the posterior."""
         return _quantile(self.misfit, self.weight, share)
+
+    def holds(self, z: np.ndarray, share: float = LEVEL) -> bool:
+        """Whether the densest region that holds this share of the posterior holds numbers z (p,)."""
+        return bool(self.target.misfit(z[None])[0] <= self.level(share))
 
 
 @dataclass(frozen=True)
@@ -277,32 +305,55 @@ def posterior(
         Values and standard deviations of the gauge, mm.
     law, seed, threads, progress
         As in :func:`explain`.
+
+    Raises
+    ------
+    SceneError
+        If too few assemblies can be computed.
     """
-    target = _Target(model, own, y, s, law, threads, progress)
     stream = np.random.Generator(np.random.Philox(key=np.array([seed, len(own)], dtype=np.uint64)))
-    starts = stream.standard_normal((STARTS, target.p))
+    asked = _Asked(model, law, threads, progress)
+    p = len(model.scene.deviations)
+    z = stream.standard_normal((p + p // 2 + FIRST, p))
+    z[0] = 0.0
+    loosened = asked.loosen(z[:PROBES], own, s)
+    asked.ask(z)
+    fresh = stream.standard_normal((BATCH, p))  # nothing is known yet: of all assemblies
+    for _ in range(BATCHES):
+        error = np.hypot(asked.ask(fresh), loosened)
+        target = _Target(asked.emulator(), own, y, np.hypot(s, error[own]))
+        found = _sampled(target, stream, p)
+        if (error[own] <= CLOSE * s).all():
+            break
+        known = np.count_nonzero(found.weight)
+        fresh = found.z[stream.choice(len(found.z), min(BATCH, known), replace=False, p=found.weight)]
+    exact = asked.exactly(found.best)
+    least = float(target.misfit(found.best[None], exact)[0]) if np.isfinite(exact).all() else found.least
+    return replace(found, least=least, error=error, evaluations=asked.count)
+
+
+def _sampled(target: _Target, stream: np.random.Generator, p: int) -> Posterior:
+    """Samples of (1) with the spline for h."""
+    starts = stream.standard_normal((STARTS, p))
     starts[0] = 0.0
     modes = target.modes(starts)
-    modes = [mode for mode in modes if mode[1] <= modes[0][1] + UNLIKELY]
+    modes = [mode for mode in modes[:MODES] if mode[1] <= modes[0][1] + UNLIKELY]
     components = [(z, covariance, -misfit + 0.5 * np.linalg.slogdet(covariance)[1]) for z, misfit, covariance in modes]
     drawn: list[np.ndarray] = []
     responses: list[np.ndarray] = []
-    misfits: list[np.ndarray] = []
     mixtures: list[list] = []
     found = None
     for _ in range(ROUNDS):
         mixtures.append(components)
-        z = _draw(components, stream, ROUND)
-        response, misfit = target.evaluate(z)
-        drawn, responses, misfits = [*drawn, z], [*responses, response], [*misfits, misfit]
-        every, φ = np.concatenate(drawn), np.concatenate(misfits)
+        drawn.append(_draw(components, stream, ROUND))
+        responses.append(target.emulator(drawn[-1]))
+        every, response = np.concatenate(drawn), np.concatenate(responses)
+        φ = target.misfit(every, response)
         # Each sample weighs by the mixture of all rounds' proposals, whichever it came from.
         q = logsumexp([_log_density(mixture, every) for mixture in mixtures], axis=0)
-        log_weight = -φ - q
-        weight = np.exp(log_weight - logsumexp(log_weight))
+        weight = np.exp(-φ - q - logsumexp(-φ - q))
         best, least = (every[int(φ.argmin())], float(φ.min())) if φ.min() < modes[0][1] else modes[0][:2]
-        known = np.isfinite(φ)
-        found = Posterior(every[known], np.concatenate(responses)[known], φ[known], weight[known], best, least)
+        found = Posterior(every, response, φ, weight, best, least, target)
         if found.count >= ENOUGH:
             break
         components = [*components[: len(modes)], _fitted(found, modes[0][2])]
@@ -310,46 +361,91 @@ def posterior(
     return found
 
 
+class _Asked:
+    """Assemblies that the model was asked for, and what it answered."""
+
+    def __init__(self, model, law, threads, progress):
+        self._model, self._law, self._threads, self._progress = model, law, threads, progress
+        self._exact = self._process = model.process(law, threads=threads)
+        self._z, self._h = np.empty((0, len(model.scene.deviations))), np.empty((0, len(model.scene.measurements)))
+        self.count = 0
+
+    def loosen(self, z: np.ndarray, own: list[int], s: np.ndarray) -> np.ndarray:
+        """Follow the loosest path that the gauge does not tell from the scene's; what it errs by (k,), mm."""
+        none = np.zeros(self._h.shape[1])
+        if not any(isinstance(stage.path, Followed) for stage in self._exact.stages):
+            return none
+        exact = self._answers(self._exact, z)
+        for tolerance in LOOSE:
+            if tolerance <= self._model.scene.path.tolerance:
+                break
+            loose = Process(self._model, self._exact.law, threads=self._threads, path_tolerance=tolerance)
+            error = np.sqrt(np.nanmean((self._answers(loose, z) - exact) ** 2, axis=0))
+            if (error[own] <= LOOSENED * s).all():
+                self._process = loose
+                return error
+        return none
+
+    def ask(self, z: np.ndarray) -> np.ndarray:
+        """Evaluate assemblies (n, p); by how much (k,) the spline through those before missed them, root mean squares,
+        mm; infinite where there were none."""
+        h = self._answers(self._process, z)
+        known = np.isfinite(h).all(axis=1)
+        error = np.full(h.shape[1], np.inf)
+        if len(self._z) and known.any():
+            error = np.sqrt(((self.emulator()(z[known]) - h[known]) ** 2).mean(axis=0))
+        self._z, self._h = np.concatenate([self._z, z[known]]), np.concatenate([self._h, h[known]])
+        return error
+
+    def exactly(self, z: np.ndarray) -> np.ndarray:
+        """(1, k) of one assembly (p,), on the scene's own path."""
+        return self._answers(self._exact, z[None])
+
+    def emulator(self) -> Emulator:
+        """Through all that was asked for."""
+        n, p = self._z.shape
+        if n < p + 2:
+            raise SceneError(
+                f"scene {self._model.scene.name!r}: only {n} of its assemblies can be computed, too few to find a "
+                "cause; see what `mic run` says of the others"
+            )
+        return Emulator(self._z, self._h)
+
+    def _answers(self, process: Process, z: np.ndarray) -> np.ndarray:
+        """(n, k); NaN where an assembly cannot be computed."""
+        found = process.attempt(from_normal(self._model.scene, z))
+        self._progress(len(z))
+        self.count += len(z)
+        return np.where(found.failed[:, None], np.nan, found.measurements)
+
+
 class _Target:
     """φ of (1), its modes and what they need."""
 
-    def __init__(self, model, own, y, s, law, threads, progress):
-        self.model, self.own, self.y, self.s, self.law, self.progress = model, own, y, s, law, progress
-        self.process = model.process(law, threads=threads)
-        self.p = len(model.scene.deviations)
+    def __init__(self, emulator: Emulator, own: list[int], y: np.ndarray, spread: np.ndarray):
+        self.emulator, self._own, self._y, self._spread = emulator, own, y, spread
 
-    def evaluate(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """All key characteristics (n, k) and φ (n,), infinite where an assembly cannot be computed."""
-        found = self.process.attempt(from_normal(self.model.scene, z))
-        self.progress(len(z))
-        return found.measurements, np.where(found.failed, np.inf, self._misfit(z, found.measurements))
+    def misfit(self, z: np.ndarray, response: np.ndarray | None = None) -> np.ndarray:
+        """φ (n,) of numbers (n, p), whose key characteristics (n, k) are those of the spline."""
+        response = self.emulator(z) if response is None else response
+        return 0.5 * (z**2).sum(axis=1) + 0.5 * (self._missed(response) ** 2).sum(axis=1)
 
-    def _misfit(self, z, measurements):
-        r = (measurements[:, self.own] - self.y) / self.s
-        return 0.5 * (z**2).sum(axis=1) + 0.5 * (r**2).sum(axis=1)
+    def _missed(self, response: np.ndarray) -> np.ndarray:
+        return (response[:, self._own] - self._y) / self._spread
 
     def modes(self, z: np.ndarray) -> list[tuple[np.ndarray, float, np.ndarray]]:
-        """Most probable numbers (p,), their φ and covariance (p, p), from each of the starts; the best first.
-
-        Raises
-        ------
-        SceneError
-            If no start can be computed.
-        """
-        response, φ = self.evaluate(z)
-        going = np.isfinite(φ)
-        if not going.any():
-            raise SceneError(f"scene {self.model.scene.name!r}: neither its mean nor a few samples can be computed")
-        z, φ, λ = z[going], φ[going], np.full(int(going.sum()), 1e-2)
-        J, r, response = *self._slopes(z), response[going]
+        """Most probable numbers (p,), their φ and covariance (p, p), from each of the starts; the best first."""
+        p = z.shape[1]
+        φ, λ = self.misfit(z), np.full(len(z), 1e-2)
+        J, r = self._slopes(z)
         active = np.ones(len(z), dtype=bool)
         for _ in range(STEPS):
             gradient = z + np.einsum("nkp,nk->np", J, r)
-            curvature = np.eye(self.p) + np.einsum("nkp,nkq->npq", J, J)
-            damped = curvature + λ[:, None, None] * np.eye(self.p)
+            curvature = np.eye(p) + np.einsum("nkp,nkq->npq", J, J)
+            damped = curvature + λ[:, None, None] * np.eye(p)
             trial = z - np.linalg.solve(damped, gradient[..., None])[..., 0]
             new = np.full(len(z), np.inf)
-            _, new[active] = self.evaluate(trial[active])
+            new[active] = self.misfit(trial[active])
             better = active & (new < φ)
             gained = np.where(better, φ - np.where(better, new, 0.0), 0.0)
             λ = np.where(better, np.maximum(λ * FLAT, 1e-12), λ * STEEP)
@@ -361,7 +457,7 @@ class _Target:
                 break
         found: list[tuple[np.ndarray, float, np.ndarray]] = []
         for i in np.argsort(φ, kind="stable"):
-            covariance = np.linalg.inv(np.eye(self.p) + J[i].T @ J[i])
+            covariance = np.linalg.inv(np.eye(p) + J[i].T @ J[i])
             root = np.linalg.cholesky(covariance)
             if all(np.linalg.norm(np.linalg.solve(root, z[i] - other)) > APART for other, _, _ in found):
                 found.append((z[i], float(φ[i]), covariance))
@@ -369,11 +465,7 @@ class _Target:
 
     def _slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """J (n, k, p) and r (n, k)."""
-        scene = self.model.scene
-        found = self.model.sensitivities(from_normal(scene, z), self.law)
-        self.progress(len(z))
-        J = np.matmul(found.jacobian[:, self.own], normal_slopes(scene, z)) / self.s[:, None]
-        return np.nan_to_num(J), np.nan_to_num((found.measurements[:, self.own] - self.y) / self.s)
+        return self.emulator.slopes(z)[:, self._own] / self._spread[:, None], self._missed(self.emulator(z))
 
 
 def _shares(components) -> np.ndarray:

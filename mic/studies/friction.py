@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.paired import mean_change, six_sigma_change
@@ -28,7 +29,7 @@ HOLDS = 0.1  #: of 6σ: by less than that an answer may change and still hold
 
 def friction_effects(
     model: ReducedModel,
-    law: str,
+    law: str | None = None,
     samples: int = SAMPLES,
     seed: int = 0,
     threads: int = 1,
@@ -39,8 +40,8 @@ def friction_effects(
     Parameters
     ----------
     model : ReducedModel
-    law : str
-        With friction.
+    law : str, optional
+        With friction; default: the first of the scene's report that has it.
     samples, seed : int
     threads : int
     progress : callable, optional
@@ -58,6 +59,7 @@ def friction_effects(
         If nothing is measured or nothing has friction.
     """
     scene, contacts = model.scene, model.contacts
+    law = law or next((name for name in scene.report.laws if LAWS[name].frictional), scene.report.laws[0])
     if not scene.measurements or contacts.dimension == 1 or not contacts.frictional:
         raise ValueError(f"scene {scene.name!r} has no {'friction' if scene.measurements else 'measurements'}")
     deviations = draw(scene, seed, 0, samples)

@@ -29,9 +29,10 @@ from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
 
-__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "orders", "quantities", "variants"]
+__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "order", "orders", "quantities", "variants"]
 
 STATED = "as stated"
+SAMPLES = 20  #: of each order, unless another number is asked for
 PERMUTATIONS = 4  #: random orders beside those that have a name
 
 # A doubt rests on a few samples under one increment for each step, some per cent off: limits well above that.
@@ -253,6 +254,41 @@ def compare(
     tolerance = {item.name: item.upper - item.lower for item in model.scene.measurements}
     table.insert(2, "tolerance", table["quantity"].map(tolerance).astype(float))
     return _by_largest(table)
+
+
+def order(
+    model: ReducedModel,
+    others: Sequence[Order] | None = None,
+    law: str | None = None,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    threads: int = 1,
+) -> pd.DataFrame:
+    """How much hangs on the order of the process: :func:`compare` of all orders that are worth it.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    others : sequence of Order, optional
+        The order as stated and others; default: those that :func:`orders` finds.
+    law : str, optional
+        Contact law; default: the first of the scene's report.
+    samples, seed, threads : int
+
+    Returns
+    -------
+    DataFrame
+        As :func:`compare` returns it.
+
+    Raises
+    ------
+    SceneError
+        If the process has one order only.
+    """
+    others = orders(model.scene) if others is None else others
+    if len(others) < 2:
+        raise SceneError(f"scene {model.scene.name!r}: its process has one order only; there is nothing to compare")
+    return compare(model, others, law or model.scene.report.laws[0], samples, seed, threads)
 
 
 def quantities(model, evaluation: Evaluation) -> pd.DataFrame:

@@ -1,0 +1,36 @@
+"""Each command is a function of the same name."""
+
+import inspect
+
+import pytest
+
+import mic
+from mic.options import app
+
+ELSEWHERE = {"report": "write_report"}  # where a room has the name: what of it does what the command does
+INTERACTIVE = {"explore"}  # a page that is served
+
+
+def commands():
+    return {one.name or one.callback.__name__ for one in app.registered_commands} - INTERACTIVE
+
+
+def test_every_command_is_a_public_function_and_every_public_function_but_those_that_read_is_a_command():
+    for name in commands():
+        found = getattr(mic, name)
+        found = getattr(found, ELSEWHERE[name]) if name in ELSEWHERE else found
+        assert inspect.isfunction(found), name
+        assert inspect.getdoc(found), name
+        assert name in mic.__all__ or name in ELSEWHERE, name
+    functions = {name for name in mic.__all__ if inspect.isfunction(getattr(mic, name))}
+    assert functions - {"cache_folder", "load_scene", "read_run", "reduce"} == commands() - {*ELSEWHERE}
+
+
+@pytest.mark.parametrize(
+    "name", ["contributors", "explain", "friction", "order", "predict", "rare", "remedy", "sensitivity"]
+)
+def test_what_asks_a_model_takes_it_first_and_a_law_by_name(name):
+    parameters = list(inspect.signature(getattr(mic, name)).parameters.values())
+    assert parameters[0].name == "model"
+    law = next(one for one in parameters if one.name == "law")
+    assert law.default is None, "a law that is not named is the scene's"
