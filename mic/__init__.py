@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mic.scene import Scene, load_scene
     from mic.studies.comparison import compare
     from mic.studies.explanation import explain
+    from mic.studies.optimisation import optimise
 
 __all__ = [
     "FormatError",
@@ -35,6 +36,7 @@ __all__ = [
     "compare",
     "explain",
     "load_scene",
+    "optimise",
     "read_run",
     "reduce",
     "run",
@@ -94,6 +96,7 @@ _HOMES = {
     "compare": "mic.studies.comparison",
     "explain": "mic.studies.explanation",
     "load_scene": "mic.scene",
+    "optimise": "mic.studies.optimisation",
     "read_run": "mic.runs",
     "run": "mic.runs",
 }
