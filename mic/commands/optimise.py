@@ -122,7 +122,8 @@ def _print(console, found: Optimum) -> None:
     for one in found.kept:
         if one.short > 0:
             _say(console, f"Not kept: {one.name}; it is {one.value:.4g}, {one.short:.3g} short of it.")
-    _say(console, f"{found.evaluations} evaluations in the search.")
+    if found.fresh:
+        _say(console, f"{found.evaluations} evaluations in the search.")
     if found.matched is not None and found.matched_gain is not None:
         _print_matched(console, found.matched, found.matched_gain)
 
@@ -145,7 +146,7 @@ def _print_changes(console, table: pd.DataFrame) -> None:
 
 
 def _print_matched(console, matched: Matched, gain: Estimate) -> None:
-    shown = Table("assembly", *matched.kinds, title="Rows of the files that go together")
+    shown = Table("assembly", *matched.kinds, title="Rows that go together")
     for i, rows in enumerate(matched.rows[:LISTED].tolist(), 1):
         shown.add_row(str(i), *map(str, rows))
     if len(matched.rows) > LISTED:

@@ -215,7 +215,7 @@ def _measured(scene, asked) -> None:
 def _forces(scene, asked) -> None:
     names, found, seen = [one.name for one in scene.clamps], [], set()
     for i, choice in enumerate(asked.forces):
-        at, stated = f"optimise.forces[{i}]", set()
+        at, stated, twice = f"optimise.forces[{i}]", set(), ""
         for name in choice.clamps:
             own = jaws(scene, name)
             if not own:
@@ -225,9 +225,10 @@ def _forces(scene, asked) -> None:
                     found.append(f"{at}.clamps: {clamp.name!r} has a stroke and no force; name it in optimise.shims")
                     continue
                 stated.add(clamp.force)
-                if clamp.name in seen:
-                    found.append(f"{at}.clamps: {clamp.name!r} stands there twice; name it once")
+                twice = twice or (clamp.name if clamp.name in seen else "")
                 seen.add(clamp.name)
+        if twice:
+            found.append(f"{at}.clamps: {twice!r} stands there twice; name it once")
         if len(stated) > 1:
             found.append(f"{at}.clamps: they push with different forces in this scene; give each a table of its own")
         low, high = choice.between

@@ -17,7 +17,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,12 +138,12 @@ def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
     return Kind(name, columns, np.array(values), rows)
 
 
-def assigned(kinds: list[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
+def assigned(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
     """Put parts together at the least sum of costs.
 
     Parameters
     ----------
-    kinds : list of Kind
+    kinds : sequence of Kind
     cost : callable
         Costs (c,) of combinations (c, t), each the numbers of its parts.
     """

@@ -9,7 +9,7 @@ stands beside it, and the interval of the gain is that of the pairs (:mod:`mic.r
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.paired import jackknife, mean_change, share_change
+from mic.results.schema import COMPARISON
 from mic.results.statistics import Estimate
 from mic.scene import Scene
 from mic.studies.comparison import Side, differences
@@ -32,7 +33,7 @@ from mic.studies.optimisation.search import all_designs, local_search, successiv
 from mic.studies.optimisation.sites import Sites
 from mic.studies.optimisation.trials import BLOCK, Spent, Trials
 
-__all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "optimise"]
+__all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "judged", "optimise"]
 
 SAMPLES = 60  #: with which designs are found
 FRESH = 400  #: with which the best is judged
@@ -186,14 +187,16 @@ def optimise(
     stream, first, best, trail = np.random.default_rng(seed), samples, space.stated, list[tuple[int, float]]()
     for _ in range(JUDGED):
         best = _searched(trials, best, stream, trail, better)
+        if best == space.stated:
+            break
         y, unfit = trials.values(best, 0, samples)
         missed = _missed(trials, best, first, fresh)
-        if not missed or best == space.stated or trials.objective.short(y, unfit, np.array(best.settings)):
+        if not missed or trials.objective.short(y, unfit, np.array(best.settings)):
             break
         trials.objective.more = {one.name: trials.objective.more.get(one.name, 0.0) + one.short for one in missed}
         if scene.monte_carlo.values is None:
             first += fresh
-    return _judged(trials, best, first, fresh, trail, kinds)
+    return judged(trials, best, first, fresh, trail, kinds)
 
 
 def _counted(scene, samples: int, fresh: int) -> tuple[int, int]:
@@ -211,7 +214,7 @@ def _counted(scene, samples: int, fresh: int) -> tuple[int, int]:
     return samples, min(fresh, len(given) - samples)
 
 
-def _reachable(kinds: list[Kind], budget: int) -> None:
+def _reachable(kinds: Sequence[Kind], budget: int) -> None:
     if len(kinds) == 2 and len(kinds[0].values) * len(kinds[1].values) > budget:
         count = len(kinds[0].values) * len(kinds[1].values)
         raise SceneError(
@@ -243,10 +246,10 @@ def _searched(trials: Trials, best: Design, stream, rows: list[tuple[int, float]
         rows.append((int(trials.spent), value))
         better(space.changes(design), value)
 
+    if not (space.settings or space.discrete):
+        return best
     try:
-        trials.merit(best)
-        if space.settings or space.discrete:
-            tell(best)
+        tell(best)
         turn, settled = 0, False
         while not settled:
             before = best
@@ -294,8 +297,27 @@ def _told(objective: Objective, value: float) -> float:
 # ---------------------------------------------------------------------------------------------------------- judgement
 
 
-def _judged(trials: Trials, best: Design, first: int, fresh: int, trail, kinds: list[Kind]) -> Optimum:
-    """The best design on fresh samples, from one on."""
+def judged(
+    trials: Trials,
+    best: Design,
+    first: int,
+    fresh: int,
+    trail: Sequence[tuple[int, float]] = (),
+    kinds: Sequence[Kind] = (),
+) -> Optimum:
+    """What a design is worth on fresh samples.
+
+    Parameters
+    ----------
+    trials : Trials
+    best : Design
+    first, fresh : int
+        The first of these samples, and how many they are.
+    trail : sequence of (int, float)
+        As :class:`Optimum` has it.
+    kinds : sequence of Kind
+        Measured parts, to be matched under this design.
+    """
     trials.objective.more = {}
     space, objective = trials.space, trials.objective
     stated, settings = space.stated, np.array(best.settings)
@@ -312,7 +334,7 @@ def _judged(trials: Trials, best: Design, first: int, fresh: int, trail, kinds: 
         Side(name, space.scene, trials.law, _frame(space.scene, own, unfit))
         for name, own, unfit in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
     )
-    table, _ = differences(before, after)
+    table = differences(before, after)[0] if searched else COMPARISON.empty()
     matched, matched_gain = _matched(trials, best, kinds, fresh) if kinds else (None, None)
     return Optimum(
         trials.law,
@@ -329,7 +351,7 @@ def _judged(trials: Trials, best: Design, first: int, fresh: int, trail, kinds: 
         trials.samples,
         len(a),
         int(np.ceil(trials.spent)),
-        pd.DataFrame(trail, columns=["evaluations", "objective"]),
+        pd.DataFrame([*trail], columns=["evaluations", "objective"]),
         matched,
         matched_gain,
     )
@@ -373,7 +395,7 @@ def _outside(objective: Objective, y: np.ndarray) -> np.ndarray:
     return ((y < objective.lower) | (y > objective.upper))[:, objective.own].any(axis=1)
 
 
-def _matched(trials: Trials, best: Design, kinds: list[Kind], fresh: int) -> tuple[Matched, Estimate]:
+def _matched(trials: Trials, best: Design, kinds: Sequence[Kind], fresh: int) -> tuple[Matched, Estimate]:
     """Measured parts matched under a design, and what that is worth on fresh samples of what was not measured."""
     scene, objective = trials.space.scene, trials.objective
     measured = [j for kind in kinds for j in kind.columns]
@@ -418,7 +440,7 @@ def _matched(trials: Trials, best: Design, kinds: list[Kind], fresh: int) -> tup
     return found, gain
 
 
-def _combinations(kinds: list[Kind]) -> int:
+def _combinations(kinds: Sequence[Kind]) -> int:
     """How many are evaluated, at the least."""
     sizes = [len(kind.values) for kind in kinds]
     return sizes[0] * sizes[1] if len(sizes) == 2 else min(sizes) * sum(sizes)
