@@ -363,6 +363,12 @@ def test_a_table_of_samples_is_halved():
         optimise(pushed({"forces": [FORCE]}, monte_carlo={"values": [[0.0, 0.0]] * 3}))
 
 
+def test_a_stage_that_does_all_at_once_has_no_order():
+    stages = [{"kind": "locate"}, {"kind": "clamp", "path": "one-step"}, {"kind": "measure"}]
+    with pytest.raises(SceneError, match=r"orders\[0\].stage: 'clamp' does all at once"):
+        optimise(pushed({"orders": [{"stage": "clamp"}]}, stages=stages))
+
+
 def test_a_scene_that_says_nothing_or_varies_in_nothing_is_refused():
     with pytest.raises(SceneError, match=r"add a table \[optimise\]"):
         optimise(pushed(None))

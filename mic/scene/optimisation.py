@@ -273,8 +273,6 @@ def _orders(scene, asked) -> None:
             able = [name for name, one in stages.items() if one.kind in ORDERED]
             found += told(known, f"{at}.stage", choice.stage, able, "stage that closes or opens anything")
             continue
-        if stage.path == "one-step":
-            found.append(f'{at}.stage: {choice.stage!r} does all at once (path = "one-step"); give it another path')
         if choice.stage in seen:
             found.append(f"{at}.stage: {choice.stage!r} stands there twice; name it once")
         seen.add(choice.stage)

@@ -175,6 +175,7 @@ def optimise(
             f"scene {scene.name!r}: nothing varies, and an optimum of the nominal assembly alone is none for those "
             "that are built; give deviations a sigma"
         )
+    _in_order(scene)
     space, kinds = Space(model), read_kinds(scene)
     samples, fresh = _counted(scene, samples, fresh)
     sites = None
@@ -197,6 +198,16 @@ def optimise(
         if scene.monte_carlo.values is None:
             first += fresh
     return judged(trials, best, first, fresh, trail, kinds)
+
+
+def _in_order(scene: Scene) -> None:
+    assert scene.optimise is not None
+    for i, one in enumerate(scene.optimise.orders):
+        if any(stage.name == one.stage and stage.path == "one-step" for stage in scene.stages):
+            raise SceneError(
+                f'optimise.orders[{i}].stage: {one.stage!r} does all at once (path = "one-step"), in no order; give '
+                "the stage another path"
+            )
 
 
 def _counted(scene, samples: int, fresh: int) -> tuple[int, int]:

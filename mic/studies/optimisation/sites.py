@@ -140,15 +140,16 @@ def _on_their_parts(space: Space, assembly: Assembly) -> None:
     """Every candidate lies on the part, or the parts, of its item."""
     surfaces, lines = {part.name: part.surface for part in assembly.parts}, []
     for i, (item, points) in enumerate(zip(space.items, space.points)):
-        owner = standing(space.scene, item)[0]
+        owner, off = standing(space.scene, item)[0], set[int]()
         for name in getattr(owner, "parts", None) or [owner.part]:
             foot = surfaces[name].project(np.array(points[1:], dtype=float))
             for j, (point, far, near) in enumerate(zip(points[1:], foot.distance, foot.point)):
-                if far > REACH:
+                if far > REACH and j not in off:
                     lines.append(
                         f"optimise.places[{i}].points[{j}] ({item}): {_words(point)} lies {far:.3g} mm off part "
                         f"{name!r} (at most {REACH:g} mm is allowed); the nearest point on it is {_words(near)}"
                     )
+                    off.add(j)
     if lines:
         raise SceneError("\n".join(lines))
 
