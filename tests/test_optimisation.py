@@ -3,6 +3,8 @@
 import json
 import tomllib
 from itertools import permutations
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,14 +17,17 @@ from mic.options import app
 from mic.results.paired import jackknife, mean_change
 from mic.results.schema import OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
 from mic.sampling.draw import draw
+from mic.scene import Scene
 from mic.scene.load import read_table
 from mic.scene.revision import revised
 from mic.studies.comparison import scene_differences
 from mic.studies.optimisation import optimise
+from mic.studies.optimisation import sites as sites_module
 from mic.studies.optimisation.design import Change, Design, Space
 from mic.studies.optimisation.matching import Kind, assigned
 from mic.studies.optimisation.objective import Objective
-from mic.studies.optimisation.search import local_search, random_design
+from mic.studies.optimisation.search import all_designs, local_search, random_design
+from mic.studies.optimisation.sites import Sites
 from mic.studies.optimisation.trials import Spent
 from mic.studies.optimisation.writing import rewritten
 
@@ -187,6 +192,28 @@ def test_the_best_of_all_orders_is_found():
     assert found.gained and found.scene.stages[1].order == change.after
 
 
+def test_what_stands_together_in_the_scene_changes_its_order_together():
+    table = LAP | {"optimise": {"orders": [{"stage": name} for name in ("clamp", "weld", "release")]}}
+    table["clamps"] = [*LAP["clamps"], LAP["clamps"][0] | {"name": "C2", "point": [60, 12.5, 1]}]
+    rest = [f"upper-{name}" for name in ("A1", "A2", "A3", "B1", "B2", "C1")]
+    table["stages"] = [
+        {**stage, "order": [["C2"], ["C1-upper", "C1-lower"], rest]} if stage["kind"] == "release" else stage
+        for stage in LAP["stages"]
+    ]
+    space = Space(SimpleNamespace(scene=read_table(table, Path("scene.toml"))))
+    assert space.groups == [
+        (("C1-upper", "C1-lower"), ("C2",)),
+        (("W1",), ("W2",)),
+        (("C2",), ("C1-upper", "C1-lower"), tuple(rest)),
+    ]
+    # one order of the clamps is the stated one, and one of the release; welds are made together
+    assert len(all_designs(space)) == 2 * 3 * 6 and all_designs(space)[0] == space.stated
+    assert all_designs(space, most=20) is None
+    design = random_design(space, np.random.default_rng(0))
+    assert sorted(name for group in design.orders[0] for name in group) == ["C1-lower", "C1-upper", "C2"]
+    assert scene_differences(space.scene, space.changed(design))
+
+
 class Jobs:
     """Weighted completion times: the least, by Smith's rule, goes by the time that each takes over its weight."""
 
@@ -227,6 +254,61 @@ def test_orders_of_thirty_come_near_the_best_that_is_known_and_random_ones_of_eq
     random = min(chance.merit(random_design(chance, stream)) for _ in range(jobs.spent))
     assert jobs.spent <= 3000
     assert jobs.merit(best) < 1.002 * known and random > 1.1 * known
+
+
+# --------------------------------------------------------------------------------------------------------- places
+
+
+def placed(asked, **changes):
+    lap = mic.load_scene(mic.examples.folder("lap_joint"))
+    parts = [part.model_copy(update={"size": "coarse"}) for part in lap.parts]
+    report = lap.report.model_copy(update={"fields": False})
+    table = lap.model_copy(update={"parts": parts, "report": report} | changes).model_dump()
+    return Scene(**table | {"optimise": {"places": asked}, "folder": lap.folder})
+
+
+W1 = {"item": "welds.W1", "points": [[80, 6, 0.5], [92, 4, 0.5]]}
+A3 = {"item": "locators.upper-A3", "points": [[120, 12.5, 1]]}
+
+
+@pytest.mark.fem
+@pytest.mark.slow
+def test_items_at_other_places_are_those_of_a_scene_that_states_them(cache, monkeypatch):
+    computed, find = [], sites_module.influence_coefficients
+
+    def counted(assembly, *arguments):
+        computed.extend(part.name for part in assembly.parts)
+        return find(assembly, *arguments)
+
+    monkeypatch.setattr(sites_module, "influence_coefficients", counted)
+    model = mic.reduce(placed([W1, A3]), cache)
+    space = Space(model)
+    sites, x = Sites(space, cache), draw(model.scene, 1, 0, 3)
+    read = []
+    for places in ((2, 0), (1, 1)):
+        scene = space.stood(Design((), (), places))
+        read.append(sites.model(scene).evaluate(x, "coulomb").measurements)
+        np.testing.assert_allclose(read[-1], mic.reduce(scene, cache).evaluate(x, "coulomb").measurements, atol=1e-9)
+    assert np.abs(read[1] - read[0]).max() > 1e-3
+    assert sorted(computed) == ["lower", "upper"], "each part is solved once for all places"
+
+
+@pytest.mark.fem
+def test_a_candidate_off_its_part_is_refused_by_name_before_anything_is_solved(cache, monkeypatch):
+    monkeypatch.setattr(sites_module, "influence_coefficients", None)
+    off = {"item": "welds.W1", "points": [[80, 6, 0.5], [92, 64, 0.5]]}
+    space = Space(SimpleNamespace(scene=placed([off])))
+    with pytest.raises(
+        SceneError, match=r"^optimise.places\[0\].points\[1\] \(welds.W1\): \[92, 64, 0.5\] lies 39 mm"
+    ) as told:
+        Sites(space, cache)
+    assert "\n" not in str(told.value) and "[92, 25, 0]" in str(told.value)
+
+
+def test_places_take_the_meshes_of_the_scene(cache):
+    scene = placed([W1]).model_copy(update={"folder": Path("nowhere")})
+    with pytest.raises(SceneError, match="other places take the parts' meshes, and they cannot be had"):
+        Sites(Space(SimpleNamespace(scene=scene)), cache)
 
 
 # ------------------------------------------------------------------------------------------------------- matching
@@ -508,6 +590,17 @@ def test_the_command_prints_which_parts_go_together(tmp_path):
     assert found.exit_code == 0, found.output
     assert "Rows that go together" in found.output and "Left over of rear: rows" in found.output
     assert len(OPTIMUM_MATCHES.read(tmp_path / "out", "mend it")) == 6
+
+
+def test_an_interrupted_search_tells_what_it_has_found_so_far(tmp_path, monkeypatch):
+    def interrupted(*arguments, better, **options):
+        better([Change("force", ("C",), 20.0, 30.0)], 1.5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mic.commands.optimise.optimised", interrupted)
+    found = called(tmp_path, pushed({"forces": [FORCE]}))
+    assert found.exit_code and "so far 1.5 on the samples of the" in found.output
+    assert "clamps.C: 20 → 30 N" in found.output and "call again, and it goes on from there" in found.output
 
 
 def test_a_changed_copy_is_written_of_a_scene_file_and_beside_it(tmp_path):

@@ -52,6 +52,7 @@ def optimise(source, samples, fresh, budget, seed, law, save, out):
 
             found = optimised(
                 model, asked, samples, fresh, budget, seed_of(scene, seed), threads(), ledger,
+                say=lambda line: _say(console, f"{line} …"),
                 progress=lambda count: progress.advance(bar, count), better=better,
             )  # fmt: skip
     except (KeyboardInterrupt, Stopped):

@@ -91,6 +91,8 @@ class Space:
     stages : list of str
     groups : list of tuple
         By stage, what closes or opens together, in the order of the scene.
+    stated_groups : list of list of set
+        By stage, what closes or opens together as the scene is.
     items : list of str
     points : list of list
         By item, where it may stand; the first is the scene's.
@@ -105,6 +107,11 @@ class Space:
         self.costs = np.array([*(one.cost for one in asked.forces), *(one.cost for one in asked.shims)], dtype=float)
         self.stages = [str(one.stage) for one in asked.orders]
         self.groups = [_groups(self.scene, one) for one in asked.orders]
+        together = {
+            stage.name: [set(names) for move in moves if (names := named(self.scene, move))]
+            for stage, moves in moves_of(self.scene)
+        }
+        self.stated_groups = [together[stage] for stage in self.stages]
         self.items = [one.item for one in asked.places]
         self.points = [[standing(self.scene, one.item)[0].point, *one.points] for one in asked.places]
         self.low = np.array([one.low for one in settings], dtype=float)

@@ -126,6 +126,7 @@ def optimise(
     threads: int = 1,
     ledger: Path | None = None,
     cache: Path | None = None,
+    say: Callable[[str], None] = lambda line: None,
     progress: Callable[[int], None] = lambda count: None,
     better: Better = lambda changes, objective: None,
 ) -> Optimum:
@@ -149,8 +150,9 @@ def optimise(
     ledger : Path, optional
         File that keeps every sample that is evaluated, so that a call that was killed goes on where it was.
     cache : Path, optional
-        Folder of meshes and influence coefficients, for items at other places; default
-        :func:`mic.compliance.cache.influence_coefficients`'s.
+        Folder of meshes and influence coefficients, for items at other places; default :func:`mic.cache_folder`.
+    say : callable, optional
+        Called with one line of text before a part is solved for these.
     progress : callable, optional
         Called with the number of assemblies that were evaluated.
     better : callable, optional
@@ -180,7 +182,7 @@ def optimise(
     samples, fresh = _counted(scene, samples, fresh)
     sites = None
     if space.items:
-        sites = Sites(space, cache or cache_folder())
+        sites = Sites(space, cache or cache_folder(), say)
     law = law or next((name for name in scene.report.laws if LAWS[name].frictional), scene.report.laws[0])
     seed = scene.monte_carlo.seed if seed is None else seed
     trials = Trials(model, space, law, samples, seed, budget, threads, sites, ledger, progress)

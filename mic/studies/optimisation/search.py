@@ -58,10 +58,8 @@ def all_designs(space: Space, most: int = FEW) -> list[Design] | None:
 
 def _stated_again(space: Space, design: Design) -> bool:
     """Whether a design spells out an order that the scene states."""
-    stated = {str(stage.name): stage.order for stage in space.scene.stages}
     return any(
-        order is not None and stated[stage] is not None and [*map(set, order)] == [*map(set, stated[stage] or ())]
-        for stage, order in zip(space.stages, design.orders)
+        order is not None and [*map(set, order)] == stated for order, stated in zip(design.orders, space.stated_groups)
     )
 
 
