@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mic.studies.contributors import contributors
     from mic.studies.explanation import explain
     from mic.studies.friction import friction_effects as friction
+    from mic.studies.optimisation import optimise
     from mic.studies.order import order
     from mic.studies.prediction import predict
     from mic.studies.rare import rare
@@ -52,6 +53,7 @@ __all__ = [
     "friction",
     "init",
     "load_scene",
+    "optimise",
     "order",
     "predict",
     "rare",
@@ -148,6 +150,7 @@ _HOMES = {
     "friction": ("mic.studies.friction", "friction_effects"),
     "init": ("mic.proposal", "write_scene"),
     "load_scene": ("mic.scene", "load_scene"),
+    "optimise": ("mic.studies.optimisation", "optimise"),
     "order": ("mic.studies.order", "order"),
     "predict": ("mic.studies.prediction", "predict"),
     "rare": ("mic.studies.rare", "rare"),

@@ -58,7 +58,9 @@ StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for 
 
 def _carry_out(name: str, *values: Any) -> None:
     """Carry out a command with the values of its options."""
-    home = {"report": "run"} | {own: own for own in ("check", "compare", "explain", "init", "predict", "run")}
+    home = {"report": "run"} | {
+        own: own for own in ("check", "compare", "explain", "init", "optimise", "predict", "run")
+    }
     module = f"mic.commands.{home.get(name, 'studies')}"
     # Only now: numerics and tables take a second to import.
     getattr(import_module(module), name)(*values)
@@ -435,6 +437,37 @@ def remedy(
     together for all of them; each is evaluated in full on other samples before it is told.
     """
     _carry_out("remedy", source, adjust or [], shim, force, capability, samples, seed, law, save)
+
+
+@app.command()
+def optimise(
+    source: SourceArgument,
+    samples: Annotated[
+        int, typer.Option(min=20, help="Samples with which designs are compared, rounded up to a multiple of 20.")
+    ] = 60,
+    fresh: Annotated[int, typer.Option(min=20, help="Other samples, with which the best is judged.")] = 400,
+    budget: Annotated[int, typer.Option(min=20, help="Evaluations of an assembly in the search.")] = 20_000,
+    seed: StudySeed = None,
+    law: StudyLaw = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Write the scene with the changes to this file, beside the scene.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for tables, and for what is evaluated. Default: results/NAME-OF-SCENE_optimised.",
+            show_default=False,
+        ),
+    ] = None,
+):
+    """Find the clamp forces, shims, orders, places and matching of parts that make an assembly best.
+
+    What may be changed, what for and what must be kept stands in the scene's table `[optimise]`. Designs are judged
+    over the variation of the inputs, the best on samples that had no part in the search, with the interval of its gain.
+    A call that was stopped goes on where it was.
+    """
+    _carry_out("optimise", source, samples, fresh, budget, seed, law, save, out)
 
 
 @app.command()

@@ -43,7 +43,9 @@ def test_an_error_is_caught_survives_or_is_none(right, wrong, word, tmp_path, mo
     for folder in (tmp_path / "own", tmp_path / "copy"):
         folder.mkdir()
         (folder / "sums.py").write_text("def total(a, b):\n    return a + b\n")
-        (folder / "test_sums.py").write_text("from sums import total\n\n\ndef test_total():\n    assert total(2, 1) == 3\n")
+        (folder / "test_sums.py").write_text(
+            "from sums import total\n\n\ndef test_total():\n    assert total(2, 1) == 3\n"
+        )
     monkeypatch.setattr(mutations, "ROOT", tmp_path / "own")
     found = judged(Mutation("it subtracts", "sums.py", right, wrong, ["test_sums.py"]), tmp_path / "copy")
     assert found.word == word, found.by

@@ -21,7 +21,8 @@ from mic.store import fingerprint
 __all__ = ["FORMAT", "differences", "identity", "inputs", "program_version"]
 
 FORMAT = 2  # raised whenever the same inputs give other numbers, or blocks of another form
-_CAPTIONS = {"name", "description", "setting", "monte_carlo", "report"}  # what the setting gives is filled in
+#: What the setting gives is filled in.
+_CAPTIONS = {"name", "description", "setting", "monte_carlo", "report", "optimise"}
 _OF_THE_PROGRAM = ("program", "format")
 _WORDS = {
     "program": "version of the program",

@@ -38,6 +38,9 @@ __all__ = [
     "LINEARITY",
     "MEASUREMENTS",
     "MEASUREMENT_STATISTICS",
+    "OPTIMA",
+    "OPTIMUM_CHANGES",
+    "OPTIMUM_MATCHES",
     "ORDERS",
     "PROFILES",
     "PROFILE_STATISTICS",
@@ -839,6 +842,45 @@ ORDERS = _statistic(
     ),
     "How much hangs on the order in which locators, clamps and welds close and open.",
 )
+OPTIMA = _statistic(
+    "optima",
+    "one law",
+    (
+        _LAW,
+        Column("objective", "str", "", "as the scene names it"),
+        Column("before", "float64", "mm or 1", "objective of fresh samples as the scene is: 6σ in mm, others 1"),
+        Column("after", "float64", "mm or 1", "with the changes"),
+        *_estimate("gain", "mm or 1", "what the changes gain of it on the same samples, positive: better"),
+        Column("gained", "bool", "", "whether a gain is sure, of the objective or of constraints that were missed"),
+        Column("found", "float64", "mm or 1", "objective on the samples that the changes were found with"),
+        Column("samples", "int64", "", "how many these were"),
+        Column("fresh", "int64", "", "fresh samples, which had no part in the search"),
+        Column("evaluations", "int64", "", "of an assembly, that the search took"),
+    ),
+    "What the changes that `mic optimise` has found are worth.",
+)
+OPTIMUM_CHANGES = _statistic(
+    "optimum_changes",
+    "one change",
+    (
+        _LAW,
+        Column("kind", "str", "", "`force`, `shim`, `order` or `place`"),
+        Column("targets", "str", "", "clamps or locators, the stage, or the item, with blanks between them"),
+        Column("before", "str", "N or mm", "force, position, or point as the scene has it; empty for an order"),
+        Column("after", "str", "N or mm", "with the change; an order as groups of names, with semicolons between them"),
+    ),
+    "What `mic optimise` changes.",
+)
+OPTIMUM_MATCHES = _statistic(
+    "optimum_matches",
+    "one part of an assembly",
+    (
+        Column("assembly", "int64", "", "number of the assembly, from 1"),
+        Column("kind", "str", "", "of the part, as the scene names it"),
+        Column("row", "int64", "", "where it stands in its file; the first row below the header is 2"),
+    ),
+    "Which measured parts go together.",
+)
 DENSITY = _statistic(
     "density",
     "one law and key characteristic",
@@ -925,6 +967,9 @@ STUDIES = (
     REMEDIES,
     REMEDY_EFFECTS,
     ORDERS,
+    OPTIMA,
+    OPTIMUM_CHANGES,
+    OPTIMUM_MATCHES,
     DENSITY,
 )
 #: The CSV tables of statistics.

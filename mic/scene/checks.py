@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from mic.contact.laws import LAWS
+from mic.scene.optimisation import check_optimisation
 from mic.scene.stages import check_stages, known, moves_assembly, set_down_in, told
 
 __all__ = ["entry", "problems"]
@@ -40,6 +41,7 @@ def problems(scene, whole: bool = True) -> list[str]:
         check_correlations,
         check_stations,
         check_positions,
+        check_optimisation,
         *(check_held,) * whole,
     ):
         try:

@@ -77,11 +77,22 @@ def _path(gives: dict[str, Any]) -> str:
 
 
 def _table(title: str, kinds: list[type[BaseModel]]) -> str:
-    sections = [f"## `{title}`\n"]
+    sections, below = [f"## `{title}`\n"], []
     for kind in kinds:
-        own = list(kind.model_fields.items())
+        own = [(name, field) for name, field in kind.model_fields.items() if not _tables(field)]
         sections += [_prose(kind) + "\n", _keys(own)]
-    return "\n".join(sections)
+        below += [
+            _table(f"[[{title.strip('[]')}.{name}]]", _tables(field))
+            for name, field in kind.model_fields.items()
+            if _tables(field)
+        ]
+    return "\n".join([*sections, *below])
+
+
+def _tables(field: FieldInfo) -> list[type[BaseModel]]:
+    """The kinds of tables that a key is a list of; none for any other key."""
+    inner = get_args(field.annotation) if get_origin(field.annotation) is list else ()
+    return [kind for kind in inner if isinstance(kind, type) and issubclass(kind, BaseModel)]
 
 
 def _prose(kind: type[BaseModel]) -> str:

@@ -13,6 +13,7 @@ from mic.scene.deviation import Correlation, Deviation
 from mic.scene.fixture import Clamp, Fixture, Locator
 from mic.scene.keys import Count, FiniteFloat, Flag, Name, Table
 from mic.scene.measurement import Measurement
+from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
 from mic.scene.process import FollowedPath, Stage
 from mic.scene.settings import fill_in
@@ -127,6 +128,7 @@ class Scene(Table):
     path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()
+    optimise: Optimisation | None = None
     folder: Path = Field(Path("."), exclude=True, description="set by load_scene: where relative file names start")
 
     @model_validator(mode="before")

@@ -16,7 +16,7 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
 
-__all__ = ["FACTOR", "SHIM", "Adjustment", "adjustments", "extended", "written"]
+__all__ = ["FACTOR", "SHIM", "Adjustment", "adjustments", "as_deviations", "extended", "written"]
 
 SHIM = 0.5  #: mm: the most by which a locator or a clamp is moved
 FACTOR = 2.0  #: the most by which a clamp's force is multiplied, or divided
@@ -145,7 +145,7 @@ def _press(a, b) -> bool:
     )
 
 
-def _deviations(scene, some: Sequence[Adjustment], changes: Sequence[float]) -> list:
+def as_deviations(scene, some: Sequence[Adjustment], changes: Sequence[float]) -> list:
     """A deviation of standard deviation 0 for each adjustment, of names that the scene does not have."""
     taken, found = {one.name for one in scene.deviations}, []
     for own, change in zip(some, changes):
@@ -160,7 +160,7 @@ def _deviations(scene, some: Sequence[Adjustment], changes: Sequence[float]) -> 
 
 def extended(model: ReducedModel, some: Sequence[Adjustment]) -> tuple[ReducedModel, list[str]]:
     """The model with one deviation more for each adjustment, and the names of these; they follow the scene's own."""
-    more = _deviations(model.scene, some, [0.0] * len(some))
+    more = as_deviations(model.scene, some, [0.0] * len(some))
     scene = model.scene.model_copy(update={"deviations": [*model.scene.deviations, *more]})
     return model.varied(scene), [one.name for one in more]
 
@@ -168,7 +168,7 @@ def extended(model: ReducedModel, some: Sequence[Adjustment]) -> tuple[ReducedMo
 def written(scene, changes: Mapping[Adjustment, float]) -> str:
     """The tables that a scene file takes at its end to be adjusted so, as TOML."""
     lines: list[str] = []
-    for own in _deviations(scene, list(changes), list(changes.values())):
+    for own in as_deviations(scene, list(changes), list(changes.values())):
         target = f'"{own.target}"' if isinstance(own.target, str) else str(own.target).replace("'", '"')
         lines += ["[[deviations]]", f'name = "{own.name}"', f'kind = "{own.kind}"', f"target = {target}"]
         lines += [f"mean = {own.mean:g}", "sigma = 0", ""]

@@ -26,7 +26,7 @@ from mic.sampling.draw import keys, placed
 from mic.scene import Scene
 from mic.studies.order import quantities
 
-__all__ = ["SAMPLES", "Comparison", "Side", "compare", "scene_differences"]
+__all__ = ["SAMPLES", "Comparison", "Side", "compare", "differences", "scene_differences"]
 
 SAMPLES = 200
 BLOCK = 20  # samples between two calls of `progress`
@@ -129,17 +129,31 @@ def compare(
             for model, each, law, deviations in zip(models, (a, b), (law_a, law_b), drawn)
         )
     _need_common(before, after)
-    valid = (before.values.notna().all(axis=1) & after.values.notna().all(axis=1)).to_numpy()
-    group = None if group is None else group[valid]
-    rows = list(_rows(before, after, valid, group))
+    table, valid = differences(before, after, group)
     return Comparison(
         before,
         after,
-        pd.DataFrame(rows, columns=COMPARISON.names).assign(samples=int(valid.sum())),
+        table,
         scene_differences(before.scene, after.scene),
         int((~valid).sum()),
         sorted(str(name) for name in set(before.values) ^ set(after.values)),
     )
+
+
+def differences(before: Side, after: Side, group: np.ndarray | None = None) -> tuple[pd.DataFrame, np.ndarray]:
+    """What differs between two sides, as :data:`mic.results.schema.COMPARISON` declares it, and which samples (n,)
+    neither side failed.
+
+    Parameters
+    ----------
+    before, after : Side
+        Of the same samples.
+    group : (n,) int array, optional
+        Which of them a design made together.
+    """
+    valid = (before.values.notna().all(axis=1) & after.values.notna().all(axis=1)).to_numpy()
+    rows = list(_rows(before, after, valid, None if group is None else group[valid]))
+    return pd.DataFrame(rows, columns=COMPARISON.names).assign(samples=int(valid.sum())), valid
 
 
 def scene_differences(a: Scene, b: Scene) -> list[str]:
@@ -147,7 +161,8 @@ def scene_differences(a: Scene, b: Scene) -> list[str]:
 
     What names, describes or draws is left out, and how many samples are drawn.
     """
-    tables = [scene.model_dump(mode="json", exclude={"name", "description", "setting", "report"}) for scene in (a, b)]
+    left_out = {"name", "description", "setting", "report", "optimise"}
+    tables = [scene.model_dump(mode="json", exclude=left_out) for scene in (a, b)]
     for table in tables:
         table["monte_carlo"] = {k: v for k, v in table["monte_carlo"].items() if k not in _ARRANGED}
     return list(_differing("", *tables))

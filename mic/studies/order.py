@@ -29,7 +29,18 @@ from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
 
-__all__ = ["PERMUTATIONS", "STATED", "Order", "compare", "doubts", "order", "orders", "quantities", "variants"]
+__all__ = [
+    "PERMUTATIONS",
+    "STATED",
+    "Order",
+    "compare",
+    "doubts",
+    "named",
+    "order",
+    "orders",
+    "quantities",
+    "variants",
+]
 
 STATED = "as stated"
 SAMPLES = 20  #: of each order, unless another number is asked for
@@ -178,15 +189,15 @@ def _reordered(scene: Scene, kind: str, change: Callable[[Groups], Groups]) -> S
     """The scene with the groups of all its stages of a kind changed."""
     updates: dict[int, dict] = {}
     for i, (stage, moves) in enumerate(moves_of(scene)):
-        groups = [names for move in moves if (names := _names(scene, move))]
+        groups = [names for move in moves if (names := named(scene, move))]
         if stage.kind == kind and len(groups) + len(groups[0] if groups else ()) > 2:
             path = None if stage.path == "one-step" else stage.path
             updates[i] = {"order": [group for group in change(groups) if group], "sequence": False, "path": path}
     return _changed(scene, updates)
 
 
-def _names(scene: Scene, move) -> list[str]:
-    """What a move closes or opens."""
+def named(scene: Scene, move) -> list[str]:
+    """Names of what a move closes or opens."""
     found: list[str] = []
     for action in move:
         if isinstance(action, Hold | Open):

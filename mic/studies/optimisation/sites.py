@@ -1,0 +1,158 @@
+"""Models of an assembly whose items stand elsewhere, from one computation of its influence coefficients.
+
+Where an item may stand, its functionals are retained at all of its points, together: every part is factorised once,
+and each model takes the rows and columns of H and the rows of G that it has. Where a combination of places asks for
+functionals that no single place does, as contact pairs do that follow two pads, the part is computed once more, with
+these as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mic.compliance.cache import influence_coefficients
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.compliance.functional import Functionals
+from mic.compliance.thickness import Thicknesses
+from mic.errors import SceneError
+from mic.model.assembly import Assembly, assemble
+from mic.model.rows import REACH
+from mic.process.model import ReducedModel
+from mic.process.plan import plan_assembly
+from mic.scene import Scene
+from mic.scene.optimisation import standing
+from mic.studies.optimisation.design import Design, Space
+
+__all__ = ["Sites"]
+
+
+class Sites:
+    """Models of a scene with its items at other places.
+
+    Parameters
+    ----------
+    space : Space
+    cache : Path
+        Folder of meshes and influence coefficients.
+    progress : callable
+        Called with one line of text before each solve.
+
+    Raises
+    ------
+    SceneError
+        For a candidate that lies off its part, by name; where the parts' meshes are not at hand.
+    """
+
+    def __init__(self, space: Space, cache: Path, progress: Callable[[str], None] = lambda line: None):
+        self._cache, self._progress = cache, progress
+        self._known: dict[str, Functionals] = {}
+        self._places: dict[str, dict[bytes, int]] = {}
+        self._found: dict[str, InfluenceCoefficients] = {}
+        try:
+            stated = self._assembled(space.scene)
+        except SceneError as problem:
+            raise SceneError(
+                f"optimise.places: other places take the parts' meshes, and they cannot be had ({problem}); give the "
+                "scene file, beside which they lie"
+            ) from None
+        _on_their_parts(space, stated)
+        for own, points in enumerate(space.points):
+            for at in range(1, len(points)):
+                places = tuple(at if i == own else 0 for i in range(len(space.points)))
+                scene = space.stood(Design(space.stated.settings, space.stated.orders, places))
+                try:
+                    self._retain(self._assembled(scene))
+                except SceneError as problem:
+                    raise SceneError(
+                        f"optimise.places[{own}].points[{at - 1}] ({space.items[own]}): {problem}"
+                    ) from None
+
+    def model(self, scene: Scene) -> ReducedModel:
+        """The model of the scene with items at some of their places."""
+        assembly = self._assembled(scene)
+        self._retain(assembly)
+        missing = [part.name for part in assembly.parts if part.name not in self._found]
+        if missing:
+            whole = tuple(replace(part, functionals=self._known[part.name]) for part in assembly.parts)
+            own = replace(assembly, parts=tuple(part for part in whole if part.name in missing))
+            self._found |= influence_coefficients(own, self._cache, self._progress)[0]
+        taken = {part.name: self._taken(part) for part in assembly.parts}
+        return ReducedModel.build(assembly, taken)
+
+    def _assembled(self, scene: Scene) -> Assembly:
+        assembly = assemble(scene, self._cache, check=plan_assembly)
+        plan_assembly(assembly)
+        return assembly
+
+    def _retain(self, assembly: Assembly) -> None:
+        """Add the functionals of an assembly to those that are known; a part that has more is computed anew."""
+        for part in assembly.parts:
+            places = self._places.setdefault(part.name, {})
+            own, before = part.functionals, len(places)
+            fresh = []
+            for i, key in enumerate(_keys(own)):
+                if key not in places:
+                    places[key] = len(places)
+                    fresh.append(i)
+            if len(places) > before:
+                self._known[part.name] = _joined(self._known.get(part.name), own, fresh)
+                self._found.pop(part.name, None)
+
+    def _taken(self, part) -> InfluenceCoefficients:
+        """Of the coefficients of all functionals those that a part has."""
+        whole, places = self._found[part.name], self._places[part.name]
+        at = np.array([places[key] for key in _keys(part.functionals)], dtype=int)
+        varied = whole.thicknesses
+        if varied is not None:
+            varied = Thicknesses(varied.t, varied.low, varied.high, varied.H[:, at][:, :, at], varied.G[:, at])
+        return replace(whole, H=whole.H[np.ix_(at, at)], G=whole.G[at], thicknesses=varied)
+
+
+def _keys(own: Functionals) -> list[bytes]:
+    """What tells each functional of a part from the others."""
+    patches = [b"".join(np.ascontiguousarray(array).tobytes() for array in vars(one).values()) for one in own.patches]
+    rows = zip(own.patch, np.ascontiguousarray(own.direction), own.rotation, own.side)
+    return [patches[p] + d.tobytes() + bytes([bool(r)]) + np.float64(s).tobytes() for p, d, r, s in rows]
+
+
+def _joined(known: Functionals | None, own: Functionals, rows: list[int]) -> Functionals:
+    """Known functionals, and rows of others behind them."""
+    if known is None:
+        known = replace(own, patches=(), **{name: getattr(own, name)[:0] for name in ("patch", "direction")})
+        known = replace(known, rotation=own.rotation[:0], side=own.side[:0], label=())
+    patches = sorted({int(own.patch[i]) for i in rows})
+    number = {p: len(known.patches) + i for i, p in enumerate(patches)}
+    return Functionals(
+        (*known.patches, *(own.patches[p] for p in patches)),
+        np.concatenate([known.patch, [number[int(own.patch[i])] for i in rows]]).astype(int),
+        np.concatenate([known.direction, own.direction[rows]]),
+        np.concatenate([known.rotation, own.rotation[rows]]),
+        np.concatenate([known.side, own.side[rows]]),
+        (*known.label, *(own.label[i] for i in rows)),
+    )
+
+
+def _on_their_parts(space: Space, assembly: Assembly) -> None:
+    """Every candidate lies on the part, or the parts, of its item."""
+    surfaces, lines = {part.name: part.surface for part in assembly.parts}, []
+    for i, (item, points) in enumerate(zip(space.items, space.points)):
+        owner, off = standing(space.scene, item)[0], set[int]()
+        for name in getattr(owner, "parts", None) or [owner.part]:
+            foot = surfaces[name].project(np.array(points[1:], dtype=float))
+            for j, (point, far, near) in enumerate(zip(points[1:], foot.distance, foot.point)):
+                if far > REACH and j not in off:
+                    lines.append(
+                        f"optimise.places[{i}].points[{j}] ({item}): {_words(point)} lies {far:.3g} mm off part "
+                        f"{name!r} (at most {REACH:g} mm is allowed); the nearest point on it is {_words(near)}"
+                    )
+                    off.add(j)
+    if lines:
+        raise SceneError("\n".join(lines))
+
+
+def _words(point) -> str:
+    return f"[{', '.join(f'{x:.6g}' for x in point)}]"

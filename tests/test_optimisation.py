@@ -1,0 +1,613 @@
+"""Optima known by hand, by exhaustion and by brute force; what they are worth on fresh samples; what is refused."""
+
+import json
+import tomllib
+from itertools import permutations
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.springs import STIFFNESS, at_face, six, spring_model
+from typer.testing import CliRunner
+
+import mic
+from mic.errors import SceneError
+from mic.options import app
+from mic.results.paired import jackknife, mean_change
+from mic.results.schema import OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
+from mic.sampling.draw import draw
+from mic.scene import Scene
+from mic.scene.load import read_table
+from mic.scene.revision import revised
+from mic.studies.comparison import scene_differences
+from mic.studies.optimisation import optimise
+from mic.studies.optimisation import sites as sites_module
+from mic.studies.optimisation.design import Change, Design, Space
+from mic.studies.optimisation.matching import Kind, assigned
+from mic.studies.optimisation.objective import Objective
+from mic.studies.optimisation.search import all_designs, local_search, random_design
+from mic.studies.optimisation.sites import Sites
+from mic.studies.optimisation.trials import Spent
+from mic.studies.optimisation.writing import rewritten
+
+FORCE = {"clamps": ["C"], "between": [10, 100]}
+SIGMA = 0.05  # of M, half of B's
+
+
+def pushed(asked, **changes):
+    """M = F/50 + B/2, between 0.5 and 1.5, F 20 N, B of mean 0.1 and σ 0.1; N reads a's face alone, (A + A')/2."""
+    scene = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ba"],
+        "locators": [*six("b"), *six("a")],
+        "clamps": [at_face("b", (0, 0, 1), name="C", force=20.0)],
+        "zones": [{"name": "Z", "parts": ["b", "a"], "friction": 0.0, "pairs": 1}],
+        "measurements": [
+            at_face("b", (0, 0, 1), name="M", lower=0.5, upper=1.5),
+            at_face("a", (0, 0, 1), name="N", lower=-1, upper=1),
+        ],
+        "deviations": [
+            {"name": "B", "kind": "locator", "target": "bl1", "mean": 0.1, "sigma": 2 * SIGMA},
+            {"name": "A", "kind": "locator", "target": "al1", "mean": 0.0, "sigma": 0.1},
+        ],
+        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    }
+    return spring_model([9.0], optimise=asked, **scene | changes)
+
+
+def rubbing(asked, order=None):
+    """t is pulled to and fro along x while b is pressed on it and let be: friction remembers what came first."""
+    push = lambda part, direction, name, force: at_face(part, direction, name=name, force=force)
+    return spring_model(
+        [0.0],
+        optimise=asked,
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
+        locators=[*six("b"), *six("t")],
+        clamps=[
+            push("b", (0, 0, 1), "C1", 10.0),
+            push("t", (1, 0, 0), "X1", 20.0),
+            push("b", (0, 0, 1), "C2", 10.0),
+            push("t", (-1, 0, 0), "X2", 12.0),
+        ],
+        zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.3, "pairs": 1}],
+        measurements=[
+            at_face("b", (1, 0, 0), name="M", lower=-1, upper=1),
+            at_face("t", (1, 0, 0), name="N", lower=-1, upper=1),
+        ],
+        deviations=[
+            {"name": f"D{name}", "kind": "clamp", "target": name, "mean": 0, "sigma": 2.0}
+            for name in ("C1", "X1", "C2", "X2")
+        ],
+        stages=[{"kind": "locate"}, {"kind": "clamp"} | ({"order": order} if order else {}), {"kind": "measure"}],
+    )
+
+
+def changes(found):
+    return {one.targets: one.after for one in found.changes}
+
+
+# ------------------------------------------------------------------------------------------------------- settings
+
+
+def mean_of_b(model, count=60):
+    return draw(model.scene, model.scene.monte_carlo.seed, 0, count)[:, 0].mean()
+
+
+def test_the_least_cpk_is_largest_where_the_force_centres_what_varies():
+    model = pushed({"objective": "cpk", "forces": [FORCE], "of": ["M"]})
+    found = optimise(model, "frictionless")
+    wanted = STIFFNESS * (1.0 - mean_of_b(model) / 2)
+    assert changes(found) == {("C",): pytest.approx(wanted, abs=0.5)}
+    assert found.gained and found.gain.low > 3 and found.after == pytest.approx(0.5 / (3 * SIGMA), rel=0.15)
+    other = found.table.set_index("quantity").loc["N"]
+    assert other["mean_change"] == pytest.approx(0, abs=1e-12) and other["cpk_a"] == pytest.approx(other["cpk_b"])
+
+
+def test_a_shim_moves_the_mean_by_its_share_at_the_face():
+    model = pushed({"objective": "cpk", "shims": [{"of": ["bl1"], "between": [-2, 2]}], "of": ["M"]})
+    found = optimise(model, "frictionless")
+    wanted = 2 * (1.0 - 20.0 / STIFFNESS - mean_of_b(model) / 2)
+    assert changes(found) == {("bl1",): pytest.approx(wanted, abs=0.02)}
+
+
+def test_the_share_outside_falls_to_nothing_where_half_a_tolerance_is_ten_sigma():
+    found = optimise(pushed({"objective": "yield", "forces": [FORCE], "of": ["M"]}), "frictionless")
+    assert found.before < 0.3 and found.after == 1.0 and found.gained
+
+
+def test_of_two_ways_to_keep_a_constraint_the_cheaper_is_taken_as_far_as_it_must():
+    """Cpk 1 takes a mean of 0.65: 10 N more at 1 each, or 0.4 mm at 10 each."""
+    asked = {
+        "objective": "cost",
+        "constraints": [{"quantity": "cpk", "of": ["M"], "at_least": 1.0}],
+        "forces": [FORCE | {"cost": 1.0}],
+        "shims": [{"of": ["bl1"], "between": [-0.5, 0.5], "cost": 10.0}],
+    }
+    found = optimise(pushed(asked), "frictionless")
+    assert list(changes(found)) == [("bl1",)] and changes(found)["bl1",] == pytest.approx(0.4, abs=0.08)
+    assert not found.missed and found.after == pytest.approx(10 * changes(found)["bl1",])
+    assert found.gained and found.relief.low > 0 > found.gain.high, "it costs, and keeps what was missed"
+
+
+def test_a_cost_is_paid_as_long_as_it_saves_more_of_what_is_rejected():
+    found = optimise(pushed({"objective": "cost", "reject": 100, "forces": [FORCE | {"cost": 1}]}), "frictionless")
+    # Φ of the share outside falls by 100 φ(z)/(50 σ) per N: it pays until that is 1, and a little smoothing off.
+    assert 25 < changes(found)["C",] < 31 and found.after < 12 < found.before
+
+
+def test_a_limit_of_forces_is_kept_and_one_that_nothing_reaches_is_told_with_what_it_lacks():
+    limit = {"quantity": "force", "at_most": 40}
+    found = optimise(pushed({"forces": [FORCE], "constraints": [limit]}), "frictionless")
+    assert changes(found) == {("C",): 40.0} and not found.missed
+    found = optimise(pushed({"forces": [FORCE], "constraints": [{"quantity": "mean", "of": ["M"], "at_most": -1}]}))
+    (missed,) = found.missed
+    assert changes(found) == {("C",): 10.0} and missed.name == "mean of M at most -1"
+    assert missed.short == pytest.approx(1 + 10 / STIFFNESS + 0.05, abs=0.02)
+
+
+def test_where_nothing_can_be_gained_it_says_so():
+    asked = {"objective": "largest-six-sigma", "forces": [FORCE]}  # a force moves the mean alone
+    found = optimise(pushed(asked), "frictionless")
+    assert not found.gained and found.after == pytest.approx(found.before)
+
+
+def test_what_is_gained_with_the_samples_of_the_search_alone_is_no_gain():
+    """Centred but for the mean of the samples of the search: what is gained with these is lost with others."""
+    clamp = at_face("b", (0, 0, 1), name="C", force=47.5)
+    found = optimise(pushed({"forces": [FORCE], "of": ["M"]}, clamps=[clamp]), "frictionless", samples=20, fresh=60)
+    assert found.changes and found.trail["objective"].is_monotonic_increasing and len(found.trail) == 2
+    assert found.gain.low < 0 and not found.gained
+
+
+def test_derivatives_of_all_figures_are_those_of_samples_that_move_along_their_slopes():
+    stream, model = np.random.default_rng(3), pushed({"objective": "yield", "forces": [FORCE]})
+    y, slopes = 0.9 + 0.2 * stream.standard_normal((40, 2)), stream.standard_normal((40, 2, 1))
+    objective = Objective(Space(model))
+    told = objective.figures(y, slopes)
+    ends = [objective.figures(y + sign * 1e-5 * slopes[..., 0], slopes) for sign in (1, -1)]
+    for name in ("mean", "six_sigma", "above", "below"):
+        difference = (getattr(ends[0], name) - getattr(ends[1], name)) / 2e-5
+        np.testing.assert_allclose(told.slopes[name][:, 0], difference, rtol=1e-6)
+    # the smoothing goes with σ, which is held: 4e-2 of a slope that is not small
+    wide = (ends[0].outside - ends[1].outside) / 2e-5
+    assert told.slopes["outside"][0] == pytest.approx(wide, rel=0.3) and abs(wide) > 0.05
+
+
+# --------------------------------------------------------------------------------------------------------- orders
+
+
+def test_the_best_of_all_orders_is_found():
+    found = optimise(
+        rubbing({"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}]}), "coulomb", fresh=100, seed=1
+    )
+    spread = {}
+    for order in permutations(["C1", "X1", "C2", "X2"]):
+        model = rubbing(None, [[name] for name in order])
+        spread[order] = 6 * model.evaluate(draw(model.scene, 1, 0, 60), "coulomb").measurements.std(0, ddof=1).max()
+    best = min(spread, key=spread.get)
+    assert spread[best] < 0.95 * sorted(spread.values())[2], "the order matters here"
+    (change,) = found.changes
+    chosen = tuple(group[0] for group in change.after)
+    assert spread[chosen] == pytest.approx(spread[best], rel=1e-9) and found.found == pytest.approx(spread[best])
+    assert found.gained and found.scene.stages[1].order == change.after
+
+
+def test_what_stands_together_in_the_scene_changes_its_order_together():
+    table = LAP | {"optimise": {"orders": [{"stage": name} for name in ("clamp", "weld", "release")]}}
+    table["clamps"] = [*LAP["clamps"], LAP["clamps"][0] | {"name": "C2", "point": [60, 12.5, 1]}]
+    rest = [f"upper-{name}" for name in ("A1", "A2", "A3", "B1", "B2", "C1")]
+    table["stages"] = [
+        {**stage, "order": [["C2"], ["C1-upper", "C1-lower"], rest]} if stage["kind"] == "release" else stage
+        for stage in LAP["stages"]
+    ]
+    space = Space(SimpleNamespace(scene=read_table(table, Path("scene.toml"))))
+    assert space.groups == [
+        (("C1-upper", "C1-lower"), ("C2",)),
+        (("W1",), ("W2",)),
+        (("C2",), ("C1-upper", "C1-lower"), tuple(rest)),
+    ]
+    # one order of the clamps is the stated one, and one of the release; welds are made together
+    assert len(all_designs(space)) == 2 * 3 * 6 and all_designs(space)[0] == space.stated
+    assert all_designs(space, most=20) is None
+    design = random_design(space, np.random.default_rng(0))
+    assert sorted(name for group in design.orders[0] for name in group) == ["C1-lower", "C1-upper", "C2"]
+    assert scene_differences(space.scene, space.changed(design))
+
+
+class Jobs:
+    """Weighted completion times: the least, by Smith's rule, goes by the time that each takes over its weight."""
+
+    def __init__(self, count, budget, seed=5):
+        stream = np.random.default_rng(seed)
+        self.time, self.weight = stream.uniform(1, 10, count), stream.uniform(1, 10, count)
+        self.budget, self.spent, self._known = budget, 0, {}
+        self.groups, self.points = [tuple((str(i),) for i in range(count))], []
+        self.stated = Design((), (None,), ())
+        self.low = self.high = np.zeros(0)
+
+    def settable(self, settings):
+        return ()
+
+    def total(self, order):
+        return float(self.weight[order] @ np.cumsum(self.time[order]))
+
+    def merit(self, design, count=None):
+        if design not in self._known:
+            if self.spent >= self.budget:
+                raise Spent
+            self.spent += 1
+            order = design.orders[0] or self.groups[0]
+            self._known[design] = self.total([int(name) for (name,) in order])
+        return self._known[design]
+
+    def beats(self, design, other):
+        return self.merit(design) < self.merit(other)
+
+
+@pytest.mark.parametrize("count", [20, 30])
+def test_orders_of_thirty_come_near_the_best_that_is_known_and_random_ones_of_equal_cost_do_not(count):
+    jobs = Jobs(count, 3000)
+    best = local_search(jobs.stated, jobs, jobs, np.random.default_rng(1), lambda design: None)
+    known = jobs.total(np.argsort(jobs.time / jobs.weight))
+    chance = Jobs(count, jobs.spent)
+    stream = np.random.default_rng(2)
+    random = min(chance.merit(random_design(chance, stream)) for _ in range(jobs.spent))
+    assert jobs.spent <= 3000
+    assert jobs.merit(best) < 1.002 * known and random > 1.1 * known
+
+
+# --------------------------------------------------------------------------------------------------------- places
+
+
+def placed(asked, **changes):
+    lap = mic.load_scene(mic.examples.folder("lap_joint"))
+    parts = [part.model_copy(update={"size": "coarse"}) for part in lap.parts]
+    report = lap.report.model_copy(update={"fields": False})
+    table = lap.model_copy(update={"parts": parts, "report": report} | changes).model_dump()
+    return Scene(**table | {"optimise": {"places": asked}, "folder": lap.folder})
+
+
+W1 = {"item": "welds.W1", "points": [[80, 6, 0.5], [92, 4, 0.5]]}
+A3 = {"item": "locators.upper-A3", "points": [[120, 12.5, 1]]}
+
+
+@pytest.mark.fem
+@pytest.mark.slow
+def test_items_at_other_places_are_those_of_a_scene_that_states_them(cache, monkeypatch):
+    computed, find = [], sites_module.influence_coefficients
+
+    def counted(assembly, *arguments):
+        computed.extend(part.name for part in assembly.parts)
+        return find(assembly, *arguments)
+
+    monkeypatch.setattr(sites_module, "influence_coefficients", counted)
+    model = mic.reduce(placed([W1, A3]), cache)
+    space = Space(model)
+    sites, x = Sites(space, cache), draw(model.scene, 1, 0, 3)
+    read = []
+    for places in ((2, 0), (1, 1)):
+        scene = space.stood(Design((), (), places))
+        read.append(sites.model(scene).evaluate(x, "coulomb").measurements)
+        np.testing.assert_allclose(read[-1], mic.reduce(scene, cache).evaluate(x, "coulomb").measurements, atol=1e-9)
+    assert np.abs(read[1] - read[0]).max() > 1e-3
+    assert sorted(computed) == ["lower", "upper"], "each part is solved once for all places"
+
+
+@pytest.mark.fem
+def test_a_candidate_off_its_part_is_refused_by_name_before_anything_is_solved(cache, monkeypatch):
+    monkeypatch.setattr(sites_module, "influence_coefficients", None)
+    off = {"item": "welds.W1", "points": [[80, 6, 0.5], [92, 64, 0.5]]}
+    space = Space(SimpleNamespace(scene=placed([off])))
+    with pytest.raises(
+        SceneError, match=r"^optimise.places\[0\].points\[1\] \(welds.W1\): \[92, 64, 0.5\] lies 39 mm"
+    ) as told:
+        Sites(space, cache)
+    assert "\n" not in str(told.value) and "[92, 25, 0]" in str(told.value)
+
+
+def test_places_take_the_meshes_of_the_scene(cache):
+    scene = placed([W1]).model_copy(update={"folder": Path("nowhere")})
+    with pytest.raises(SceneError, match="other places take the parts' meshes, and they cannot be had"):
+        Sites(Space(SimpleNamespace(scene=scene)), cache)
+
+
+# ------------------------------------------------------------------------------------------------------- matching
+
+
+def kinds(*sizes):
+    return [Kind(f"k{t}", [t], np.arange(size, dtype=float)[:, None], [*range(2, 2 + size)]) for t, size in
+            enumerate(sizes)]  # fmt: skip
+
+
+@pytest.mark.parametrize("sizes", [(5, 5), (3, 5), (5, 3)])
+def test_an_assignment_is_the_one_that_brute_force_finds(sizes):
+    table = np.random.default_rng(7).uniform(size=sizes)
+    found = assigned(kinds(*sizes), lambda pairs: table[pairs[:, 0], pairs[:, 1]])
+    few, many = (0, 1) if sizes[0] <= sizes[1] else (1, 0)
+    square = table if few == 0 else table.T
+    best = min(square[range(len(square)), list(p)].mean() for p in permutations(range(sizes[many]), sizes[few]))
+    assert found.after == pytest.approx(best) and found.before == pytest.approx(np.diag(table).mean())
+    rows = found.rows - 2
+    assert table[rows[:, 0], rows[:, 1]].mean() == pytest.approx(best)
+    assert [len(own) for own in found.left] == [size - min(sizes) for size in sizes]
+
+
+def test_three_kinds_are_assigned_until_nothing_improves():
+    """Of sums that are to be 0 three kinds of ±values have such a matching, and it is found from the file's order."""
+    values = [np.array([1.0, -1.0, 2.0, -2.0]), np.array([2.0, 1.0, -1.0, -2.0]), np.zeros(4)]
+    cost = lambda own: sum(value[own[:, t]] for t, value in enumerate(values)) ** 2
+    found = assigned(kinds(4, 4, 4), cost)
+    assert found.before > 0 and found.after == pytest.approx(0.0, abs=1e-12) and found.rounds >= 3
+    for t in range(3):
+        assert sorted(found.rows[:, t]) == [2, 3, 4, 5]
+
+
+def matched(tmp_path, asked=(), sigma=0.1, **changes):
+    """M = F/50 + (B + C + D)/2, centred at 20 N: B and C are measured on parts of two kinds, D is not."""
+    more = [
+        {"name": "B", "kind": "locator", "target": "bl1", "mean": 0.0, "sigma": 0.1},
+        {"name": "C", "kind": "locator", "target": "bl2", "mean": 0.0, "sigma": 0.1},
+        {"name": "D", "kind": "locator", "target": "bl1", "mean": 0.0, "sigma": sigma},
+    ]
+    limits = at_face("b", (0, 0, 1), name="M", lower=0.3, upper=0.5)
+    kinds = [{"name": name, "file": str(tmp_path / f"{name}.csv")} for name in ("front", "rear")]
+    return pushed({"matching": kinds, **dict(asked)}, deviations=more, measurements=[limits], **changes)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.02])
+def test_measured_parts_are_matched_long_with_short(tmp_path, sigma):
+    b, c = np.array([0.1, -0.2, 0.3, 0.0, -0.1]), np.array([0.2, 0.1, -0.1, 0.0, -0.3])
+    for name, own, values in (("front", "B", b), ("rear", "C", c)):
+        (tmp_path / f"{name}.csv").write_text(f"{own}\n" + "\n".join(map(str, values)) + "\n")
+    found = optimise(matched(tmp_path, sigma=sigma), "frictionless")
+    rows = found.matched.rows - 2
+    together = b[rows[:, 0]] + c[rows[:, 1]]
+    best = min(np.sum((b + c[list(p)]) ** 2) for p in permutations(range(5)))
+    assert np.sum(together**2) == pytest.approx(best, abs=1e-12)
+    loss = lambda x: np.mean(((0.4 + x / 2) - 0.4) ** 2) / 0.01
+    assert found.matched.before > found.matched.after and found.changes == []
+    gain = loss(b + c) - loss(together)
+    if sigma:
+        assert found.matched_gain.low < gain < found.matched_gain.high < 3 * gain
+    else:
+        assert found.matched_gain.value == pytest.approx(gain) and np.isnan(found.matched_gain.low)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("B\n0.1\n0.2\n", "'B' is measured on front as well"),
+        ("Q\n0.1\n0.2\n", "there is no deviation 'Q' in this scene; known: B, C, D"),
+        ("C\n0.1\nlong\n", "row 3, column C: 'long' is no finite number"),
+        (
+            "C\n0.1\n9.0\n",
+            "9 is more than 6 standard deviations (0.1) off the mean, 0; these are no parts of this scene",
+        ),
+        ("C\n0.1\n", "there are not two parts in it"),
+    ],
+)
+def test_measured_parts_of_another_scene_are_refused(tmp_path, text, said):
+    (tmp_path / "front.csv").write_text("B\n0.1\n0.2\n")
+    (tmp_path / "rear.csv").write_text(text)
+    with pytest.raises(SceneError, match=r"optimise\.matching\[1\]\.file \(rear\)") as told:
+        optimise(matched(tmp_path), "frictionless")
+    assert said in str(told.value)
+
+
+# ------------------------------------------------------------------------------------------- what is told and kept
+
+
+def test_the_jackknife_of_a_mean_is_students_interval():
+    y = np.random.default_rng(1).standard_normal((40, 2))
+    own = jackknife(y, lambda y: float((y[:, 1] - y[:, 0]).mean()))
+    known = mean_change(y[:, 0], y[:, 1])
+    assert [own.value, own.low, own.high] == pytest.approx([known.value, known.low, known.high])
+
+
+def test_a_call_that_was_killed_goes_on_without_what_was_evaluated(tmp_path):
+    ledger, counts = tmp_path / "evaluated.jsonl", []
+    asked = {"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}], "forces": [
+        {"clamps": ["C1"], "between": [5, 30]}]}  # fmt: skip
+    model = rubbing(asked)
+
+    def stop(count):
+        counts.append(count)
+        if sum(counts) >= 200:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optimise(model, "coulomb", samples=20, fresh=40, budget=500, ledger=ledger, progress=stop)
+    ledger.write_text(ledger.read_text() + '{"stamp": "cut o')
+    whole, rest = [], []
+    straight = optimise(model, "coulomb", samples=20, fresh=40, budget=500, progress=whole.append)
+    resumed = optimise(model, "coulomb", samples=20, fresh=40, budget=500, ledger=ledger, progress=rest.append)
+    assert resumed.changes == straight.changes and resumed.gain == straight.gain
+    assert sum(whole) - sum(rest) == 180  # the block that was cut is done again
+    again = []
+    optimise(model, "coulomb", samples=20, fresh=40, budget=500, ledger=ledger, progress=again.append)
+    assert not again
+
+
+def test_the_budget_is_kept():
+    count = []
+    asked = {"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}]}
+    found = optimise(rubbing(asked), "coulomb", samples=20, fresh=20, budget=150, progress=count.append)
+    assert found.evaluations <= 150 and sum(count) <= 150 + 2 * 20
+    with pytest.raises(SceneError, match="20 samples of the scene as it is exceed the budget of 10"):
+        optimise(rubbing(asked), "coulomb", samples=20, budget=10)
+
+
+def test_a_table_of_samples_is_halved():
+    carlo = {"values": [[x, 0.0] for x in np.linspace(-0.1, 0.3, 21)]}
+    found = optimise(pushed({"forces": [FORCE], "of": ["M"]}, monte_carlo=carlo), "frictionless")
+    assert (found.samples, found.fresh) == (10, 11)
+    with pytest.raises(SceneError, match="3 samples, too few"):
+        optimise(pushed({"forces": [FORCE]}, monte_carlo={"values": [[0.0, 0.0]] * 3}))
+
+
+def test_a_stage_that_does_all_at_once_has_no_order():
+    stages = [{"kind": "locate"}, {"kind": "clamp", "path": "one-step"}, {"kind": "measure"}]
+    with pytest.raises(SceneError, match=r"orders\[0\].stage: 'clamp' does all at once"):
+        optimise(pushed({"orders": [{"stage": "clamp"}]}, stages=stages))
+
+
+def test_a_scene_that_says_nothing_or_varies_in_nothing_is_refused():
+    with pytest.raises(SceneError, match=r"add a table \[optimise\]"):
+        optimise(pushed(None))
+    with pytest.raises(SceneError, match="nothing varies"):
+        optimise(pushed({"forces": [FORCE]}, deviations=[]))
+
+
+LAP = tomllib.loads((mic.examples.folder("lap_joint") / "scene.toml").read_text())
+JAW = {"clamps": ["C1-upper", "C1-lower"], "between": [30, 120]}
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({}, "nothing may be changed: add forces"),
+        ({"objective": "best", "forces": [JAW]}, "got 'best'"),
+        ({"forces": [JAW | {"clamps": ["nobody"]}]}, "there is no clamp called 'nobody'"),
+        ({"forces": [JAW | {"between": [300, 200]}]}, "300 is not below 200"),
+        ({"forces": [JAW | {"between": [1, 2]}]}, "states 60 N, which is not between 1 and 2"),
+        ({"forces": [JAW, JAW]}, "'C1-upper' stands there twice"),
+        ({"shims": [{"of": ["lower-A1"], "between": [0.1, 0.2]}]}, "no change, 0, must lie between them"),
+        ({"shims": [{"of": ["C1-upper"], "between": [-1, 1]}]}, "pushes with a force and has no position"),
+        ({"orders": [{"stage": "locate"}]}, "no stage that closes or opens anything called 'locate'"),
+        ({"orders": [{"stage": "clamp", "groups": [["C1-upper"], ["W1"]]}]}, "no item of stage 'clamp' called 'W1'"),
+        ({"orders": [{"stage": "weld", "groups": [["W1"], ["W1"]]}]}, "'W1' stands there twice"),
+        ({"places": [{"item": "welds.W9", "points": [[0, 0, 0]]}]}, "did you mean 'welds.W2'?"),
+        ({"matching": [{"name": "a", "file": "a.csv"}]}, "two kinds of parts at least"),
+        ({"objective": "cost", "forces": [JAW]}, "cost is least where nothing is changed"),
+        ({"objective": "yield", "weights": {"M1": 2}, "forces": [JAW]}, "weights are those of 6σ"),
+        ({"of": ["M77"], "forces": [JAW]}, "there is no measurement called 'M77'"),
+        ({"forces": [JAW], "constraints": [{"quantity": "force", "at_least": 500}]}, "260 N are missing"),
+        ({"forces": [JAW], "constraints": [{"quantity": "force", "at_most": 20}]}, "they are 40 N above"),
+        ({"forces": [JAW], "constraints": [{"quantity": "cpk", "at_most": 1}]}, "give at_least, and remove at_most"),
+        ({"forces": [JAW], "constraints": [{"quantity": "mean"}]}, "give at_least or at_most"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_by_key(tmp_path, asked, said):
+    with pytest.raises(SceneError) as told:
+        read_table(LAP | {"optimise": asked}, tmp_path / "scene.toml")
+    (line,) = str(told.value).splitlines()
+    assert line.startswith(f"{tmp_path / 'scene.toml'}: optimise") and said in line
+
+
+def test_an_objective_takes_measurements_with_a_tolerance(tmp_path):
+    less = {key: value for key, value in LAP.items() if key != "measurements"}
+    with pytest.raises(SceneError, match=r"cpk is that of measurements with a tolerance, and nothing is measured"):
+        read_table(less | {"optimise": {"forces": [JAW]}}, tmp_path / "scene.toml")
+
+
+TEXT = """# a scene
+name = "x"   # and so on
+
+[[stages]]
+kind = "locate"
+
+[[stages]]
+kind = "clamp"
+order = [   # the stated one
+    ["a"],
+    ["b", "[c]"],
+]
+
+# of the weld
+[[stages]]
+kind = "weld"
+sequence = true
+
+[report]
+laws = ["coulomb"]
+"""
+
+
+def test_keys_of_a_file_are_changed_and_all_else_stays():
+    found = revised(TEXT, "stages", 1, {"order": [["b"], ["a"]], "sequence": None})
+    assert tomllib.loads(found)["stages"][1] == {"kind": "clamp", "order": [["b"], ["a"]]}
+    assert "# a scene" in found and "# of the weld" in found and "the stated one" not in found
+    last = revised(found, "stages", 2, {"order": [["w"]], "sequence": None})
+    table = tomllib.loads(TEXT)
+    table["stages"][1]["order"] = [["b"], ["a"]]
+    table["stages"][2] = {"kind": "weld", "order": [["w"]]}
+    assert tomllib.loads(last) == table
+    with pytest.raises(SceneError, match="change it there by hand"):
+        revised(TEXT, "clamps", 0, {"force": 3})
+
+
+def test_a_scene_is_written_with_what_changes(tmp_path):
+    text = (mic.examples.folder("lap_joint") / "scene.toml").read_text()
+    before = read_table(tomllib.loads(text), tmp_path / "scene.toml")
+    wanted = [
+        Change("force", ("C1-upper", "C1-lower"), 60.0, 90.0),
+        Change("shim", ("lower-A1",), 0.0, 0.2),
+        Change("order", ("weld",), None, [["W2"], ["W1"]]),
+        Change("place", ("welds.W1",), [88, 6, 0.5], [86.0, 7.0, 0.5]),
+    ]
+    after = read_table(tomllib.loads(rewritten(text, before, wanted)), tmp_path / "scene.toml")
+    assert sorted(scene_differences(before, after)) == [
+        "clamps.C1-lower.force: 60 → 90",
+        "clamps.C1-upper.force: 60 → 90",
+        "deviations.shim-1: added",
+        "stages.weld.order: None → [['W2'], ['W1']]",
+        "welds.W1.point: [88.0, 6.0, 0.5] → [86.0, 7.0, 0.5]",
+    ]
+    assert (after.deviations[-1].target, after.deviations[-1].mean, after.deviations[-1].sigma) == ("lower-A1", 0.2, 0)
+
+
+# -------------------------------------------------------------------------------------------------------- command
+
+
+def called(tmp_path, model, *options):
+    path = tmp_path / "model.npz"
+    model.save(path)
+    return CliRunner().invoke(app, ["optimise", str(path), "--out", str(tmp_path / "out"), *options])
+
+
+def test_the_command_tells_what_to_change_what_it_is_worth_and_what_else_it_does(tmp_path):
+    found = called(tmp_path, pushed({"forces": [FORCE], "of": ["M"]}), "--fresh", "60", "--law", "frictionless")
+    assert found.exit_code == 0, found.output
+    assert "clamps.C: 20 → 47" in found.output and "On 60 fresh samples the least Cpk" in found.output
+    assert "Nothing was gained" not in found.output and " N " in found.output
+    for table in (OPTIMA, OPTIMUM_CHANGES):
+        assert len(table.read(tmp_path / "out", "mend it")) == 1
+    assert json.loads((tmp_path / "out" / "evaluated.jsonl").read_text().splitlines()[0])["key"].startswith("[]")
+
+
+def test_the_command_says_what_is_missed_and_where_nothing_is_gained(tmp_path):
+    limits = [{"quantity": "mean", "of": ["M"], "at_most": -1}]
+    found = called(tmp_path, pushed({"forces": [FORCE], "constraints": limits}), "--law", "frictionless")
+    assert "Not kept: mean of M at most -1; it is 0.2" in found.output and "1.2" in found.output
+    found = called(tmp_path, pushed({"objective": "largest-six-sigma", "forces": [FORCE]}), "--law", "frictionless")
+    assert "Nothing better was found" in found.output
+
+
+def test_the_command_prints_which_parts_go_together(tmp_path):
+    (tmp_path / "front.csv").write_text("B\n0.1\n-0.2\n0.3\n")
+    (tmp_path / "rear.csv").write_text("C\n0.2\n0.1\n-0.3\n0.0\n")
+    found = called(tmp_path, matched(tmp_path), "--law", "frictionless")
+    assert found.exit_code == 0, found.output
+    assert "Rows that go together" in found.output and "Left over of rear: rows" in found.output
+    assert len(OPTIMUM_MATCHES.read(tmp_path / "out", "mend it")) == 6
+
+
+def test_an_interrupted_search_tells_what_it_has_found_so_far(tmp_path, monkeypatch):
+    def interrupted(*arguments, better, **options):
+        better([Change("force", ("C",), 20.0, 30.0)], 1.5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mic.commands.optimise.optimised", interrupted)
+    found = called(tmp_path, pushed({"forces": [FORCE]}))
+    assert found.exit_code and "so far 1.5 on the samples of the" in found.output
+    assert "clamps.C: 20 → 30 N" in found.output and "call again, and it goes on from there" in found.output
+
+
+def test_a_changed_copy_is_written_of_a_scene_file_and_beside_it(tmp_path):
+    found = called(tmp_path, pushed({"forces": [FORCE]}), "--save", str(tmp_path / "better.toml"))
+    assert found.exit_code and "--save writes a changed copy of a scene file" in str(found.exception)
+    scene = tmp_path / "here" / "scene.toml"
+    scene.parent.mkdir()
+    scene.write_text("")
+    options = ["optimise", str(scene), "--save", str(tmp_path / "better.toml")]
+    assert "is not beside" in str(CliRunner().invoke(app, options).exception)
