@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mic.scene import Scene, load_scene
     from mic.studies.comparison import compare
     from mic.studies.explanation import explain
+    from mic.studies.exploration import explore
 
 __all__ = [
     "FormatError",
@@ -34,6 +35,7 @@ __all__ = [
     "cache_folder",
     "compare",
     "explain",
+    "explore",
     "load_scene",
     "read_run",
     "reduce",
@@ -93,6 +95,7 @@ _HOMES = {
     "Scene": "mic.scene",
     "compare": "mic.studies.comparison",
     "explain": "mic.studies.explanation",
+    "explore": "mic.studies.exploration",
     "load_scene": "mic.scene",
     "read_run": "mic.runs",
     "run": "mic.runs",
