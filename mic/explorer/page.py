@@ -39,6 +39,7 @@ STEPS = 200  # of a slider
 BARS = 25
 DRAWN = 100  # samples of a model without a run
 AT_ONCE = 0.03  # s of sampling at a time
+THICK = "A sheet of another thickness is drawn as one of its nominal thickness bends; all numbers are its own."
 TITLES = {"sources": "Sources", "locators": "Locators (shims)", "clamps": "Clamps", "friction": "Friction"}
 INSIDE, OUTSIDE = "#2f7d4f", "#c1121f"
 STATE_DOTS = STATE_COLOURS | {"open": "#8a94a0"}  # the report's, the open ones dark enough on white
@@ -119,7 +120,8 @@ class Page:
             state[f"v_{i}"], state[f"low_{i}"], state[f"high_{i}"] = one.now, one.low, one.high
         state.stage, state.stages = self._shown.stage, exploration.stages
         state.magnification = self.picture.usual(self._shown)
-        state.said, state.saved, state.picked = self.picture.shapes.said, "", ""
+        thin = any(one.kind == "thickness" for one in exploration.own.scene.deviations)
+        state.said, state.saved, state.picked = self.picture.shapes.said or THICK * thin, "", ""
         state.characteristic = next(iter(one.name for one in exploration.own.scene.measurements), "")
         state.characteristics = [one.name for one in exploration.own.scene.measurements]
         state.all = {group: False for group in GROUPS}

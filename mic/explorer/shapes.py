@@ -27,7 +27,10 @@ __all__ = ["PartShape", "Shapes", "beside"]
 FORMAT = Format("set of drawn shapes", 1, "write it again with `mic explore SCENE --keep`")
 ROOM = 250_000_000  # bytes that the solutions of some forces may take together
 
-_NONE = "Parts are drawn as nominal: {}; contacts and measured points move."
+_NONE = (
+    "Parts are drawn as nominal, and contacts and measured points alone move: shapes take finite elements, which are not "
+    "installed here, and are not known of a superelement."
+)
 
 
 @dataclass(frozen=True)
@@ -96,13 +99,13 @@ class Shapes:
         try:
             say("Shapes of the parts")
             made = cls(tuple(_shape(part) for part in parts), "")
-        except MissingProvider as missing:
+        except MissingProvider:
             none = [thinned(part.surface) for part in parts]
             bare = tuple(
                 PartShape(part.name, part.surface.points[which], triangles, None, np.zeros((len(which), 3, 6)))
                 for part, (which, triangles) in zip(parts, none)
             )
-            return cls(bare, _NONE.format(str(missing).partition(";")[0]))
+            return cls(bare, _NONE)
         kept.keep(own, *made._written())
         return made
 
