@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mic.studies.comparison import compare
     from mic.studies.contributors import contributors
     from mic.studies.explanation import explain
+    from mic.studies.exploration import explore
     from mic.studies.friction import friction_effects as friction
     from mic.studies.optimisation import optimise
     from mic.studies.order import order
@@ -50,6 +51,7 @@ __all__ = [
     "compare",
     "contributors",
     "explain",
+    "explore",
     "friction",
     "init",
     "load_scene",
@@ -147,6 +149,7 @@ _HOMES = {
     "compare": ("mic.studies.comparison", "compare"),
     "contributors": ("mic.studies.contributors", "contributors"),
     "explain": ("mic.studies.explanation", "explain"),
+    "explore": ("mic.studies.exploration", "explore"),
     "friction": ("mic.studies.friction", "friction_effects"),
     "init": ("mic.proposal", "write_scene"),
     "load_scene": ("mic.scene", "load_scene"),

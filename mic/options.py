@@ -59,7 +59,7 @@ StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for 
 def _carry_out(name: str, *values: Any) -> None:
     """Carry out a command with the values of its options."""
     home = {"report": "run"} | {
-        own: own for own in ("check", "compare", "explain", "init", "optimise", "predict", "run")
+        own: own for own in ("check", "compare", "explain", "explore", "init", "optimise", "predict", "run")
     }
     module = f"mic.commands.{home.get(name, 'studies')}"
     # Only now: numerics and tables take a second to import.
@@ -307,6 +307,34 @@ def predict(
     deviations are refused. Each answer is on disk before the next row is read.
     """
     _carry_out("predict", source, parts, watch, log, adjust, shim, force, error, quick, law)
+
+
+@app.command()
+def explore(
+    source: SourceArgument,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port at which this machine is listened at; 0 takes a free one.")
+    ] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the model to this .npz file, and the shapes of its parts beside it: both are enough to explore "
+            "it where there are no finite elements.",
+            show_default=False,
+        ),
+    ] = None,
+    shim: Annotated[float, typer.Option(help="The most by which a locator or clamp is moved, mm.")] = 0.5,
+    force: Annotated[float, typer.Option(help="The most by which a clamp's force is multiplied, or divided.")] = 2.0,
+    law: StudyLaw = None,
+):
+    """Move sources, shims, clamp forces and friction on a page, and see what becomes of the assembly.
+
+    The deformed assembly in space with the state of its contacts, the key characteristics against their tolerances and
+    the certificate of the contact solution follow each move. Samples are picked from their histogram. The page is
+    served on this machine alone, to whoever has its address.
+    """
+    _carry_out("explore", source, port, browser, keep, shim, force, law)
 
 
 @app.command()

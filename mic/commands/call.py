@@ -28,6 +28,7 @@ __all__ = [
     "keep_studies",
     "law_of",
     "on_one_process",
+    "reduced",
     "requested",
     "seed_of",
     "status",
@@ -81,7 +82,7 @@ class OnConsole(Listener):
 def studied(console, source):
     """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
     if not (source / "run.json").is_file():
-        return _model(console, source), None
+        return reduced(console, source)[0], None
     record, path = RunFolder(source).record(), source / "model.npz"
     if not path.is_file():
         raise RunError(f"{path}: is missing; run the scene again into this folder")
@@ -91,16 +92,16 @@ def studied(console, source):
     return model, source
 
 
-def _model(console, source):
-    """The reduced model of a scene, or one that was saved."""
+def reduced(console, source):
+    """The reduced model of a scene, or one that was saved; and its parts, none of one that was saved."""
     if source.is_file() and source.suffix == ".npz":
-        return ReducedModel.load(source)
+        return ReducedModel.load(source), ()
     scene = load_scene(source)
     say = lambda line: console.print(f"{plain(line)} …", highlight=False)
     assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
     plan_assembly(assembly)
     coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
-    return ReducedModel.build(assembly, coefficients)
+    return ReducedModel.build(assembly, coefficients), assembly.parts
 
 
 def law_of(model, law):

@@ -224,25 +224,30 @@ class Process:
         ]
 
     @one_thread
-    def evaluate(self, deviations: np.ndarray) -> Evaluation:
+    def evaluate(self, deviations: np.ndarray, at: str | None = None) -> Evaluation:
         """Take a batch through all stages.
 
         Parameters
         ----------
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
+        at : str, optional
+            The stage at whose end all forces and the parts' motions are told; default: the last.
         """
         if (deviations[:, self._changing] != self._changed_by).any():
-            return Evaluation.join([process.evaluate(deviations[part]) for part, process in self.parted(deviations)])
+            parted = self.parted(deviations)
+            return Evaluation.join([process.evaluate(deviations[part], at) for part, process in parted])
         asked, state = self.asked(deviations), self.start(len(deviations))
         resolutions, readings = {}, np.zeros((len(deviations), 0))
-        for stage in self.stages:
+        told = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1
+        for i, stage in enumerate(self.stages):
             state, resolution = stage.advance(state, asked)
             if resolution is not None:
                 resolutions[stage.plan.name] = resolution
             if stage.plan.reads:
                 readings = state.reading["measurement"] + asked.measured
-        force, motion = self._equilibrium(state, deviations)
+            if i == told:
+                force, motion = self._equilibrium(stage, state, deviations)
         read = self.model.characteristics.values(readings) if readings.size else readings
         found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, force, motion)
         short = np.flatnonzero(~found.built)
@@ -321,14 +326,14 @@ class Process:
         process._changed_by = self._changed_by  # the model's contacts are changed already
         return process
 
-    def attempt(self, deviations: np.ndarray) -> Evaluation:
+    def attempt(self, deviations: np.ndarray, at: str | None = None) -> Evaluation:
         """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
         try:
-            return self.evaluate(deviations)
+            return self.evaluate(deviations, at)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             if len(deviations) == 1:
                 return self.blank(deviations, str(error))
-            return Evaluation.join([self.attempt(row[None]) for row in deviations])
+            return Evaluation.join([self.attempt(row[None], at) for row in deviations])
 
     def blank(self, deviations: np.ndarray, reason: str) -> Evaluation:
         """The evaluation of samples that could not be computed: failed, all values NaN, the reason as their status."""
@@ -386,21 +391,27 @@ class Process:
         return model.compliance.fit(shape.T - model.compliance.displace(model.shape_forces.T))
 
     @cached_property
-    def _last_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers of the rows A that the last stage holds, or knows of resting parts, and that are not redundant,
-        ``A H``, and the inverse of ``A G``."""
-        last, compliance = self.stages[-1], self.model.compliance
-        own = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
-        A = last.bilateral[own]
-        return own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
+    def _held(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return {}
 
-    def _equilibrium(self, state: ProcessState, deviations):
-        """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end, the shape deviation included.
+    def _held_by(self, stage: PreparedStage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers of the rows A that a stage holds, or knows of resting parts, and that are not redundant, ``A H``, and
+        the inverse of ``A G``."""
+        name, compliance = stage.plan.name, self.model.compliance
+        if name not in self._held:
+            own = np.setdiff1d(np.arange(stage.bilateral.shape[0]), stage.response.redundant)
+            A = stage.bilateral[own]
+            self._held[name] = own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
+        return self._held[name]
+
+    def _equilibrium(self, last: PreparedStage, state: ProcessState, deviations):
+        """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end of a stage, the shape deviation
+        included.
 
         The motions put the bilateral rows A at their values v: least squares over ``A G q = v − A H f``. Redundant rows
         take no part: their values have no effect, and may contradict the others.
         """
-        model, last, n = self.model, self.stages[-1], len(deviations)
+        model, n = self.model, len(deviations)
         reaction = np.column_stack([np.zeros((n, 0)), *(state.reaction[row] for row in last.plan.bilateral)])
         value = np.column_stack([np.zeros((n, 0)), *(state.value[row] for row in last.plan.bilateral)])
         push = np.zeros((n, model.rows["clamp"].shape[0]))
@@ -410,7 +421,7 @@ class Process:
             push[:, limit.row[1]] = limit.force - state.stop[limit.row]
         force = reaction @ last.bilateral[: reaction.shape[1]] + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
-        own, AH, inverse = self._last_rows
+        own, AH, inverse = self._held_by(last)
         soft = yielding(model.scene, last.plan.bilateral)
         if soft is not None:
             value -= soft * reaction  # what the rows read

@@ -1,0 +1,187 @@
+"""What answers a move: by hand on springs, as the model evaluates it, and saved so that others read the same."""
+
+import numpy as np
+import pytest
+from support.springs import LIFT, MU, PULL, dragged, six
+
+import mic
+from mic.commands.predict import read_parts
+from mic.errors import SceneError
+from mic.scene import Scene
+from mic.scene.samples import take_samples
+from mic.studies.exploration import GROUPS
+
+
+@pytest.fixture(scope="module")
+def model():
+    return dragged()
+
+
+@pytest.fixture(scope="module")
+def exploration(model):
+    return mic.explore(model)
+
+
+def value(answer, name):
+    return answer.table.set_index("measurement").loc[name, "value"]
+
+
+def test_each_move_is_answered_as_by_hand(exploration):
+    """b's face is lifted by h = (P + s)/2, s the shim below its third locator, and dragged by μ h/4; t goes by D and
+    its clamp's stroke."""
+    moved = {"P": 0.9, "locators.bl2": 0.1, "zones.z.friction": 0.2, "clamps.T.stroke": -0.25}
+    answer = exploration.answer(moved)
+    assert value(answer, "M") == pytest.approx(0.2 * 0.5 / 4, rel=1e-9)
+    assert value(answer, "N") == pytest.approx(PULL - 0.25, rel=1e-12)
+    assert value(exploration.answer({"zones.z.friction": MU}), "M") == pytest.approx(MU * LIFT / 4, rel=1e-9)
+    assert not answer.failed and not answer.preliminary and 0 <= answer.residual < 1e-10
+    assert answer.shares == {"open": 0, "stick": 0, "slip": 1} and "Solved in all stages" in answer.said
+
+
+def test_sources_give_what_the_model_evaluates(model, exploration):
+    answer, whole = exploration.answer({"P": 0.95, "D": 2.1}), model.evaluate({"P": 0.95, "D": 2.1})
+    assert answer.table["value"].tolist() == whole.measurements[0].tolist()
+    np.testing.assert_array_equal(answer.evaluation.functional_force, whole.functional_force)
+
+
+def test_values_are_held_against_their_limits(exploration):
+    assert exploration.answer().table["within"].tolist() == [True, True]
+    assert exploration.answer({"clamps.T.stroke": 1.2}).table["within"].tolist() == [True, False]
+    assert exploration.answer({"clamps.T.stroke": -1.2}).table["within"].tolist() == [True, False]
+
+
+def test_what_matters_most_comes_first_in_its_group(exploration):
+    """D's three sigma move N by 0.15 of half its tolerance; P's move M by 3 σ μ/8."""
+    by_name = {one.name: one for one in exploration.controls}
+    assert by_name["D"].matters == pytest.approx(0.15) and by_name["P"].matters == pytest.approx(0.3 * MU / 8)
+    assert by_name["zones.z.friction"].matters == pytest.approx(0.3 * LIFT / 4)
+    assert [one.group for one in exploration.controls] == sorted(
+        (one.group for one in exploration.controls), key=GROUPS.index
+    )
+    for group in GROUPS:
+        shares = [one.matters for one in exploration.controls if one.group == group]
+        assert shares == sorted(shares, reverse=True) and shares
+    assert (by_name["D"].low, by_name["D"].high, by_name["D"].unit) == (pytest.approx(1.85), pytest.approx(2.15), "mm")
+
+
+def test_a_stage_is_looked_at_at_its_end(model, exploration):
+    """Both faces stand at half of what b is lifted by; b is dragged by M, and t by all of its way."""
+    answer = exploration.answer({"P": 0.9}, "clamp")
+    along = 0.5 * (PULL + MU * 0.45 / 4)
+    np.testing.assert_allclose(exploration.contacts(answer), [[along, 0.0, 0.45 / 2]], atol=1e-9)
+    assert (answer.stage, answer.contact_stage) == ("clamp", "clamp")
+    located = exploration.answer({"P": 0.9}, "locate")
+    assert located.contact_stage == "" and not len(located.states)
+    assert exploration.readings(located)[0] == pytest.approx(0.45, rel=1e-9)  # b's face where its locators lift it
+    assert exploration.answer({"P": 0.9}).contact_stage == "clamp"
+
+
+def test_the_readings_are_those_of_the_measurements(lap_model):
+    """At the end of the last stage, shapes of the parts included; and another stage is another place."""
+    exploration = mic.explore(lap_model)
+    answer = exploration.answer()
+    read = lap_model.rows["measurement"] @ exploration.readings(answer)
+    np.testing.assert_allclose(read, answer.evaluation.readings[0], atol=1e-9)
+    clamped = lap_model.rows["measurement"] @ exploration.readings(exploration.answer(stage="clamp"))
+    assert np.abs(clamped - read).max() > 1e-3
+
+
+def test_a_preliminary_answer_is_near_the_final_one_and_called_so(lap_model):
+    exploration = mic.explore(lap_model)
+    first, final = exploration.answer(coarse=True), exploration.answer()
+    assert first.preliminary and not final.preliminary
+    _, y = exploration.drawn(6)
+    off = np.abs(first.table["value"] - final.table["value"]).to_numpy()
+    assert 0 < off.max() and (off < 0.1 * y.std(axis=0)).all()
+    assert first.residual < 1e-10  # solved as exactly, along another path
+
+
+def test_what_cannot_be_computed_is_said_and_the_next_move_is_answered(exploration):
+    impossible = exploration.answer({"zones.z.friction": -0.1})
+    assert impossible.failed and "Not solved" in impossible.said and not impossible.table["within"].any()
+    assert not exploration.answer().failed
+
+
+@pytest.mark.parametrize(
+    ("moved", "stage", "said"),
+    [
+        ({"Q": 1.0}, None, "'Q' cannot be moved; known: D, P"),
+        ({"P": float("nan")}, None, "P: nan is no finite number"),
+        ({}, "paint", "there is no stage 'paint'; known: locate, clamp, measure"),
+    ],
+)
+def test_what_is_not_there_is_refused(exploration, moved, stage, said):
+    with pytest.raises(ValueError) as refused:
+        exploration.answer(moved, stage)
+    assert said in str(refused.value).replace("known: P, D", "known: D, P")
+
+
+def test_bounds_that_allow_nothing_are_refused(model):
+    with pytest.raises(ValueError, match="shim must be positive"):
+        mic.explore(model, shim=0.0)
+
+
+def test_a_scene_without_measurements_can_be_moved_too():
+    exploration = mic.explore(dragged(measurements=[]))
+    assert not len(exploration.answer({"P": 0.9}).table) and exploration.controls[0].matters == 0.0
+
+
+def test_a_sample_of_the_scene_is_that_of_its_deviations(model, exploration):
+    x, y = exploration.drawn(5)
+    again, _ = exploration.drawn(2, first=3)
+    np.testing.assert_array_equal(x[3:], again)
+    answer = exploration.answer(exploration.sample(x[2]))
+    np.testing.assert_allclose(answer.table["value"], y[2], rtol=1e-12)
+
+
+def test_what_is_saved_gives_the_same_numbers_again(model, exploration, tmp_path):
+    """The scene with its new tables, and the row of samples that goes with it, by the readers of both."""
+    import tomllib
+
+    moved = {"P": 0.8765432109876543, "locators.bl2": 1 / 7, "zones.z.friction": 0.2, "clamps.T.stroke": -0.25}
+    added = tomllib.loads(exploration.scene_tables(moved))["deviations"]
+    assert [(one["kind"], one["target"]) for one in added] == [("locator", "bl2"), ("clamp", "T"), ("friction", "z")]
+    scene = model.scene.model_dump(mode="json")
+    saved = model.varied(Scene(**scene | {"deviations": [*scene["deviations"], *added], "folder": tmp_path}))
+    (tmp_path / "sample.csv").write_text(exploration.sample_table(moved))
+    ((row, values),) = read_parts(tmp_path / "sample.csv", saved.parameters)
+    assert row == 2 and list(values) == saved.parameters  # a table of samples needs all of them
+    np.testing.assert_array_equal(saved.evaluate(values).measurements[0], exploration.answer(moved).table["value"])
+    assert exploration.scene_tables({"P": 0.9}) == ""
+    assert exploration.sample_table({"P": 0.9}) == f"P,D\n0.9,{PULL!r}\n"
+
+
+def test_a_run_takes_a_sample_that_was_saved(lap_model, tmp_path):
+    folder = lap_model.scene.folder
+    exploration = mic.explore(lap_model)
+    (tmp_path / "sample.csv").write_text(exploration.sample_table({"F1": -6.25}))
+    (tmp_path / "geometry.py").write_text((folder / "geometry.py").read_text())
+    text = (folder / "scene.toml").read_text()
+    start = text.index("[monte_carlo]")
+    (tmp_path / "scene.toml").write_text(f'{text[:start]}[monte_carlo]\ntable = "sample.csv"\n')
+    scene, _ = take_samples(mic.load_scene(tmp_path))
+    assert scene.monte_carlo.samples == 1 and scene.monte_carlo.values[0][lap_model.parameters.index("F1")] == -6.25
+
+
+def test_sliders_reach_as_far_as_the_distribution(model):
+    deviations = [
+        {"name": "P", "kind": "locator", "target": "bl1", "mean": 0.8, "sigma": 0.1, "truncated": [0.7, 1.0]},
+        {"name": "fixed", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.0},
+    ]
+    exploration = mic.explore(dragged(deviations=deviations))
+    (own,) = [one for one in exploration.controls if one.group == "sources"]
+    assert own.name == "P" and 0.7 <= own.low < 0.71 and 0.98 < own.high <= 1.0
+    assert exploration.answer().evaluation.deviations[0][1] == PULL
+
+
+def test_nothing_to_move_is_said():
+    free = dragged(
+        deviations=[],
+        clamps=[],
+        zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.0, "pairs": 1}],
+        locators=[*six("b"), *six("t")],
+    )
+    assert {one.group for one in mic.explore(free).controls} == {"locators"}
+    bare = free.varied(free.scene.model_copy(update={"locators": []}))
+    with pytest.raises((SceneError, ValueError)):
+        mic.explore(bare)

@@ -1,0 +1,303 @@
+"""The page of ``mic explore`` in a headless browser, who may see it, and what is drawn of an assembly."""
+
+import http.client
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.springs import dragged
+from typer.testing import CliRunner
+
+import mic
+from mic.commands.predict import read_parts
+from mic.errors import FormatError
+from mic.explorer.picture import Picture
+from mic.explorer.shapes import PartShape, Shapes, beside
+from mic.options import app
+
+CHROMIUM = ("chromium", "chromedriver")
+ARGUMENTS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --enable-unsafe-swiftshader --window-size=1280,800"
+)
+# As on a machine without finite elements.
+WITHOUT = "import sys; sys.modules.update(dolfinx=None, fem_reference=None); from mic.cli import main; main()"
+
+
+# ------------------------------------------------------------------------------------------------ what is drawn
+
+
+@pytest.fixture(scope="module")
+def exploration():
+    return mic.explore(dragged())
+
+
+def square(name, lift=0.0):
+    """A plate that each force on it lifts as a whole, and that moves as a rigid body."""
+    points = np.array([[0.0, 0, lift], [10, 0, lift], [10, 10, lift], [0, 10, lift]])
+    rigid = np.zeros((4, 3, 6))
+    rigid[:, :, :3] = np.eye(3)
+    rigid[:, :, 3:] = [np.cross(np.eye(3), p).T for p in points]
+    return points, np.array([[0, 1, 2], [0, 2, 3]]), rigid
+
+
+def test_parts_are_drawn_where_forces_and_motions_take_them(exploration):
+    """A millionth of a force lifts b; t goes along with its clamp by D."""
+    model = exploration.model
+    parts = []
+    for p, name in enumerate("bt"):
+        points, triangles, rigid = square(name)
+        basis = np.zeros((4, 3, len(model.compliance.H[p])), dtype=np.float32)
+        basis[:, 2, 0] = 0.5
+        parts.append(PartShape(name, points, triangles, basis, rigid))
+    picture, answer = Picture(exploration, Shapes(tuple(parts), "")), exploration.answer({"D": 2.1})
+    placed, nominal = picture.placed(answer, 10.0), picture.placed(answer, 0.0)
+    force = answer.evaluation.functional_force[0]
+    for p, rows in enumerate(model.compliance.functionals):
+        q = answer.evaluation.motion[0][6 * p : 6 * p + 6]
+        turned = np.array([q[:3] + np.cross(q[3:], x) for x in parts[p].points])
+        turned[:, 2] += 0.5 * force[rows][0]
+        np.testing.assert_allclose(placed.parts[p], parts[p].points + 10 * turned, atol=1e-5)
+        np.testing.assert_array_equal(nominal.parts[p], parts[p].points)
+    assert np.abs(placed.contacts - nominal.contacts).max() == pytest.approx(10 * 0.5 * (2.1 + 0.03), rel=1e-6)
+
+
+def test_without_shapes_measured_points_move_as_they_read_and_that_is_said(exploration):
+    picture, answer = Picture(exploration, Shapes()), exploration.answer({"D": 2.1})
+    moved = picture.placed(answer, 4.0).measured - picture.placed(answer, 0.0).measured
+    np.testing.assert_allclose(moved, [[4 * 0.03, 0, 0], [4 * 2.1, 0, 0]], rtol=1e-6)
+    assert "contacts and measured points alone are drawn" in picture.shapes.said
+    usual = picture.usual(answer)
+    assert float(f"{usual:.0e}") == usual and usual >= 1
+
+
+def test_shapes_are_kept_for_their_own_model_alone(exploration, tmp_path):
+    points, triangles, rigid = square("b")
+    shapes = Shapes((PartShape("b", points, triangles, np.ones((4, 3, 2), np.float32), rigid),), "")
+    path = beside(tmp_path / "model.npz")
+    shapes.save(path, exploration.own)
+    again = Shapes.load(path, exploration.own)
+    assert path.name == "model.shapes.npz" and again.said == "" and again.parts[0].name == "b"
+    for key in ("points", "triangles", "basis", "rigid"):
+        np.testing.assert_array_equal(getattr(again.parts[0], key), getattr(shapes.parts[0], key))
+    with pytest.raises(FormatError, match="belong to another model; write it again"):
+        Shapes.load(path, dragged(measurements=[]))
+    exploration.own.save(path)
+    with pytest.raises(FormatError, match="no set of drawn shapes"):
+        Shapes.load(path, exploration.own)
+
+
+@pytest.mark.fem
+def test_a_shape_is_the_field_of_the_finite_elements(lap_model, lap_scene, cache):
+    from mic.compliance import provider
+    from mic.model.assembly import assemble
+
+    parts = assemble(lap_scene, cache).parts
+    shapes = Shapes.of(lap_model, parts, cache)
+    again = Shapes.of(lap_model, parts, cache, lambda line: pytest.fail("it was kept"))
+    found = lap_model.evaluate({})
+    moved = again.displaced(lap_model, found.functional_force[0], found.motion[0])
+    part, rows, modes = parts[1], lap_model.compliance.functionals[1], lap_model.compliance.motions[1]
+    solved, rigid = provider.find(part).field(part, found.functional_force[0][rows, None])
+    whole = solved[:, :3, 0] + rigid[:, :3] @ found.motion[0][modes]
+    assert shapes.said == "" and len(shapes.parts[1].points) == len(whole)
+    np.testing.assert_allclose(moved[1], whole, atol=2e-5 * np.abs(whole).max())
+
+
+# ------------------------------------------------------------------------------------------------ the command
+
+
+def test_a_library_that_is_missing_is_named_with_its_remedy(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trame_vtk.widgets", None)
+    monkeypatch.setitem(sys.modules, "trame.app", None)
+    monkeypatch.delitem(sys.modules, "mic.explorer.page", raising=False)
+    done = CliRunner().invoke(app, ["explore", str(tmp_path)])
+    assert done.exit_code != 0 and "pip install 'mic-contact[explore]'" in str(done.exception)
+
+
+def started(folder, *more):
+    program = subprocess.Popen(
+        [sys.executable, "-c", WITHOUT, "explore", str(folder / "model.npz"), "--no-browser", *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "300"},
+    )
+    lines = []
+    for line in program.stdout:
+        lines.append(line)
+        if "http://" in line:
+            return program, line.split()[-1]
+    raise AssertionError("".join(lines) + program.stderr.read())
+
+
+@pytest.fixture(scope="module")
+def served(lap_model, tmp_path_factory):
+    """The lap joint's page, where there are no finite elements; at the end the program was ended by Ctrl-C."""
+    pytest.importorskip("trame_vtk")
+    folder = tmp_path_factory.mktemp("explored")
+    lap_model.save(folder / "model.npz")
+    program, address = started(folder)
+    host, _, query = address.removeprefix("http://").partition("/")
+    yield SimpleNamespace(address=address, host=host, path=f"/{query}", folder=folder)
+    program.send_signal(signal.SIGINT)
+    said, wrong = program.communicate(timeout=60)
+    assert program.returncode == 0 and "Ended." in said and wrong == ""
+
+
+def status(served, path=None, **headers):
+    connection = http.client.HTTPConnection(served.host, timeout=30)
+    connection.request("GET", path or served.path, headers=headers)
+    answer = connection.getresponse()
+    found = answer.status, answer.read().decode(errors="replace"), answer.headers
+    connection.close()
+    return found
+
+
+@pytest.mark.slow
+def test_the_page_is_served_to_nobody_else(served):
+    token = served.path.partition("token=")[2]
+    whole, text, headers = status(served)
+    assert whole == 200 and "trame" in text and served.host.startswith("127.0.0.1:")
+    assert "default-src 'self'" in headers["Content-Security-Policy"]
+    cookie = headers["Set-Cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and token in cookie
+    assert status(served, "/vue.global.js", Cookie=cookie.partition(";")[0])[0] == 200
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    upgrade["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    port = served.host.partition(":")[2]
+    refused = [
+        status(served, "/index.html"),
+        status(served, "/vue.global.js"),
+        status(served, f"/index.html?token={token[:-1]}"),
+        status(served, "/ws", **upgrade),
+        status(served, Host=f"assemblies.example:{port}"),
+        status(served, Host="127.0.0.1"),
+        status(served, Origin="http://assemblies.example"),
+        status(served, f"/ws?token={token}", Origin="http://assemblies.example", **upgrade),
+    ]
+    assert [code for code, _, _ in refused] == [403] * len(refused)
+    assert all(text.startswith("refused: ") and headers["Set-Cookie"] is None for _, text, headers in refused)
+
+
+@pytest.mark.slow
+def test_a_port_that_is_in_use_is_told_before_anything_else(served):
+    port = served.host.partition(":")[2]
+    done = CliRunner().invoke(app, ["explore", str(served.folder / "model.npz"), "--port", port])
+    assert done.exit_code != 0
+    assert str(done.exception) == f"--port {port}: it is in use; name another, or leave --port out for any free one"
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Debian's chromium, closed off from the network by the page's own policy and its own switches."""
+    selenium = pytest.importorskip("selenium.webdriver")
+    chromium, driver = (shutil.which(name) for name in CHROMIUM)
+    if not (chromium and driver):
+        pytest.skip("needs chromium and chromium-driver")
+    options = selenium.ChromeOptions()
+    options.binary_location = chromium
+    for argument in (*ARGUMENTS.split(), f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
+    own = selenium.Chrome(options=options, service=selenium.ChromeService(driver))
+    yield own
+    own.quit()
+
+
+class Seen:
+    """The page as a user sees it."""
+
+    def __init__(self, browser):
+        self.browser = browser
+
+    def __call__(self, name):
+        return self.browser.find_element("id", name)
+
+    def until(self, true, what):
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            if true():
+                return
+            time.sleep(0.05)
+        raise AssertionError(f"{what} did not come")
+
+    def final(self, act):
+        """Do something that moves the assembly, and wait for what is not preliminary."""
+        before = int(self("answered").get_attribute("textContent"))
+        act()
+        count = lambda: int(self("answered").get_attribute("textContent"))
+        self.until(lambda: count() > before and "early" not in self("certificate").get_attribute("class"), "an answer")
+        return float(self("value-of-M1").get_attribute("title").split()[0])
+
+    def input(self, i):
+        return float(self(f"value-{i}").get_property("value"))
+
+
+@pytest.mark.slow
+def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
+    """A slider is moved, a sample is picked, friction is typed and the assembly saved: each time the page tells what
+    the model evaluates. Nothing is asked of another host, and nothing breaks in the browser."""
+    from selenium.webdriver.common.keys import Keys
+
+    page, exploration = Seen(browser), mic.explore(lap_model)
+    browser.get(served.address)
+    page.until(lambda: browser.find_elements("id", "value-of-M1"), "the page")
+    m1 = lap_model.evaluate({}).measurements[0][0]
+    assert float(page("value-of-M1").get_attribute("title").split()[0]) == pytest.approx(m1, abs=1e-12)
+    assert "alone are drawn" in page("said").text and "Solved in all stages" in page("certificate").text
+
+    names = [one.name for one in exploration.controls]
+    i = names.index("F1")
+    thumb = browser.find_element("css selector", f"#control-{i} [role=slider]")
+    stated = page.input(i)
+    told = page.final(lambda: thumb.send_keys(Keys.ARROW_RIGHT))
+    assert page.input(i) > stated
+    assert told == pytest.approx(lap_model.evaluate({"F1": page.input(i)}).measurements[0][0], abs=1e-12)
+    assert abs(told - m1) > 1e-4
+
+    page.until(lambda: browser.find_elements("id", "bar-0"), "the samples")
+    bar = max(range(25), key=lambda j: browser.find_element("id", f"bar-{j}").get_attribute("style"))
+    told = page.final(page(f"bar-{bar}").click)
+    page.until(lambda: page("picked").text.startswith("Sample "), "the sample")
+    number = int(page("picked").text.split()[1].rstrip(":"))
+    (drawn,), (measured,) = exploration.drawn(1, first=number)
+    assert told == pytest.approx(measured[0], abs=1e-9)
+    assert page.input(i) == pytest.approx(drawn[lap_model.parameters.index("F1")], abs=1e-12)
+
+    friction = names.index("zones.lap.friction")
+    box = page(f"value-{friction}")
+    box.clear()
+    told = page.final(lambda: box.send_keys("0.1", Keys.TAB))
+    moved = exploration.sample(drawn) | {"zones.lap.friction": 0.1}
+    assert told == pytest.approx(exploration.answer(moved).table["value"][0], abs=1e-9)
+
+    page("save-sample").click()
+    page.until(lambda: page("saved").text.startswith("Saved: "), "the file")
+    saved = Path(page("saved").text.removeprefix("Saved: "))
+    ((_, values),) = read_parts(saved, [*lap_model.parameters, "friction-1"])
+    assert saved.parent == served.folder and values == pytest.approx(
+        dict(zip(lap_model.parameters, drawn)) | {"friction-1": 0.1 - lap_model.scene.zones[0].friction}
+    )
+    page("save-scene").click()
+    page.until(lambda: "explored-scene-1.toml" in page("saved").text, "the scene")
+    assert 'kind = "friction"' in (served.folder / "explored-scene-1.toml").read_text()
+
+    assert page.final(page("reset").click) == pytest.approx(m1, abs=1e-9)
+    sent = [json.loads(line["message"])["message"] for line in browser.get_log("performance")]
+    asked = [one["params"]["request"]["url"] for one in sent if one["method"] == "Network.requestWillBeSent"]
+    asked += [one["params"]["url"] for one in sent if one["method"] == "Network.webSocketCreated"]
+    own = (f"http://{served.host}/", f"ws://{served.host}/", "data:", "blob:", "chrome:")
+    assert [url for url in asked if not url.startswith(own)] == [] and any(url.startswith("ws:") for url in asked)
+    wrong = [line["message"] for line in browser.get_log("browser") if line["level"] == "SEVERE"]
+    assert [line for line in wrong if "/paraview/" not in line] == []  # where trame looks for a launcher
+    browser.save_screenshot(str(served.folder / "page.png"))
