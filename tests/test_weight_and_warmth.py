@@ -31,7 +31,7 @@ def read(table):
     return read_table(table, LAP / "scene.toml")
 
 
-L, b, t, E = 200.0, 20.0, 1.0, 210e3
+L, b, t, E = 200.0, 20.0, 0.8, 210e3
 
 
 def strip(folder, deviations, hung=False):
