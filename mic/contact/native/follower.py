@@ -820,6 +820,7 @@ def _compile(digest):
             NUMBER,
             NUMBER,
             NUMBER,
+            VECTOR,
             COUNTS,
             MATRIX,
             VECTOR,
@@ -842,6 +843,7 @@ def _compile(digest):
         step,
         behind,
         allowed,
+        pace,
         state0,
         e0,
         grip,
@@ -853,6 +855,10 @@ def _compile(digest):
         counts,
     ):
         """Where a step leads with statuses held, but that contacts open on the way.
+
+        A slider's direction comes to rest within a slip of its compliance, much less than that of a step where sheets
+        slide on each other as rigid bodies do: held, the directions of several would not let them.  So a slider of
+        which it is known how far it may go is linearised there, at the end of its slip, as the shifts have it.
 
         Parameters
         ----------
@@ -867,6 +873,8 @@ def _compile(digest):
         allowed : float
             Error of the step, a length: motion below it does not count.  A contact that slid farther ends the step
             where it opens, too.
+        pace : (m,) array
+            Slip that is expected of sliders, over the whole path; 0 if nothing is.
         state0, e0 : (m,), (m, 2) array
             Receive the statuses of the start, and the directions of sliders.
         grip, loose : (m,) array
@@ -886,7 +894,7 @@ def _compile(digest):
         digest  # noqa: B018
         m = len(parameters)
         phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-        y, w = y0.copy(), w0.copy()
+        y, w, found = y0.copy(), w0.copy(), np.zeros(m, np.int64)
         dy, dw = np.empty(3 * m), np.empty(3 * m)
         for k in range(m):  # a little forward along the way of a slider, so that one on its cone is one
             i = 3 * k
@@ -903,13 +911,18 @@ def _compile(digest):
                 v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
                 t = np.sqrt(v1 * v1 + v2 * v2)
                 e0[k, 0], e0[k, 1] = v1 / t, v2 / t
+                slip, t = pace[k] * step, np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+                slip *= 1.0 - _lag(slip / max(t, 1e-300))
+                if slip > NEAR * t:
+                    w[i + 1], w[i + 2] = w0[i + 1] - slip * e0[k, 0], w0[i + 2] - slip * e0[k, 1]
+        derivative(equation, parameters, y, w, phi, A, B, found)
         w[:] = w0
         x[:] = 0.0
         motion[:] = 0.0
         for k in range(m):
             loose[k] = 0.0 if state0[k] == SLIP else 1.0
             grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
-        state, held, found = state0.copy(), np.zeros(m, np.bool_), np.zeros(m, np.int64)
+        state, held = state0.copy(), np.zeros(m, np.bool_)
         trial, still = np.empty(3 * m), np.zeros(3 * m)
         new_A, new_B, nothing = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((0, 3, 3))
         A0, B0 = A.copy(), B.copy()
@@ -1125,6 +1138,7 @@ def _compile(digest):
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
         phi, nothing, kept = np.empty(size), np.empty((0, 3, 3)), np.zeros(m, np.int64)
         stretch, A, B = np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        pace = np.zeros(m)
         digest  # noqa: B018
         given = len(ends) > 0
         smallest = 1.0 if given else SHORTEST
@@ -1139,6 +1153,7 @@ def _compile(digest):
             w += q
             rate[:] = Q1[sample] - Q0[sample]
             scale = max(starting_scale(q), starting_scale(q + rate))
+            pace[:] = 0.0
             y0[:] = y
             solved, own, inverse = 1, np.empty(0, np.int64), np.empty((0, 0))
             if order == 1:  # what does not balance is part of the first step
@@ -1206,6 +1221,7 @@ def _compile(digest):
                             step,
                             behind,
                             allowed,
+                            pace,
                             state0,
                             e0,
                             grip,
@@ -1294,6 +1310,11 @@ def _compile(digest):
                             shift[:], touched[:] = 0.0, 0.0
                         else:
                             break
+                    if solved == 1:
+                        for k in range(m):
+                            pace[k] = 0.0
+                            if state[k] == SLIP:
+                                pace[k] = np.sqrt(w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) / (target - s)
                     if solved == 1 and error <= allowed or last:
                         break
                     done[CUT] += 1
