@@ -140,6 +140,11 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
     touched : (m,) array
         Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.
     """
+    first = 1.0
+    for k in range(len(state0)):
+        i = 3 * k
+        if state0[k] == OPEN and w0[i] + motion[i] < 0.0:
+            first = min(first, _crossing(w0[i], w0[i] + motion[i]))
     for k in range(len(state0)):
         i = 3 * k
         shift[k, 0] = shift[k, 1] = touched[k] = 0.0
@@ -148,16 +153,20 @@ def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shi
             if solved and state[k] == OPEN:
                 continue
             gap, m1, m2 = w0[i] + motion[i], motion[i + 1], motion[i + 2]
-            if solved:  # but for the contact's own force
+            if gap < 0.0:
+                c = _crossing(w0[i], gap)
+                touched[k] = c
+                shift[k, 0], shift[k, 1] = c * m1, c * m2
+            elif solved:  # because others closed before, and then but for its own force
                 gap, m1, m2 = w[i], w[i + 1], w[i + 2]
                 for j in range(i, i + 3):
                     gap -= W[i, j] * y[j]
                     m1 -= W[i + 1, j] * y[j]
                     m2 -= W[i + 2, j] * y[j]
-            if gap < 0.0:
-                c = _crossing(w0[i], gap)
-                touched[k] = c
-                shift[k, 0], shift[k, 1] = c * m1, c * m2
+                c = _crossing(w0[i] + first * motion[i], min(gap, -1e-300))
+                touched[k] = first + (1.0 - first) * c
+                shift[k, 0] = (1.0 - c) * first * motion[i + 1] + c * m1
+                shift[k, 1] = (1.0 - c) * first * motion[i + 2] + c * m2
         elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
             d1, d2 = e0[k, 0], e0[k, 1]
             if solved:
@@ -273,13 +282,7 @@ def _record(
             if state[k] == OPEN:
                 share[k, 0] += part
                 continue
-            if w0[i] + motion[i] < 0.0:  # foreseen, before its own force could take load off the others
-                begin = _crossing(w0[i], w0[i] + motion[i])
-                doubt = abs(touched[k] - begin)
-                m1 -= begin * ((1.0 - doubt) * motion[i + 1] + doubt * m1)
-                m2 -= begin * ((1.0 - doubt) * motion[i + 2] + doubt * m2)
-            else:
-                m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
+            m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
             end, doubt = _opening(y0, w, motion, k, opened)
             m1 = (1.0 - doubt) * gone[k, 0] + doubt * end * m1
@@ -1334,8 +1337,8 @@ def _compile(digest):
                     y,
                     w,
                     state,
-                    touched,
-                    shift,
+                    late,
+                    other,
                     opened,
                     gone,
                     target - s,
