@@ -91,6 +91,8 @@ CHORD, CHANGES = 0.3, 0.3
 #: In a slider's equation its displacement counts so many times that it is this share of its force: its direction is
 #: then that of its motion as well as that of its force, which others hold; and so many times at most.
 EVEN, STRETCH = 0.3, 1e4
+#: Contacts that close in a step are looked at one by one, but those after so many.
+ONE_BY_ONE = 8
 #: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
 HELP, PATIENCE = 6, 12
 
@@ -120,53 +122,34 @@ def _crossing(start, end):
 
 @jit(
     void(
-        MATRIX, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR
+        VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR
     )
 )
-def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shift, touched):
+def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
     Parameters
     ----------
-    y0, w0, state0
-        The step's start: forces, displacements, states.
+    w0, state0
+        The step's start: displacements, states.
     e0, grip, loose
         Of sliders, as predicted: directions and ‖y_t‖ when they began to slide, and after which share of the step.
-    motion : (3m,) array
-        Change of ``w`` over the step as predicted.
     y, w, state
         The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
     shift : (m, 2) array
     touched : (m,) array
-        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.
+        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open. Of those that close
+        in a solution :func:`closings` tells them.
     """
-    first = 1.0
-    for k in range(len(state0)):
-        i = 3 * k
-        if state0[k] == OPEN and w0[i] + motion[i] < 0.0:
-            first = min(first, _crossing(w0[i], w0[i] + motion[i]))
     for k in range(len(state0)):
         i = 3 * k
         shift[k, 0] = shift[k, 1] = touched[k] = 0.0
         if state0[k] == OPEN:
             touched[k] = 1.0
-            if solved and state[k] == OPEN:
-                continue
-            gap, m1, m2 = w0[i] + motion[i], motion[i + 1], motion[i + 2]
-            if gap < 0.0:
-                c = _crossing(w0[i], gap)
+            if w[i] < 0.0 and not solved:
+                c = _crossing(w0[i], w[i])
                 touched[k] = c
-                shift[k, 0], shift[k, 1] = c * m1, c * m2
-            elif solved:  # because others closed before, and then but for its own force
-                gap, m1, m2 = w[i], w[i + 1], w[i + 2]
-                for j in range(i, i + 3):
-                    gap -= W[i, j] * y[j]
-                    m1 -= W[i + 1, j] * y[j]
-                    m2 -= W[i + 2, j] * y[j]
-                c = _crossing(w0[i] + first * motion[i], min(gap, -1e-300))
-                touched[k] = first + (1.0 - first) * c
-                shift[k, 0] = (1.0 - c) * first * motion[i + 1] + c * m1
-                shift[k, 1] = (1.0 - c) * first * motion[i + 2] + c * m2
+                shift[k, 0], shift[k, 1] = c * w[i + 1], c * w[i + 2]
         elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
             d1, d2 = e0[k, 0], e0[k, 1]
             if solved:
@@ -518,7 +501,7 @@ def _facet(equation, parameters, y, w, y_new, k, A, B, right, e):
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
     # In the closure of `follow` these would be part of the cache's key, and no two processes write them alike.
-    global inverse_of, rates, linear, sweep, newton_by_pivots, solve, predict
+    global inverse_of, rates, linear, sweep, closings, newton_by_pivots, solve, predict
 
     @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
     def inverse_of(W, A, B, closed):
@@ -570,6 +553,73 @@ def _compile(digest):
         gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
         times(W, y, w)
         w += q
+
+    @jit(void(MATRIX, COUNTS, MATRIX, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
+    def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
+        """Where contacts that close in a step were when they did, and after which share of it: ``shift``, ``touched``.
+
+        One after the other: until the first closes all go where the end would be without the forces of any of them, to
+        which the others' answer, then where it would be with the first one's, and so on.  The inverse over the contacts
+        `own` tells the answers, statuses held; where it is not to be had, they give none.
+        """
+        digest  # noqa: B018
+        new = np.flatnonzero((state0 == OPEN) & (state != OPEN))
+        count, passed = len(new), 0.0
+        place, at, free = np.full(len(state), -1), np.empty((count, 3)), np.empty((count, 3))
+        for a in range(len(own)):
+            place[own[a]] = a
+        for a in range(count):
+            for c in range(3):
+                at[a, c] = w0[3 * new[a] + c]
+        late = np.ones(count, np.bool_)  # those that have not closed yet
+        for turn in range(count):
+            left = np.flatnonzero(late)
+            if turn < ONE_BY_ONE:
+                n = 3 * len(left)
+                inner, right, change = np.empty((n, n)), np.zeros(len(inverse)), np.zeros(len(y))
+                answers = True
+                for a in left:
+                    answers = answers and place[new[a]] >= 0
+                    for c in range(3 * new[a], 3 * new[a] + 3):
+                        change[c] = -y[c]
+                if answers:
+                    for a in range(n):
+                        for b in range(n):
+                            inner[a, b] = inverse[
+                                3 * place[new[left[a // 3]]] + a % 3, 3 * place[new[left[b // 3]]] + b % 3
+                            ]
+                    inner = _inverted(inner)
+                    for a in range(n):
+                        for b in range(n):
+                            right[3 * place[new[left[a // 3]]] + a % 3] += inner[a, b] * change[3 * new[left[b // 3]] + b % 3]
+                    answer = np.dot(inverse, right)
+                    for a in range(len(own)):
+                        for c in range(3):
+                            change[3 * own[a] + c] = answer[3 * a + c]
+                for a in left:
+                    for c in range(3):
+                        i = 3 * new[a] + c
+                        free[a, c] = w[i]
+                        for j in range(len(y)):
+                            free[a, c] += W[i, j] * change[j]
+            first, soonest = -1, 1.0
+            for a in left:
+                if free[a, 0] < 0.0:
+                    c = _crossing(at[a, 0], free[a, 0])
+                    if c < soonest:
+                        first, soonest = a, c
+            if first < 0:  # at the very end
+                for a in left:
+                    touched[new[a]] = 1.0
+                    shift[new[a]] = free[a, 1:]
+                return
+            for a in left:
+                for c in range(3):
+                    at[a, c] += soonest * (free[a, c] - at[a, c])
+            passed += soonest * (1.0 - passed)
+            touched[new[first]] = passed
+            shift[new[first]] = at[first, 1:]
+            late[first] = False
 
     @jit(SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, *LAST_PROBLEM, COUNTS))
     def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts):
@@ -1239,7 +1289,7 @@ def _compile(digest):
                     target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     yp[:], wp[:] = y0 + x, w0 + motion
                     if order == 2:
-                        _shifts(W, y0, w0, state0, e0, grip, loose, motion, yp, wp, state0, False, shift, touched)
+                        _shifts(w0, state0, e0, grip, loose, yp, wp, state0, False, shift, touched)
                     # With the prediction's shifts, then with the solution's; where no shorter step is to be had, with
                     # none: backward Euler's method as it is, which always leads on.
                     turn, last = 0, step <= 1.0001 * smallest
@@ -1291,7 +1341,8 @@ def _compile(digest):
                             w[3 * k + 2] += shift[k, 1]
                         if order == 1:
                             break
-                        _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, True, other, late)
+                        _shifts(w0, state0, e0, grip, loose, y, w, state, True, other, late)
+                        closings(W, own, inverse, w0, state0, y, w, state, other, late)
                         if turn == 2:  # as far from backward Euler's method as its shifts are
                             for k in range(m):
                                 phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
