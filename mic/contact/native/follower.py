@@ -7,10 +7,10 @@ asks, where a contact is closed,
 
 with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 
-1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start.  On
-   the cone a contact slides forward or its force does not leave the cone: which of them is found by pivots.  Contacts
-   that open or break loose on the way change a few rows of that problem, its inverse by rank 3.  The step ends just
-   behind the first contact that closes.
+1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start, of
+   sliders where the slip of the step before would take them.  On the cone a contact slides forward or its force does
+   not leave the cone: which of them is found by pivots.  Contacts that open or break loose on the way change a few rows
+   of that problem, its inverse by rank 3.  The step ends just behind the first contact that closes.
 2. **Solution.**  Backward Euler's method measures slip from where the step began, which drags a slider straight towards
    its end, and a contact that closes from too far back.  Both are mended, to second order, by moving the point from
    which slip is measured, and the same problem as ever is solved:
@@ -18,14 +18,14 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
    - a slider that slips by ``l`` and starts along ``e⁰``: by ``-(1 - θ) l e⁰`` with ``1 - θ = 1/z - 1/(eᶻ - 1)``, ``z =
      l/‖y_t‖``.  A contact of compliance 1 that is drawn along a straight line forgets its old direction as ``e⁻ᶻ``
      (the tractrix), so that θ goes from ½, the trapezoidal rule, to 1, backward Euler;
-   - a contact that closes at the fraction ``c`` of the step: by ``c`` of the tangential motion that it makes but for
-     its own force.
+   - a contact that closes at the fraction ``c`` of the step: by the tangential motion that it made until then.
 
-   ``l`` and ``c`` are the prediction's.
-3. **Error.**  ``l`` and ``c`` of the solution give other shifts.  How far they differ, root mean square over the
-   contacts, estimates the step's error; it may be a share of the motion so far, not of the path, most of which may pass
-   without any.  A contact that opens while it slides adds what it moves in the time by which its opening is in doubt.
-   Too large, the step is solved once more with the better shifts, then cut; what they would not mend cuts it at once.
+   ``l``, ``c`` and that motion are the prediction's.
+3. **Error.**  Those of the solution give other shifts; contacts that close in it do so one after the other, each on
+   the way that the forces of those before it leave.  How far they differ, root mean square over the contacts, estimates
+   the step's error; it may be a share of the motion so far, not of the path, most of which may pass without any.  A
+   contact that opens while it slides adds what it moves in the time by which its opening is in doubt.  Too large, the
+   step is solved once more with the better shifts, then cut; what they would not mend cuts it at once.
 """
 
 from __future__ import annotations
@@ -120,11 +120,7 @@ def _crossing(start, end):
     return start / (start - end)
 
 
-@jit(
-    void(
-        VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR
-    )
-)
+@jit(void(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
 def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
@@ -138,8 +134,8 @@ def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
         The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
     shift : (m, 2) array
     touched : (m,) array
-        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open. Of those that close
-        in a solution :func:`closings` tells them.
+        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.  Of those that
+        close in a solution ``closings`` tells them.
     """
     for k in range(len(state0)):
         i = 3 * k
@@ -199,13 +195,14 @@ def _unsure(y0, state0, motion, w, state, opened, gone, unit):
     return np.sqrt(total / max(len(state), 1))
 
 
-@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
-def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
+@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
+def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
-    its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``; and ``l Δφ/2`` where nobody
-    foresaw that it would slide.
+    its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``, and ``l Δφ/2`` by as much as
+    its step is backward Euler's, which has the last direction all along, and where nobody foresaw that it would slide;
+    and half the way of a slider that was foreseen to go on and stops.
     """
     total = 0.0
     for k in range(len(state)):
@@ -216,10 +213,14 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
             if loose[k] < 1.0:
                 turn = 2.0 - 2.0 * (e0[k, 0] * y[i + 1] + e0[k, 1] * y[i + 2]) / max(t, 1e-300)
                 error += moved * max(turn, 0.0) / 12.0
+                part = 1.0 - 2.0 * _lag(moved / max(min(t, grip[k]), 1e-300))
+                error += 0.5 * part * moved * np.sqrt(max(turn, 0.0))
             else:
                 t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
                 turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
                 error += 0.5 * moved * np.sqrt(max(turn, 0.0))
+        elif loose[k] < 1.0 and state[k] == STICK:  # it stops on the way
+            error += 0.5 * np.sqrt(motion[i + 1] ** 2 + motion[i + 2] ** 2)
         total += (error * unit[k]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
@@ -575,23 +576,21 @@ def _compile(digest):
         for turn in range(count):
             left = np.flatnonzero(late)
             if turn < ONE_BY_ONE:
-                n = 3 * len(left)
-                inner, right, change = np.empty((n, n)), np.zeros(len(inverse)), np.zeros(len(y))
-                answers = True
-                for a in left:
-                    answers = answers and place[new[a]] >= 0
-                    for c in range(3 * new[a], 3 * new[a] + 3):
-                        change[c] = -y[c]
-                if answers:
+                n, change, right = 3 * len(left), np.zeros(len(y)), np.zeros(len(inverse))
+                forces, rows, inner = np.empty(n), np.empty(n, np.int64), np.empty((n, n))
+                for a in range(n):
+                    k = new[left[a // 3]]
+                    change[3 * k + a % 3] = -y[3 * k + a % 3]
+                    forces[a] = change[3 * k + a % 3]
+                    rows[a] = 3 * place[k] + a % 3
+                if rows.min() >= 0:
                     for a in range(n):
                         for b in range(n):
-                            inner[a, b] = inverse[
-                                3 * place[new[left[a // 3]]] + a % 3, 3 * place[new[left[b // 3]]] + b % 3
-                            ]
+                            inner[a, b] = inverse[rows[a], rows[b]]
                     inner = _inverted(inner)
                     for a in range(n):
                         for b in range(n):
-                            right[3 * place[new[left[a // 3]]] + a % 3] += inner[a, b] * change[3 * new[left[b // 3]] + b % 3]
+                            right[rows[a]] += inner[a, b] * forces[b]
                     answer = np.dot(inverse, right)
                     for a in range(len(own)):
                         for c in range(3):
@@ -1348,14 +1347,16 @@ def _compile(digest):
                                 phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
                             error = _motion(phi, unit)
                             break
-                        placed = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
+                        placed = _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit)
                         unsure = _unsure(y0, state0, motion, w, state, opened, gone, unit)
                         error = np.hypot(placed, unsure)
                         if last:  # neither a shorter step nor one without shifts would tell when a contact opens
                             unsure, error = 0.0, placed
                         if solved == 1 and (turn == 1 if given else error <= allowed):
                             break
-                        left = np.hypot(_error(y0, state0, e0, loose, y, w, state, other, other, unit), unsure)
+                        left = np.hypot(
+                            _error(y0, state0, e0, grip, loose, motion, y, w, state, other, other, unit), unsure
+                        )
                         if turn == 0 and solved == 1 and (given or last or left <= allowed):
                             turn = 1
                             shift[:], touched[:] = other, late
