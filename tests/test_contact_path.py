@@ -88,6 +88,17 @@ def test_of_two_contacts_in_series_the_weaker_slips_first():
     np.testing.assert_allclose(found.anchor[0, :, 0], [2 - 0.45, 1 - 0.6], atol=1e-9)
 
 
+@pytest.mark.parametrize("path", [Followed(steps=1), None], ids=["one step", "default"])
+def test_of_two_contacts_of_one_body_the_second_closes_where_the_first_holds_it(path):
+    """Both stick, of 0.01 each by itself and 1 together: the first at 0.2; until 0.6 the body moves on by 0.01/1.01."""
+    S = np.diag([1, 0.01, 0.01] * 2)
+    for c in (1, 2):
+        S[c::3, c::3] += 1.0
+    found = follow([[0.2, 0, 0, 0.6, 0, 0], [-0.8, 0.05, 0, -0.4, 0.05, 0]], path, S, mu=5.0)
+    np.testing.assert_allclose(found.anchor[0, :, 0], 0.05 * np.array([0.2, 0.2 + 0.4 * 0.01 / 1.01]), atol=1e-12)
+    assert found.trace.factorisations[0] < 10
+
+
 def test_a_block_pushed_on_an_arc_ends_where_the_finest_path_ends():
     angle = np.linspace(0, np.pi / 2, 33)
     loads = np.column_stack([np.full(33, -1.0), 2 * np.sin(angle), 2 - 2 * np.cos(angle)])

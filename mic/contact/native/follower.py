@@ -7,10 +7,10 @@ asks, where a contact is closed,
 
 with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 
-1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start.  On
-   the cone a contact slides forward or its force does not leave the cone: which of them is found by pivots.  Contacts
-   that open or break loose on the way change a few rows of that problem, its inverse by rank 3.  The step ends just
-   behind the first contact that closes.
+1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start, of
+   sliders where the slip of the step before would take them.  On the cone a contact slides forward or its force does
+   not leave the cone: which of them is found by pivots.  Contacts that open or break loose on the way change a few rows
+   of that problem, its inverse by rank 3.  The step ends just behind the first contact that closes.
 2. **Solution.**  Backward Euler's method measures slip from where the step began, which drags a slider straight towards
    its end, and a contact that closes from too far back.  Both are mended, to second order, by moving the point from
    which slip is measured, and the same problem as ever is solved:
@@ -18,14 +18,14 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
    - a slider that slips by ``l`` and starts along ``e⁰``: by ``-(1 - θ) l e⁰`` with ``1 - θ = 1/z - 1/(eᶻ - 1)``, ``z =
      l/‖y_t‖``.  A contact of compliance 1 that is drawn along a straight line forgets its old direction as ``e⁻ᶻ``
      (the tractrix), so that θ goes from ½, the trapezoidal rule, to 1, backward Euler;
-   - a contact that closes at the fraction ``c`` of the step: by ``c`` of the tangential motion that it makes but for
-     its own force.
+   - a contact that closes at the fraction ``c`` of the step: by the tangential motion that it made until then.
 
-   ``l`` and ``c`` are the prediction's.
-3. **Error.**  ``l`` and ``c`` of the solution give other shifts.  How far they differ, root mean square over the
-   contacts, estimates the step's error; it may be a share of the motion so far, not of the path, most of which may pass
-   without any.  A contact that opens while it slides adds what it moves in the time by which its opening is in doubt.
-   Too large, the step is solved once more with the better shifts, then cut; what they would not mend cuts it at once.
+   ``l``, ``c`` and that motion are the prediction's.
+3. **Error.**  Those of the solution give other shifts; contacts that close in it do so one after the other, each on
+   the way that the forces of those before it leave.  How far they differ, root mean square over the contacts, estimates
+   the step's error; it may be a share of the motion so far, not of the path, most of which may pass without any.  A
+   contact that opens while it slides adds what it moves in the time by which its opening is in doubt.  Too large, the
+   step is solved once more with the better shifts, then cut; what they would not mend cuts it at once.
 """
 
 from __future__ import annotations
@@ -91,6 +91,8 @@ CHORD, CHANGES = 0.3, 0.3
 #: In a slider's equation its displacement counts so many times that it is this share of its force: its direction is
 #: then that of its motion as well as that of its force, which others hold; and so many times at most.
 EVEN, STRETCH = 0.3, 1e4
+#: Contacts that close in a step are looked at one by one, but those after so many.
+ONE_BY_ONE = 8
 #: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
 HELP, PATIENCE = 6, 12
 
@@ -118,46 +120,32 @@ def _crossing(start, end):
     return start / (start - end)
 
 
-@jit(
-    void(
-        MATRIX, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR
-    )
-)
-def _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, solved, shift, touched):
+@jit(void(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
+def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
     Parameters
     ----------
-    y0, w0, state0
-        The step's start: forces, displacements, states.
+    w0, state0
+        The step's start: displacements, states.
     e0, grip, loose
         Of sliders, as predicted: directions and ‖y_t‖ when they began to slide, and after which share of the step.
-    motion : (3m,) array
-        Change of ``w`` over the step as predicted.
     y, w, state
         The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
     shift : (m, 2) array
     touched : (m,) array
-        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.
+        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.  Of those that
+        close in a solution ``closings`` tells them.
     """
     for k in range(len(state0)):
         i = 3 * k
         shift[k, 0] = shift[k, 1] = touched[k] = 0.0
         if state0[k] == OPEN:
             touched[k] = 1.0
-            if solved and state[k] == OPEN:
-                continue
-            gap, m1, m2 = w0[i] + motion[i], motion[i + 1], motion[i + 2]
-            if solved:  # but for the contact's own force
-                gap, m1, m2 = w[i], w[i + 1], w[i + 2]
-                for j in range(i, i + 3):
-                    gap -= W[i, j] * y[j]
-                    m1 -= W[i + 1, j] * y[j]
-                    m2 -= W[i + 2, j] * y[j]
-            if gap < 0.0:
-                c = _crossing(w0[i], gap)
+            if w[i] < 0.0 and not solved:
+                c = _crossing(w0[i], w[i])
                 touched[k] = c
-                shift[k, 0], shift[k, 1] = c * m1, c * m2
+                shift[k, 0], shift[k, 1] = c * w[i + 1], c * w[i + 2]
         elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
             d1, d2 = e0[k, 0], e0[k, 1]
             if solved:
@@ -207,13 +195,14 @@ def _unsure(y0, state0, motion, w, state, opened, gone, unit):
     return np.sqrt(total / max(len(state), 1))
 
 
-@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
-def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
+@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
+def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
-    its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``; and ``l Δφ/2`` where nobody
-    foresaw that it would slide.
+    its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``, and ``l Δφ/2`` by as much as
+    its step is backward Euler's, which has the last direction all along, and where nobody foresaw that it would slide;
+    and half the way of a slider that was foreseen to go on and stops.
     """
     total = 0.0
     for k in range(len(state)):
@@ -224,10 +213,14 @@ def _error(y0, state0, e0, loose, y, w, state, shift, other, unit):
             if loose[k] < 1.0:
                 turn = 2.0 - 2.0 * (e0[k, 0] * y[i + 1] + e0[k, 1] * y[i + 2]) / max(t, 1e-300)
                 error += moved * max(turn, 0.0) / 12.0
+                part = 1.0 - 2.0 * _lag(moved / max(min(t, grip[k]), 1e-300))
+                error += 0.5 * part * moved * np.sqrt(max(turn, 0.0))
             else:
                 t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
                 turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
                 error += 0.5 * moved * np.sqrt(max(turn, 0.0))
+        elif loose[k] < 1.0 and state[k] == STICK:  # it stops on the way
+            error += 0.5 * np.sqrt(motion[i + 1] ** 2 + motion[i + 2] ** 2)
         total += (error * unit[k]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
@@ -273,13 +266,7 @@ def _record(
             if state[k] == OPEN:
                 share[k, 0] += part
                 continue
-            if w0[i] + motion[i] < 0.0:  # foreseen, before its own force could take load off the others
-                begin = _crossing(w0[i], w0[i] + motion[i])
-                doubt = abs(touched[k] - begin)
-                m1 -= begin * ((1.0 - doubt) * motion[i + 1] + doubt * m1)
-                m2 -= begin * ((1.0 - doubt) * motion[i + 2] + doubt * m2)
-            else:
-                m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
+            m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
             end, doubt = _opening(y0, w, motion, k, opened)
             m1 = (1.0 - doubt) * gone[k, 0] + doubt * end * m1
@@ -515,7 +502,7 @@ def _facet(equation, parameters, y, w, y_new, k, A, B, right, e):
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
     # In the closure of `follow` these would be part of the cache's key, and no two processes write them alike.
-    global inverse_of, rates, linear, sweep, newton_by_pivots, solve, predict
+    global inverse_of, rates, linear, sweep, closings, newton_by_pivots, solve, predict
 
     @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
     def inverse_of(W, A, B, closed):
@@ -567,6 +554,71 @@ def _compile(digest):
         gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
         times(W, y, w)
         w += q
+
+    @jit(void(MATRIX, COUNTS, MATRIX, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
+    def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
+        """Where contacts that close in a step were when they did, and after which share of it: ``shift``, ``touched``.
+
+        One after the other: until the first closes all go where the end would be without the forces of any of them, to
+        which the others' answer, then where it would be with the first one's, and so on.  The inverse over the contacts
+        `own` tells the answers, statuses held; where it is not to be had, they give none.
+        """
+        digest  # noqa: B018
+        new = np.flatnonzero((state0 == OPEN) & (state != OPEN))
+        count, passed = len(new), 0.0
+        place, at, free = np.full(len(state), -1), np.empty((count, 3)), np.empty((count, 3))
+        for a in range(len(own)):
+            place[own[a]] = a
+        for a in range(count):
+            for c in range(3):
+                at[a, c] = w0[3 * new[a] + c]
+        late = np.ones(count, np.bool_)  # those that have not closed yet
+        for turn in range(count):
+            left = np.flatnonzero(late)
+            if turn < ONE_BY_ONE:
+                n, change, right = 3 * len(left), np.zeros(len(y)), np.zeros(len(inverse))
+                forces, rows, inner = np.empty(n), np.empty(n, np.int64), np.empty((n, n))
+                for a in range(n):
+                    k = new[left[a // 3]]
+                    change[3 * k + a % 3] = -y[3 * k + a % 3]
+                    forces[a] = change[3 * k + a % 3]
+                    rows[a] = 3 * place[k] + a % 3
+                if rows.min() >= 0:
+                    for a in range(n):
+                        for b in range(n):
+                            inner[a, b] = inverse[rows[a], rows[b]]
+                    inner = _inverted(inner)
+                    for a in range(n):
+                        for b in range(n):
+                            right[rows[a]] += inner[a, b] * forces[b]
+                    answer = np.dot(inverse, right)
+                    for a in range(len(own)):
+                        for c in range(3):
+                            change[3 * own[a] + c] = answer[3 * a + c]
+                for a in left:
+                    for c in range(3):
+                        i = 3 * new[a] + c
+                        free[a, c] = w[i]
+                        for j in range(len(y)):
+                            free[a, c] += W[i, j] * change[j]
+            first, soonest = -1, 1.0
+            for a in left:
+                if free[a, 0] < 0.0:
+                    c = _crossing(at[a, 0], free[a, 0])
+                    if c < soonest:
+                        first, soonest = a, c
+            if first < 0:  # at the very end
+                for a in left:
+                    touched[new[a]] = 1.0
+                    shift[new[a]] = free[a, 1:]
+                return
+            for a in left:
+                for c in range(3):
+                    at[a, c] += soonest * (free[a, c] - at[a, c])
+            passed += soonest * (1.0 - passed)
+            touched[new[first]] = passed
+            shift[new[first]] = at[first, 1:]
+            late[first] = False
 
     @jit(SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, *LAST_PROBLEM, COUNTS))
     def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts):
@@ -820,6 +872,7 @@ def _compile(digest):
             NUMBER,
             NUMBER,
             NUMBER,
+            VECTOR,
             COUNTS,
             MATRIX,
             VECTOR,
@@ -842,6 +895,7 @@ def _compile(digest):
         step,
         behind,
         allowed,
+        pace,
         state0,
         e0,
         grip,
@@ -853,6 +907,10 @@ def _compile(digest):
         counts,
     ):
         """Where a step leads with statuses held, but that contacts open on the way.
+
+        A slider's direction comes to rest within a slip of its compliance, much less than that of a step where sheets
+        slide on each other as rigid bodies do: held, the directions of several would not let them.  So a slider of
+        which it is known how far it may go is linearised there, at the end of its slip, as the shifts have it.
 
         Parameters
         ----------
@@ -867,6 +925,8 @@ def _compile(digest):
         allowed : float
             Error of the step, a length: motion below it does not count.  A contact that slid farther ends the step
             where it opens, too.
+        pace : (m,) array
+            Slip that is expected of sliders, over the whole path; 0 if nothing is.
         state0, e0 : (m,), (m, 2) array
             Receive the statuses of the start, and the directions of sliders.
         grip, loose : (m,) array
@@ -886,7 +946,7 @@ def _compile(digest):
         digest  # noqa: B018
         m = len(parameters)
         phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-        y, w = y0.copy(), w0.copy()
+        y, w, found = y0.copy(), w0.copy(), np.zeros(m, np.int64)
         dy, dw = np.empty(3 * m), np.empty(3 * m)
         for k in range(m):  # a little forward along the way of a slider, so that one on its cone is one
             i = 3 * k
@@ -903,13 +963,18 @@ def _compile(digest):
                 v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
                 t = np.sqrt(v1 * v1 + v2 * v2)
                 e0[k, 0], e0[k, 1] = v1 / t, v2 / t
+                slip, t = pace[k] * step, np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+                slip *= 1.0 - _lag(slip / max(t, 1e-300))
+                if slip > NEAR * t:
+                    w[i + 1], w[i + 2] = w0[i + 1] - slip * e0[k, 0], w0[i + 2] - slip * e0[k, 1]
+        derivative(equation, parameters, y, w, phi, A, B, found)
         w[:] = w0
         x[:] = 0.0
         motion[:] = 0.0
         for k in range(m):
             loose[k] = 0.0 if state0[k] == SLIP else 1.0
             grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
-        state, held, found = state0.copy(), np.zeros(m, np.bool_), np.zeros(m, np.int64)
+        state, held = state0.copy(), np.zeros(m, np.bool_)
         trial, still = np.empty(3 * m), np.zeros(3 * m)
         new_A, new_B, nothing = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((0, 3, 3))
         A0, B0 = A.copy(), B.copy()
@@ -1125,6 +1190,7 @@ def _compile(digest):
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
         phi, nothing, kept = np.empty(size), np.empty((0, 3, 3)), np.zeros(m, np.int64)
         stretch, A, B = np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        pace = np.zeros(m)
         digest  # noqa: B018
         given = len(ends) > 0
         smallest = 1.0 if given else SHORTEST
@@ -1139,6 +1205,7 @@ def _compile(digest):
             w += q
             rate[:] = Q1[sample] - Q0[sample]
             scale = max(starting_scale(q), starting_scale(q + rate))
+            pace[:] = 0.0
             y0[:] = y
             solved, own, inverse = 1, np.empty(0, np.int64), np.empty((0, 0))
             if order == 1:  # what does not balance is part of the first step
@@ -1206,6 +1273,7 @@ def _compile(digest):
                             step,
                             behind,
                             allowed,
+                            pace,
                             state0,
                             e0,
                             grip,
@@ -1220,7 +1288,7 @@ def _compile(digest):
                     target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     yp[:], wp[:] = y0 + x, w0 + motion
                     if order == 2:
-                        _shifts(W, y0, w0, state0, e0, grip, loose, motion, yp, wp, state0, False, shift, touched)
+                        _shifts(w0, state0, e0, grip, loose, yp, wp, state0, False, shift, touched)
                     # With the prediction's shifts, then with the solution's; where no shorter step is to be had, with
                     # none: backward Euler's method as it is, which always leads on.
                     turn, last = 0, step <= 1.0001 * smallest
@@ -1272,20 +1340,23 @@ def _compile(digest):
                             w[3 * k + 2] += shift[k, 1]
                         if order == 1:
                             break
-                        _shifts(W, y0, w0, state0, e0, grip, loose, motion, y, w, state, True, other, late)
+                        _shifts(w0, state0, e0, grip, loose, y, w, state, True, other, late)
+                        closings(W, own, inverse, w0, state0, y, w, state, other, late)
                         if turn == 2:  # as far from backward Euler's method as its shifts are
                             for k in range(m):
                                 phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
                             error = _motion(phi, unit)
                             break
-                        placed = _error(y0, state0, e0, loose, y, w, state, shift, other, unit)
+                        placed = _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit)
                         unsure = _unsure(y0, state0, motion, w, state, opened, gone, unit)
                         error = np.hypot(placed, unsure)
                         if last:  # neither a shorter step nor one without shifts would tell when a contact opens
                             unsure, error = 0.0, placed
                         if solved == 1 and (turn == 1 if given else error <= allowed):
                             break
-                        left = np.hypot(_error(y0, state0, e0, loose, y, w, state, other, other, unit), unsure)
+                        left = np.hypot(
+                            _error(y0, state0, e0, grip, loose, motion, y, w, state, other, other, unit), unsure
+                        )
                         if turn == 0 and solved == 1 and (given or last or left <= allowed):
                             turn = 1
                             shift[:], touched[:] = other, late
@@ -1294,6 +1365,11 @@ def _compile(digest):
                             shift[:], touched[:] = 0.0, 0.0
                         else:
                             break
+                    if solved == 1:
+                        for k in range(m):
+                            pace[k] = 0.0
+                            if state[k] == SLIP:
+                                pace[k] = np.sqrt(w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) / (target - s)
                     if solved == 1 and error <= allowed or last:
                         break
                     done[CUT] += 1
@@ -1313,8 +1389,8 @@ def _compile(digest):
                     y,
                     w,
                     state,
-                    touched,
-                    shift,
+                    late,
+                    other,
                     opened,
                     gone,
                     target - s,
