@@ -1,6 +1,7 @@
 """Optima known by hand, by exhaustion and by brute force; what they are worth on fresh samples; what is refused."""
 
 import json
+import re
 import tomllib
 from itertools import permutations
 from pathlib import Path
@@ -31,6 +32,7 @@ from mic.studies.optimisation.sites import Sites
 from mic.studies.optimisation.trials import Spent
 from mic.studies.optimisation.writing import rewritten
 
+ROOT = Path(__file__).resolve().parents[1]
 FORCE = {"clamps": ["C"], "between": [10, 100]}
 SIGMA = 0.05  # of M, half of B's
 
@@ -359,7 +361,10 @@ def test_measured_parts_are_matched_long_with_short(tmp_path, sigma):
     b, c = np.array([0.1, -0.2, 0.3, 0.0, -0.1]), np.array([0.2, 0.1, -0.1, 0.0, -0.3])
     for name, own, values in (("front", "B", b), ("rear", "C", c)):
         (tmp_path / f"{name}.csv").write_text(f"{own}\n" + "\n".join(map(str, values)) + "\n")
-    found = optimise(matched(tmp_path, sigma=sigma), "frictionless")
+    again, ledger = [], tmp_path / "evaluated.jsonl"
+    found = optimise(matched(tmp_path, sigma=sigma), "frictionless", fresh=100, ledger=ledger)
+    optimise(matched(tmp_path, sigma=sigma), "frictionless", fresh=100, ledger=ledger, progress=again.append)
+    assert not again, "nothing that was evaluated is evaluated again"
     rows = found.matched.rows - 2
     together = b[rows[:, 0]] + c[rows[:, 1]]
     best = min(np.sum((b + c[list(p)]) ** 2) for p in permutations(range(5)))
@@ -498,6 +503,26 @@ def test_an_objective_takes_measurements_with_a_tolerance(tmp_path):
     less = {key: value for key, value in LAP.items() if key != "measurements"}
     with pytest.raises(SceneError, match=r"cpk is that of measurements with a tolerance, and nothing is measured"):
         read_table(less | {"optimise": {"forces": [JAW]}}, tmp_path / "scene.toml")
+
+
+SECTION = (ROOT / "docs" / "howto.md").read_text().split("## Find out what to change so that it becomes best\n")[1]
+SECTION = SECTION.split("\n## ")[0]
+
+
+def test_what_the_page_asks_can_be_asked(tmp_path):
+    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", SECTION, re.S)]
+    assert [set(read_table(LAP | table, tmp_path / "scene.toml").optimise.model_fields_set) for table in tables] == [
+        {"objective", "forces", "orders", "places", "constraints"},
+        {"matching"},
+    ]
+
+
+@pytest.mark.slow
+def test_what_the_page_does_in_python_is_done(cache, monkeypatch, capsys):
+    monkeypatch.setenv("MIC_CACHE", str(cache))
+    (code,) = re.findall(r"```python\n(.*?)```", SECTION, re.S)
+    exec(code, {})
+    assert "positions.upper-A3: 0 →" in capsys.readouterr().out
 
 
 TEXT = """# a scene

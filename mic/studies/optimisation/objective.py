@@ -113,16 +113,14 @@ class Objective:
         m = y.mean(axis=0)
         sigma = np.maximum(y.std(axis=0, ddof=1) if n > 1 else np.zeros(k), LEAST)
         above, below = (self.upper - m) / (3 * sigma), (m - self.lower) / (3 * sigma)
-        own = self.own
         if slopes is None:
-            outside = ((y < self.lower) | (y > self.upper))[:, own].any(axis=1).mean()
-            return Figures(m, 6 * sigma, above, below, float(outside), {})
+            return Figures(m, 6 * sigma, above, below, float(self.outside(y).mean()), {})
         dm = slopes.mean(axis=0)
         ds = np.einsum("nk,nka->ka", y - m, slopes - dm) / ((max(n, 2) - 1) * sigma[:, None])
         side = lambda value, sign: (
             (sign * dm - 3 * np.where(np.isfinite(value), value, 0)[:, None] * ds) / (3 * sigma[:, None])
         )
-        outside, douter = self._smoothed(y[:, own], slopes[:, own], sigma[own])
+        outside, douter = self._smoothed(y[:, self.own], slopes[:, self.own], sigma[self.own])
         told = {
             "mean": dm,
             "six_sigma": 6 * ds,
@@ -131,6 +129,10 @@ class Objective:
             "outside": douter,
         }
         return Figures(m, 6 * sigma, above, below, outside, told)
+
+    def outside(self, y: np.ndarray) -> np.ndarray:
+        """(n,) whether any measurement of the objective is outside its limits."""
+        return ((y < self.lower) | (y > self.upper))[:, self.own].any(axis=1)
 
     def _smoothed(self, y, slopes, sigma) -> tuple[float, np.ndarray]:
         """The smoothed share outside, and its derivatives (a,), h held where it is."""
