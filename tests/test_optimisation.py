@@ -356,6 +356,7 @@ def test_three_kinds_are_assigned_until_nothing_improves():
     cost = lambda own: sum(value[own[:, t]] for t, value in enumerate(values)) ** 2
     found = assigned(kinds(4, 4, 4), cost)
     assert found.before > 0 and found.after == pytest.approx(0.0, abs=1e-12) and found.rounds >= 3
+    assert cost(found.rows - 2).mean() == pytest.approx(0.0, abs=1e-12)
     for t in range(3):
         assert sorted(found.rows[:, t]) == [2, 3, 4, 5]
 
@@ -652,3 +653,19 @@ def test_a_changed_copy_is_written_of_a_scene_file_and_beside_it(tmp_path):
     scene.write_text("")
     options = ["optimise", str(scene), "--save", str(tmp_path / "better.toml")]
     assert "is not beside" in str(CliRunner().invoke(app, options).exception)
+
+
+@pytest.mark.parametrize("gained", [True, False])
+def test_a_copy_is_written_of_what_is_gained_and_of_nothing_else(tmp_path, monkeypatch, gained):
+    scene = tmp_path / "scene.toml"
+    scene.write_text('[[clamps]]\nname = "C"\nforce = 20\n')
+    model = pushed({"objective": "cpk" if gained else "largest-six-sigma", "forces": [FORCE], "of": ["M"]})
+    monkeypatch.setattr("mic.commands.optimise.studied", lambda console, source: (model, None))
+    options = ["optimise", str(scene), "--save", str(tmp_path / "better.toml"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*options, "--law", "frictionless"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "better.toml").is_file() == gained
+    if gained:
+        assert 46 < tomllib.loads((tmp_path / "better.toml").read_text())["clamps"][0]["force"] < 49
+    else:
+        assert "is not written" in done.output

@@ -27,6 +27,7 @@ from mic.studies.optimisation.design import Space
 __all__ = ["PENALTY", "Figures", "Kept", "Objective"]
 
 PENALTY = 1e3
+WORDS = {"cpk": "Cpk", "six-sigma": "6σ"}
 KEPT = 1e-6  # of what a constraint asks: by less, it is kept
 SMOOTH = 0.25  # of σ
 LEAST = 1e-9  # mm: σ of what does not vary
@@ -206,7 +207,7 @@ class Objective:
 
     def _bounds(self, one, k: int) -> Iterator[tuple[str, float, float, float]]:
         """Name, 1 for a least value and -1 for a largest, bound and scale, of a constraint on a measurement."""
-        what = f"{one.quantity.replace('six-sigma', '6σ')} of {self.names[k]}"
+        what = f"{WORDS.get(one.quantity, one.quantity)} of {self.names[k]}"
         if one.quantity == "force":
             what = f"force of {' and '.join(one.of) if one.of else 'all clamps'}"
         for word, sign, bound in (("at least", 1.0, one.at_least), ("at most", -1.0, one.at_most)):
