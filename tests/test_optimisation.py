@@ -177,6 +177,32 @@ def test_what_is_gained_with_the_samples_of_the_search_alone_is_no_gain():
     assert found.gain.low < 0 and not found.gained
 
 
+@pytest.mark.parametrize(
+    ("asked", "wanted"),
+    [
+        ({"objective": "cpk"}, -0.75 / (3 * 0.25)),  # N, mean 0.25 within ±1, σ 0.25; M, mean 1 within 0.5 to 1.5
+        ({"objective": "cpk", "of": ["M"]}, -0.5 / (3 * 0.5)),
+        ({"objective": "largest-six-sigma"}, 6 * 0.5),
+        ({"objective": "largest-six-sigma", "weights": {"N": 4}}, 4 * 6 * 0.25),
+        ({"objective": "six-sigma", "weights": {"N": 4}}, 6 * (0.5 + 4 * 0.25)),
+        ({"objective": "yield"}, 2 / 6),  # M is outside in one of five, and one sample cannot be built
+        ({"objective": "cost", "reject": 30}, 30 * 2 / 6 + 2 * 5.0),
+    ],
+)
+def test_each_objective_is_what_it_says(asked, wanted):
+    force = FORCE | ({"cost": 2.0} if asked["objective"] == "cost" else {})
+    objective = Objective(Space(pushed(asked | {"forces": [force]})))
+    z = np.array([1.4, -1.4, 0.2, -0.2, 0.0])
+    z /= z.std(ddof=1)
+    y = np.column_stack([1 + 0.5 * z, 0.25 + 0.25 * np.roll(z, 1)])
+    if asked["objective"] in ("yield", "cost"):
+        y = np.column_stack([[1.6, 1.0, 0.9, 0.6, 1.4], np.zeros(5)])
+    y, unfit = np.vstack([y, [9.0, 9.0]]), np.array([False] * 5 + [True])
+    if asked["objective"] == "cpk" and "of" not in asked:
+        wanted = max(wanted, -0.5 / (3 * 0.5))
+    assert objective.value(y, unfit, np.array([-5.0])) == pytest.approx(wanted)
+
+
 def test_derivatives_of_all_figures_are_those_of_samples_that_move_along_their_slopes():
     stream, model = np.random.default_rng(3), pushed({"objective": "yield", "forces": [FORCE]})
     y, slopes = 0.9 + 0.2 * stream.standard_normal((40, 2)), stream.standard_normal((40, 2, 1))
@@ -596,6 +622,24 @@ def test_a_scene_is_written_with_what_changes(tmp_path):
         "welds.W1.point: [88.0, 6.0, 0.5] → [86.0, 7.0, 0.5]",
     ]
     assert (after.deviations[-1].target, after.deviations[-1].mean, after.deviations[-1].sigma) == ("lower-A1", 0.2, 0)
+
+
+def test_what_changes_of_the_jaws_of_a_tong_is_written_of_the_tong():
+    text = '[[stages]]\nkind = "clamp"\n\n[[clamps]]\nname = "T"\nparts = ["a", "b"]\nforce = 20\n'
+    scene = SimpleNamespace(clamps=[SimpleNamespace(name=f"T-{part}", stroke=None) for part in "ab"])
+    wanted = [
+        Change("force", ("T-a", "T-b"), 20.0, 30.0),
+        Change("order", ("clamp",), None, [["T-a", "T-b"], ["L"]]),
+    ]
+    table = tomllib.loads(rewritten(text, scene, wanted))
+    assert table["clamps"] == [{"name": "T", "parts": ["a", "b"], "force": 30.0}]
+    assert table["stages"] == [{"kind": "clamp", "order": [["T"], ["L"]]}]
+    text = '[[clamps]]\nname = "S"\nstroke = 1.0\n\n[[clamps]]\nname = "U"\nstroke = -2.0 # mm\n'
+    scene = SimpleNamespace(clamps=[SimpleNamespace(name=name, stroke=x) for name, x in (("S", 1.0), ("U", -2.0))])
+    table = tomllib.loads(rewritten(text, scene, [Change("shim", ("S", "U"), 0.0, 0.5)]))
+    assert [one["stroke"] for one in table["clamps"]] == [1.5, -1.5]
+    with pytest.raises(SceneError, match="'C' stands in a row of a file"):
+        rewritten('[[clamps]]\nfile = "c.csv"\n', scene, [Change("force", ("C",), 20.0, 30.0)])
 
 
 # -------------------------------------------------------------------------------------------------------- command
