@@ -61,12 +61,12 @@ def optimise(source, samples, fresh, budget, seed, law, save, out):
     _print(console, found)
     for table, frame in _tables(found).items():
         table.write(folder, frame)
-    if save is not None and found.changes:
+    if save is not None and found.gained:
         text = scene_file.read_text(encoding="utf-8")
         write_text(save, rewritten(text, scene, found.changes))
         _say(console, f"scene: {save}")
     elif save is not None:
-        _say(console, f"Nothing is to be changed, so that {save} is not written.")
+        _say(console, f"Nothing was gained, so that {save} is not written.")
     _say(console, f"tables: {folder / 'tables'}   evaluated: {ledger}")
 
 

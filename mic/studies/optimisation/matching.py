@@ -25,13 +25,21 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mic.errors import SceneError
+from mic.results.paired import mean_change
+from mic.results.statistics import Estimate
 from mic.scene import Scene
 from mic.scene.tables import read_cells, read_number
+from mic.store import fingerprint
+from mic.studies.optimisation.design import Design
+from mic.studies.optimisation.trials import BLOCK, Trials
 
-__all__ = ["FARTHEST", "Kind", "Matched", "assigned", "read_kinds"]
+__all__ = ["FARTHEST", "Kind", "Matched", "assigned", "combinations", "matched", "read_kinds"]
 
 FARTHEST = 6.0  #: standard deviations: a part farther off than that is not one of this scene's
 ROUNDS = 50
+JUDGED = 1000  # fresh samples of what was not measured, at most
+SHARE = 1e-3  # of the loss, beside the share outside
+UNFIT = 10.0  # loss of an assembly that cannot be built, beyond the largest
 
 
 @dataclass(frozen=True)
@@ -184,3 +192,78 @@ def _assigned_anew(kinds, together: np.ndarray, t: int, cost) -> tuple[np.ndarra
     found = together[rows].copy()
     found[:, t] = columns
     return found, float(table[rows, columns].mean())
+
+
+def combinations(kinds: Sequence[Kind]) -> int:
+    """How many are evaluated, at the least."""
+    sizes = [len(kind.values) for kind in kinds]
+    return sizes[0] * sizes[1] if len(sizes) == 2 else min(sizes) * sum(sizes)
+
+
+def matched(trials: Trials, design: Design, kinds: Sequence[Kind], fresh: int) -> tuple[Matched, Estimate]:
+    """Measured parts matched under a design, and by how much their average cost falls on fresh samples of what was not
+    measured; without an interval where all was.
+
+    Parameters
+    ----------
+    trials : Trials
+    design : Design
+    kinds : sequence of Kind
+    fresh : int
+    """
+    losses = _Losses(trials, design, kinds)
+    left = (trials.budget - trials.spent) // combinations(kinds)
+    found = assigned(kinds, lambda own: losses.of(own, 0, int(min(trials.samples, max(1, left)))).mean(axis=1))
+    places = [{row: i for i, row in enumerate(kind.rows)} for kind in kinds]
+    together = np.array([[own[row] for own, row in zip(places, rows)] for rows in found.rows.tolist()])
+    if not losses.open:
+        return found, Estimate.of(np.zeros(1), found.before - found.after, np.nan, np.nan)
+    apart = np.tile(np.arange(len(together))[:, None], (1, len(kinds)))
+    matched, before = (losses.of(own, trials.samples, min(fresh, JUDGED)).mean(axis=0) for own in (together, apart))
+    return found, mean_change(matched, before)
+
+
+class _Losses:
+    """Losses of combinations under a design."""
+
+    def __init__(self, trials: Trials, design: Design, kinds: Sequence[Kind]):
+        self.trials, self.design, self.kinds = trials, design, kinds
+        scene, objective = trials.space.scene, trials.objective
+        measured = [j for kind in kinds for j in kind.columns]
+        self.open = any(one.sigma > 0 for j, one in enumerate(scene.deviations) if j not in measured)
+        self.mean = np.array([[one.mean for one in scene.deviations]])
+        centre = (objective.lower + objective.upper) / 2
+        self.centre = np.where(np.isfinite(centre), centre, 0.0)
+        self.weight = objective.weights * objective.own
+        self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
+
+    def of(self, some: np.ndarray, first: int, count: int) -> np.ndarray:
+        """(c, count) of samples from one on; where nothing else varies, of one."""
+        drawn = self.trials.drawn(first, count) if self.open else self.mean
+        every = [*map(tuple, some.tolist())]
+        wanted = [own for own in dict.fromkeys(every) if (own, first) not in self._known]
+        step = max(1, BLOCK // len(drawn))
+        for start in range(0, len(wanted), step):
+            part = wanted[start : start + step]
+            x = np.tile(drawn, (len(part), 1))
+            for i, own in enumerate(part):
+                for kind, number in zip(self.kinds, own):
+                    x[i * len(drawn) : (i + 1) * len(drawn), kind.columns] = kind.values[number]
+            loss = self._evaluated(x).reshape(len(part), -1)
+            self._known.update({(own, first): values for own, values in zip(part, loss)})
+        return np.array([self._known[own, first] for own in every])
+
+    def _evaluated(self, x: np.ndarray) -> np.ndarray:
+        objective = self.trials.objective
+
+        def evaluated() -> dict[str, np.ndarray]:
+            y, unfit = self.trials.at(self.design, x)
+            return {"y": y, "unfit": unfit.astype(float)}
+
+        kept = self.trials.once(self.design, f"parts {fingerprint(x.tobytes())}", evaluated)
+        y, unfit = kept["y"].reshape(len(x), -1), kept["unfit"].astype(bool)
+        off = (self.weight * ((y - self.centre) / objective.half) ** 2).sum(axis=1)
+        loss = np.where(unfit, off.max(initial=0.0) + UNFIT, off)
+        if objective.kind in ("yield", "cost"):
+            loss = (objective.outside(y) | unfit) + SHARE * loss
+        return loss

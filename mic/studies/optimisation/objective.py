@@ -27,6 +27,7 @@ from mic.studies.optimisation.design import Space
 __all__ = ["PENALTY", "Figures", "Kept", "Objective"]
 
 PENALTY = 1e3
+WORDS = {"cpk": "Cpk", "six-sigma": "6σ"}
 KEPT = 1e-6  # of what a constraint asks: by less, it is kept
 SMOOTH = 0.25  # of σ
 LEAST = 1e-9  # mm: σ of what does not vary
@@ -113,16 +114,14 @@ class Objective:
         m = y.mean(axis=0)
         sigma = np.maximum(y.std(axis=0, ddof=1) if n > 1 else np.zeros(k), LEAST)
         above, below = (self.upper - m) / (3 * sigma), (m - self.lower) / (3 * sigma)
-        own = self.own
         if slopes is None:
-            outside = ((y < self.lower) | (y > self.upper))[:, own].any(axis=1).mean()
-            return Figures(m, 6 * sigma, above, below, float(outside), {})
+            return Figures(m, 6 * sigma, above, below, float(self.outside(y).mean()), {})
         dm = slopes.mean(axis=0)
         ds = np.einsum("nk,nka->ka", y - m, slopes - dm) / ((max(n, 2) - 1) * sigma[:, None])
         side = lambda value, sign: (
             (sign * dm - 3 * np.where(np.isfinite(value), value, 0)[:, None] * ds) / (3 * sigma[:, None])
         )
-        outside, douter = self._smoothed(y[:, own], slopes[:, own], sigma[own])
+        outside, douter = self._smoothed(y[:, self.own], slopes[:, self.own], sigma[self.own])
         told = {
             "mean": dm,
             "six_sigma": 6 * ds,
@@ -131,6 +130,10 @@ class Objective:
             "outside": douter,
         }
         return Figures(m, 6 * sigma, above, below, outside, told)
+
+    def outside(self, y: np.ndarray) -> np.ndarray:
+        """(n,) whether any measurement of the objective is outside its limits."""
+        return ((y < self.lower) | (y > self.upper))[:, self.own].any(axis=1)
 
     def _smoothed(self, y, slopes, sigma) -> tuple[float, np.ndarray]:
         """The smoothed share outside, and its derivatives (a,), h held where it is."""
@@ -204,7 +207,7 @@ class Objective:
 
     def _bounds(self, one, k: int) -> Iterator[tuple[str, float, float, float]]:
         """Name, 1 for a least value and -1 for a largest, bound and scale, of a constraint on a measurement."""
-        what = f"{one.quantity.replace('six-sigma', '6σ')} of {self.names[k]}"
+        what = f"{WORDS.get(one.quantity, one.quantity)} of {self.names[k]}"
         if one.quantity == "force":
             what = f"force of {' and '.join(one.of) if one.of else 'all clamps'}"
         for word, sign, bound in (("at least", 1.0, one.at_least), ("at most", -1.0, one.at_most)):

@@ -20,14 +20,14 @@ from mic import cache_folder
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
-from mic.results.paired import jackknife, mean_change, share_change
+from mic.results.paired import jackknife, share_change
 from mic.results.schema import COMPARISON
 from mic.results.statistics import Estimate
 from mic.scene import Scene
 from mic.studies.comparison import Side, differences
 from mic.studies.optimisation.descent import descend
 from mic.studies.optimisation.design import Change, Design, Space
-from mic.studies.optimisation.matching import Kind, Matched, assigned, read_kinds
+from mic.studies.optimisation.matching import Kind, Matched, combinations, matched, read_kinds
 from mic.studies.optimisation.objective import Kept, Objective
 from mic.studies.optimisation.search import all_designs, local_search, successive_halving
 from mic.studies.optimisation.sites import Sites
@@ -228,11 +228,11 @@ def _counted(scene, samples: int, fresh: int) -> tuple[int, int]:
 
 
 def _reachable(kinds: Sequence[Kind], budget: int) -> None:
-    if len(kinds) == 2 and len(kinds[0].values) * len(kinds[1].values) > budget:
-        count = len(kinds[0].values) * len(kinds[1].values)
+    count = combinations(kinds) if kinds else 0
+    if count > budget:
         raise SceneError(
-            f"optimise.matching: {count} combinations of {kinds[0].name} and {kinds[1].name} exceed the budget of "
-            f"{budget} evaluations; allow more, or match fewer parts"
+            f"optimise.matching: {count} combinations of {' and '.join(kind.name for kind in kinds)} exceed the budget "
+            f"of {budget} evaluations; allow more, or match fewer parts"
         )
 
 
@@ -348,7 +348,7 @@ def judged(
         for name, own, unfit in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
     )
     table = differences(before, after)[0] if searched else COMPARISON.empty()
-    matched, matched_gain = _matched(trials, best, kinds, fresh) if kinds else (None, None)
+    together, together_gain = matched(trials, best, kinds, fresh) if kinds else (None, None)
     return Optimum(
         trials.law,
         objective.kind,
@@ -365,8 +365,8 @@ def judged(
         len(a),
         int(np.ceil(trials.spent)),
         pd.DataFrame([*trail], columns=["evaluations", "objective"]),
-        matched,
-        matched_gain,
+        together,
+        together_gain,
     )
 
 
@@ -382,7 +382,7 @@ def _frame(scene: Scene, y: np.ndarray, unfit: np.ndarray) -> pd.DataFrame:
 def _gain(objective: Objective, a, b, unfit_a, unfit_b, settings: np.ndarray) -> Estimate:
     """What of the objective is gained, with its interval."""
     if objective.kind in ("yield", "cost"):
-        miss = [_outside(objective, y) | unfit for y, unfit in ((a, unfit_a), (b, unfit_b))]
+        miss = [objective.outside(y) | unfit for y, unfit in ((a, unfit_a), (b, unfit_b))]
         fewer = share_change(*miss)
         reject = objective.asked.reject if objective.kind == "cost" else 1.0
         cost = float(objective.space.costs @ np.abs(settings)) if objective.kind == "cost" else 0.0
@@ -402,58 +402,3 @@ def _relief(objective: Objective, a, b, kept: np.ndarray, settings: np.ndarray) 
     short = lambda y, settings: objective.short(y, np.zeros(len(y), dtype=bool), settings)
     less = lambda y: short(y[:, :k], none) - short(y[:, k:], settings)
     return jackknife(np.concatenate([a[kept], b[kept]], axis=1), less)
-
-
-def _outside(objective: Objective, y: np.ndarray) -> np.ndarray:
-    return ((y < objective.lower) | (y > objective.upper))[:, objective.own].any(axis=1)
-
-
-def _matched(trials: Trials, best: Design, kinds: Sequence[Kind], fresh: int) -> tuple[Matched, Estimate]:
-    """Measured parts matched under a design, and what that is worth on fresh samples of what was not measured."""
-    scene, objective = trials.space.scene, trials.objective
-    measured = [j for kind in kinds for j in kind.columns]
-    open_ = [one.sigma > 0 for j, one in enumerate(scene.deviations) if j not in measured]
-    centre, weight = (objective.lower + objective.upper) / 2, objective.weights * objective.own
-    centre = np.where(np.isfinite(centre), centre, 0.0)
-    most = max(1, int((trials.budget - trials.spent) // max(_combinations(kinds), 1)))
-    count = min(trials.samples, most) if any(open_) else 1
-    known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
-
-    def losses(combinations: np.ndarray, first: int, count: int) -> np.ndarray:
-        """(c, count) of samples from one on; where nothing else varies, of one at the means."""
-        wanted = [own for own in map(tuple, combinations.tolist()) if (own, first) not in known]
-        drawn = (
-            trials.drawn(first, count)
-            if any(open_)
-            else trials.model(best)[0].deviations({})[:1, : len(scene.deviations)]
-        )
-        for start in range(0, len(wanted), max(1, BLOCK // len(drawn))):
-            some = wanted[start : start + max(1, BLOCK // len(drawn))]
-            x = np.tile(drawn, (len(some), 1))
-            for i, own in enumerate(some):
-                for kind, number in zip(kinds, own):
-                    x[i * len(drawn) : (i + 1) * len(drawn), kind.columns] = kind.values[number]
-            y, unfit = trials.at(best, x)
-            off = (weight * ((y - centre) / objective.half) ** 2).sum(axis=1)
-            loss = np.where(unfit, off.max(initial=0.0) + 10.0, off)
-            if objective.kind in ("yield", "cost"):
-                loss = (_outside(objective, y) | unfit) + 1e-3 * loss
-            for own, values in zip(some, loss.reshape(len(some), -1)):
-                known[own, first] = values
-        return np.array([known[own, first] for own in map(tuple, combinations.tolist())])
-
-    found = assigned(kinds, lambda combinations: losses(combinations, 0, count).mean(axis=1))
-    places = [{row: i for i, row in enumerate(kind.rows)} for kind in kinds]
-    together = np.array([[own[row] for own, row in zip(places, rows)] for rows in found.rows.tolist()])
-    apart = np.tile(np.arange(len(together))[:, None], (1, len(kinds)))
-    if not any(open_):
-        return found, Estimate.of(np.zeros(1), found.before - found.after, np.nan, np.nan)
-    judged = min(fresh, 50 * BLOCK)
-    gain = mean_change(*(losses(one, trials.samples, judged).mean(axis=0) for one in (together, apart)))
-    return found, gain
-
-
-def _combinations(kinds: Sequence[Kind]) -> int:
-    """How many are evaluated, at the least."""
-    sizes = [len(kind.values) for kind in kinds]
-    return sizes[0] * sizes[1] if len(sizes) == 2 else min(sizes) * sum(sizes)

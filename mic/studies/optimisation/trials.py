@@ -166,18 +166,27 @@ class Trials:
     def block(self, design: Design, number: int) -> tuple[np.ndarray, np.ndarray]:
         """A block of samples under a design, from memory, ledger, or evaluated."""
         if (design, number) not in self._blocks:
-            key = f"{self._key(design)} values {number}"
-            kept = self._ledger.find(key)
-            if kept is None:
+
+            def evaluated() -> dict[str, np.ndarray]:
                 drawn = self.drawn(number * BLOCK, BLOCK)
                 try:
                     y, unfit = self.at(design, drawn)
                 except SceneError:  # an order that leaves a part free, or contact that cannot hold it
                     y, unfit = np.zeros((len(drawn), len(self.space.scene.measurements))), np.ones(len(drawn), bool)
-                kept = {"y": y, "unfit": unfit.astype(float)}
-                self._ledger.keep(key, kept)
+                return {"y": y, "unfit": unfit.astype(float)}
+
+            kept = self.once(design, f"values {number}", evaluated)
             self._blocks[design, number] = kept["y"].reshape(len(kept["unfit"]), -1), kept["unfit"].astype(bool)
         return self._blocks[design, number]
+
+    def once(self, design: Design, what: str, evaluated: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Arrays of a design from the ledger, or evaluated and kept there."""
+        key = f"{json.dumps([str(one) for one in self.space.changes(design)])} {what}"
+        kept = self._ledger.find(key)
+        if kept is None:
+            kept = evaluated()
+            self._ledger.keep(key, kept)
+        return kept
 
     def values(self, design: Design, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Samples under a design; they count to no budget."""
@@ -218,20 +227,20 @@ class Trials:
         return self._slopes[design]
 
     def _derived(self, design: Design, drawn: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-        key = f"{self._key(design)} slopes {first}"
-        kept = self._ledger.find(key)
         own = drawn[first : first + BLOCK]
-        if kept is None:
+
+        def evaluated() -> dict[str, np.ndarray]:
             model, names = self.model(design)
             whole = np.column_stack([own, np.tile(np.array(design.settings), (len(own), 1))])
             found = model.sensitivities(whole, self.law, names)
             self.progress(len(own))
             fine = ~found.failed[:, None]
-            kept = {
+            return {
                 "y": np.where(fine, found.measurements, np.nan),
                 "slopes": np.where(fine[..., None], found.jacobian, np.nan),
             }
-            self._ledger.keep(key, kept)
+
+        kept = self.once(design, f"slopes {first}", evaluated)
         k, a = len(self.space.scene.measurements), len(self.space.settings)
         return kept["y"].reshape(len(own), k), kept["slopes"].reshape(len(own), k, a)
 
@@ -284,6 +293,3 @@ class Trials:
         if self.spent + count > self.budget:
             raise Spent
         self.spent += count
-
-    def _key(self, design: Design) -> str:
-        return json.dumps([str(one) for one in self.space.changes(design)])

@@ -41,15 +41,17 @@ def rewritten(text: str, scene, changes: Sequence[Change]) -> str:
             key, _, name = one.targets[0].partition(".")
             text = revised(text, key, _index(table, key, name), {"point": list(one.after), "node": None, "set": None})
         elif one.kind == "force" or one.targets[0] in {clamp.name for clamp in scene.clamps}:
-            key = "force" if one.kind == "force" else "stroke"
-            for name in dict.fromkeys(_called(table, one.targets)):
-                now = next(clamp for clamp in scene.clamps if clamp.name in one.targets)
-                value = one.after if key == "force" else getattr(now, key) + one.after - one.before
-                text = revised(text, "clamps", _index(table, "clamps", name), {key: round(value, 12)})
+            strokes = {clamp.name: clamp.stroke for clamp in scene.clamps}
+            for name in _called(table, one.targets):
+                own = (
+                    {"force": one.after} if one.kind == "force" else {"stroke": strokes[name] + one.after - one.before}
+                )
+                rounded = {key: round(value, 12) for key, value in own.items()}
+                text = revised(text, "clamps", _index(table, "clamps", name), rounded)
         else:
             change = one.after - one.before
-            own = Adjustment("locators." + "+".join(one.targets), "locator", one.targets, 0.0, change, change)
-            shims[own] = change
+            moved = Adjustment("locators." + "+".join(one.targets), "locator", one.targets, 0.0, change, change)
+            shims[moved] = change
     if shims:
         text = text.rstrip("\n") + "\n\n" + written(scene, shims)
     return text
