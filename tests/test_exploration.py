@@ -174,6 +174,10 @@ def test_sliders_reach_as_far_as_the_distribution(model):
     assert exploration.answer().evaluation.deviations[0][1] == PULL
 
 
+def test_a_law_without_friction_has_no_coefficients_to_move(model):
+    assert "friction" not in {one.group for one in mic.explore(model, "frictionless").controls}
+
+
 def test_nothing_to_move_is_said():
     free = dragged(
         deviations=[],
