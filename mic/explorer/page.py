@@ -458,7 +458,7 @@ class Page:
             html.H2("Samples")
             with html.Select(v_model=("characteristic",), id="characteristic"):
                 html.Option("{{ one }}", v_for="one in characteristics", key="one", value=("one",))
-            html.Span(" {{ counted }}", classes="dim")
+            html.Span(" {{ counted }}", classes="dim", id="counted")
             with html.Div(classes="bars"):
                 html.Div(
                     v_for="(one, j) in bars",
