@@ -1,5 +1,9 @@
 """What answers a move: by hand on springs, as the model evaluates it, and saved so that others read the same."""
 
+import re
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from support.springs import LIFT, MU, PULL, dragged, six
@@ -136,8 +140,6 @@ def test_a_sample_of_the_scene_is_that_of_its_deviations(model, exploration):
 
 def test_what_is_saved_gives_the_same_numbers_again(model, exploration, tmp_path):
     """The scene with its new tables, and the row of samples that goes with it, by the readers of both."""
-    import tomllib
-
     moved = {"P": 0.8765432109876543, "locators.bl2": 1 / 7, "zones.z.friction": 0.2, "clamps.T.stroke": -0.25}
     added = tomllib.loads(exploration.scene_tables(moved))["deviations"]
     assert [(one["kind"], one["target"]) for one in added] == [("locator", "bl2"), ("clamp", "T"), ("friction", "z")]
@@ -146,7 +148,10 @@ def test_what_is_saved_gives_the_same_numbers_again(model, exploration, tmp_path
     (tmp_path / "sample.csv").write_text(exploration.sample_table(moved))
     ((row, values),) = read_parts(tmp_path / "sample.csv", saved.parameters)
     assert row == 2 and list(values) == saved.parameters  # a table of samples needs all of them
-    np.testing.assert_array_equal(saved.evaluate(values).measurements[0], exploration.answer(moved).table["value"])
+    told = exploration.answer(moved).table["value"]
+    np.testing.assert_array_equal(saved.evaluate(values).measurements[0], told)
+    alone = saved.evaluate({"P": moved["P"]})  # the rest stands in the scene
+    np.testing.assert_array_equal(alone.measurements[0], told)
     assert exploration.scene_tables({"P": 0.9}) == ""
     assert exploration.sample_table({"P": 0.9}) == f"P,D\n0.9,{PULL!r}\n"
 
@@ -163,6 +168,17 @@ def test_a_run_takes_a_sample_that_was_saved(lap_model, tmp_path):
     assert scene.monte_carlo.samples == 1 and scene.monte_carlo.values[0][lap_model.parameters.index("F1")] == -6.25
 
 
+def test_the_how_to_does_what_it_says(lap_model, tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
+    section = page.split("## Move an assembly and look at it\n")[1].split("\n## ")[0]
+    (program,) = re.findall(r"```python\n(.*?)```", section, re.S)
+    monkeypatch.chdir(tmp_path)
+    lap_model.save("joint.npz")
+    exec(program, {})
+    said = capsys.readouterr().out
+    assert "'zones.lap.friction'" in said and "M1" in said and "True" in said
+
+
 def test_sliders_reach_as_far_as_the_distribution(model):
     deviations = [
         {"name": "P", "kind": "locator", "target": "bl1", "mean": 0.8, "sigma": 0.1, "truncated": [0.7, 1.0]},
@@ -172,6 +188,10 @@ def test_sliders_reach_as_far_as_the_distribution(model):
     (own,) = [one for one in exploration.controls if one.group == "sources"]
     assert own.name == "P" and 0.7 <= own.low < 0.71 and 0.98 < own.high <= 1.0
     assert exploration.answer().evaluation.deviations[0][1] == PULL
+
+
+def test_a_law_without_friction_has_no_coefficients_to_move(model):
+    assert "friction" not in {one.group for one in mic.explore(model, "frictionless").controls}
 
 
 def test_nothing_to_move_is_said():

@@ -146,7 +146,7 @@ def served(lap_model, tmp_path_factory):
     pytest.importorskip("trame_vtk")
     folder = tmp_path_factory.mktemp("explored")
     lap_model.save(folder / "model.npz")
-    program, address = started(folder)
+    program, address = started(folder, "--keep", "kept.npz")
     host, _, query = address.removeprefix("http://").partition("/")
     yield SimpleNamespace(address=address, host=host, path=f"/{query}", folder=folder)
     program.send_signal(signal.SIGINT)
@@ -187,6 +187,12 @@ def test_the_page_is_served_to_nobody_else(served):
     ]
     assert [code for code, _, _ in refused] == [403] * len(refused)
     assert all(text.startswith("refused: ") and headers["Set-Cookie"] is None for _, text, headers in refused)
+
+
+@pytest.mark.slow
+def test_what_was_kept_is_read_again(served, lap_model):
+    kept = mic.ReducedModel.load(served.folder / "kept.npz")
+    assert Shapes.load(beside(served.folder / "kept.npz"), kept).parts == () and kept.parameters == lap_model.parameters
 
 
 @pytest.mark.slow
@@ -265,11 +271,15 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
     assert told == pytest.approx(lap_model.evaluate({"F1": page.input(i)}).measurements[0][0], abs=1e-12)
     assert abs(told - m1) > 1e-4
 
-    page.until(lambda: browser.find_elements("id", "bar-0"), "the samples")
+    page.until(lambda: page("counted").text.strip() == "100 samples", "the samples")
     bar = max(range(25), key=lambda j: browser.find_element("id", f"bar-{j}").get_attribute("style"))
     told = page.final(page(f"bar-{bar}").click)
     page.until(lambda: page("picked").text.startswith("Sample "), "the sample")
     number = int(page("picked").text.split()[1].rstrip(":"))
+    figure = lambda text: float(text.replace("−", "-").split()[-2])
+    low, high = (figure(one.text) for one in browser.find_elements("css selector", ".ends span"))
+    middle = figure(page(f"bar-{bar}").get_attribute("title"))
+    assert abs(told - middle) < 0.52 * (high - low) / 25 + 5e-3 * abs(middle)  # as it is told, to three digits
     (drawn,), (measured,) = exploration.drawn(1, first=number)
     assert told == pytest.approx(measured[0], abs=1e-9)
     assert page.input(i) == pytest.approx(drawn[lap_model.parameters.index("F1")], abs=1e-12)

@@ -106,7 +106,7 @@ class Page:
         if self._took > SLOW:
             exploration.answer(coarse=True)
         self._bins: list[np.ndarray] = []
-        self._turn = 0
+        self._turn, self._picked = 0, self._shown.values
         self.server = get_server(f"mic-{id(self)}", client_type="vue3")
         self._state = self.server.state
         self._prepare()
@@ -118,6 +118,15 @@ class Page:
         state, exploration = self._state, self.exploration
         for i, one in enumerate(exploration.controls):
             state[f"v_{i}"], state[f"low_{i}"], state[f"high_{i}"] = one.now, one.low, one.high
+        # Names are a scene's, which may come from anybody: they are told as text, and are no part of the template.
+        state.title = exploration.own.scene.name
+        state.labels = [
+            {
+                "name": one.name if one.group == "sources" else one.name.partition(".")[2],
+                "stated": f"{one.name}, stated: {number(one.now, 6)} {one.unit}",
+            }
+            for one in exploration.controls
+        ]
         state.stage, state.stages = self._shown.stage, exploration.stages
         state.magnification = self.picture.usual(self._shown)
         thin = any(one.kind == "thickness" for one in exploration.own.scene.deviations)
@@ -187,6 +196,8 @@ class Page:
     # ----------------------------------------------------------------------------------------------- what is answered
 
     def _on_move(self, **_) -> None:
+        if self._state.picked and self.values() != self._picked:
+            self._state.picked = ""
         self._moved.set()
 
     def _on_magnification(self, **_) -> None:
@@ -222,10 +233,11 @@ class Page:
                 final = None
                 if self._took > SLOW:
                     self._tell(await self._asked(self._first, partial(ask, coarse=True)))
-                if not self._moved.is_set():
-                    final = self._asked(self._final, ask)
+                    if not self._moved.is_set():
+                        final = self._asked(self._final, ask)
+                else:
+                    self._tell(await self._asked(self._final, ask))
             elif final is not None and final.done():
-                self._took = final.result().seconds
                 self._tell(final.result())
                 final = None
 
@@ -245,6 +257,8 @@ class Page:
             self._draw_bars()
 
     def _tell(self, answer: Answer) -> None:
+        if not answer.preliminary:
+            self._took = answer.seconds
         with self._state:
             self._show(answer)
 
@@ -270,6 +284,7 @@ class Page:
         i = int(own[self._turn % len(own)])
         self._turn += 1
         self.set(self.exploration.sample(self._samples.deviations[i]))
+        self._picked = self.values()
         k = self._state.characteristics.index(self._state.characteristic)
         value = number(float(self._samples.measured[i, k]), 4)
         self._state.picked = f"Sample {self._samples.number[i]}: {self._state.characteristic} {value} mm"
@@ -312,8 +327,8 @@ class Page:
             client.Style((Path(__file__).with_name("page.css")).read_text(encoding="utf-8"))
             with html.Div(classes="page"):
                 with html.Div(classes="side"):
-                    html.H1(scene.name)
-                    html.P(f"{self.exploration.law}", classes="dim")
+                    html.H1("{{ title }}")
+                    html.P(self.exploration.law, classes="dim")
                     self._lay_controls()
                 with html.Div(classes="space"):
                     self._lay_bar()
@@ -333,12 +348,8 @@ class Page:
             html.H2(TITLES[group])
             for place, (i, one) in enumerate(own):
                 hidden = {"v_show": f"all.{group}"} if place >= FIRST else {}
-                with html.Div(
-                    classes="control", id=f"control-{i}", title=f"stated: {number(one.now, 6)} {one.unit}", **hidden
-                ):
-                    html.Label(
-                        one.name.partition(".")[2] or one.name if "." in one.name and group != "sources" else one.name
-                    )
+                with html.Div(classes="control", id=f"control-{i}", title=(f"labels[{i}].stated",), **hidden):
+                    html.Label(f"{{{{ labels[{i}].name }}}}")
                     html.Input(
                         type="number",
                         step="any",
@@ -447,7 +458,7 @@ class Page:
             html.H2("Samples")
             with html.Select(v_model=("characteristic",), id="characteristic"):
                 html.Option("{{ one }}", v_for="one in characteristics", key="one", value=("one",))
-            html.Span(" {{ counted }}", classes="dim")
+            html.Span(" {{ counted }}", classes="dim", id="counted")
             with html.Div(classes="bars"):
                 html.Div(
                     v_for="(one, j) in bars",

@@ -28,8 +28,8 @@ FORMAT = Format("set of drawn shapes", 1, "write it again with `mic explore SCEN
 ROOM = 250_000_000  # bytes that the solutions of some forces may take together
 
 _NONE = (
-    "Parts are drawn as nominal, and contacts and measured points alone move: shapes take finite elements, which are not "
-    "installed here, and are not known of a superelement."
+    "Parts are drawn as nominal, and contacts and measured points alone move: shapes take finite elements, which are "
+    "not installed here, and are not known of a superelement."
 )
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtr
 
+from mic.contact.laws import LAWS
 from mic.contact.states import ContactState
 from mic.errors import SceneError
 from mic.process.evaluation import Evaluation
@@ -158,7 +159,7 @@ class Exploration:
         fixture = [one.name for one in (*model.scene.locators, *model.scene.clamps)]
         some = adjustments(model, shim, factor, fixture) if fixture else []
         grown, names = extended(model, some)
-        rough = _frictions(grown.scene, model)
+        rough = _frictions(grown.scene, model, law)
         scene = grown.scene.model_copy(update={"deviations": [*grown.scene.deviations, *(one for _, one in rough)]})
         self.model = grown.varied(scene)
         #: By control, its column among the deviations of :attr:`model`, and what the scene states.
@@ -374,9 +375,9 @@ def explore(model: ReducedModel, law: str | None = None, shim: float = SHIM, fac
     return Exploration(model, law or model.scene.report.laws[0], shim, factor)
 
 
-def _frictions(scene, model: ReducedModel) -> list[tuple[Zone, FrictionDeviation]]:
-    """By zone of constant friction, a deviation of standard deviation 0 that adds to it."""
-    if not model.contacts.frictional or model.contacts.dimension == 1:
+def _frictions(scene, model: ReducedModel, law: str) -> list[tuple[Zone, FrictionDeviation]]:
+    """By zone of constant friction, a deviation of standard deviation 0 that adds to it; none under a law without."""
+    if not LAWS[law].frictional or not model.contacts.frictional or model.contacts.dimension == 1:
         return []
     taken, found = {one.name for one in scene.deviations}, []
     for zone in scene.zones:
