@@ -101,7 +101,7 @@ def test_quick_answers_are_those_of_the_evaluation_within_what_they_say():
 
 def test_quick_answers_that_would_err_by_more_than_a_tolerance_allows_are_refused():
     with pytest.raises(SceneError, match="quick answers for M err by .* leave quick out"):
-        Predictor(touching(1e-4), quick=True)
+        Predictor(touching(1e-8), quick=True)
 
 
 def test_a_table_of_parts_gives_a_table_of_predictions(model):
