@@ -36,7 +36,7 @@ SECTIONS = {
 ASSEMBLIES = {
     "Compare before and after": (
         "results/lap-joint_lap-joint-weaker/comparison.html",
-        "results/my_joint_my_joint_weaker/comparison.html",
+        "results/lap-joint_lap-joint/comparison.html",
     ),
     "Find out what made one assembly as it is": ("results/lap-joint_measured/explanation.html",),
     "Foretell assemblies one by one": ("predictions.csv", "quick.csv"),
