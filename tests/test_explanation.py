@@ -1,5 +1,7 @@
 """From what was measured back to its sources: closed forms, coverage, what cannot be told, what to measure next."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -104,7 +106,7 @@ def touching():
             {"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15},
             {"name": "Q", "kind": "locator", "target": "tl1", "mean": 0.0, "sigma": 0.15},
         ],
-        stages=[{"kind": "locate"}, {"kind": "measure"}],
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
     )
 
 
@@ -116,11 +118,47 @@ def test_the_truth_lies_in_the_region_as_often_as_claimed_where_contacts_change_
     y, hits, counted = h + 0.01 * draws.standard_normal(h.shape), 0, 0
     for i in range(cases):
         found = posterior(model, [0], y[i], np.array([0.01]), "frictionless", seed=i)
-        misfit = 0.5 * (z[i] ** 2).sum() + 0.5 * ((h[i] - y[i]) ** 2).sum() / 0.01**2
-        hits += misfit <= found.level()
+        hits += found.holds(z[i])
         counted += found.count >= 50
     assert counted == cases
     assert abs(hits / cases - 0.95) < 3 * np.sqrt(0.95 * 0.05 / cases), hits / cases
+
+
+def test_the_further_point_that_is_named_is_the_one_that_tells_most():
+    """Of two locators that lift b's face alike, L reads the one, R the other by a tenth, N neither. Each is measured in
+    turn: what is left of both is least where it was said to be."""
+    deviations = [
+        {"name": name, "kind": "locator", "target": target, "mean": LIFT, "sigma": SIGMA}
+        for name, target in (("P", "bl1"), ("Q", "bl2"))
+    ]
+    places = (("L", "b", [10, 0, 0], "z"), ("R", "b", [5.5, 4.5, 0], "z"), ("N", "t", [10, 0, 0], "z"))
+    further = [
+        {"name": name, "part": part, "point": point, "direction": [0, 0, 1], "lower": -1, "upper": 1}
+        for name, part, point, _ in places
+    ]
+    pulled = [at_face("t", (1, 0, 0), name="T", stroke=PULL)]
+    own = [at_face("b", (1, 0, 0), name="M", lower=-1, upper=1)]
+    model = dragged(deviations=deviations, clamps=pulled, measurements=[*own, *further])
+    true = model.evaluate({"P": LIFT + 1.5 * SIGMA, "Q": LIFT - SIGMA}).measurements[0]
+    values = dict(zip(("M", "L", "R", "N"), true))
+    found = explain(model, {"M": values["M"]}, 1e-3)
+    assert found.further["measurement"].tolist() == ["L", "R", "N"]
+    assert (np.diff(found.further["bits"]) < 0).all()
+    after = {name: explain(model, {"M": values["M"], name: values[name]}, 1e-3) for name in "LRN"}
+    left = [after[name].table["sigma"].sum() for name in "LRN"]
+    assert left[0] < left[1] < left[2]
+    for name in "LR":
+        told = found.further.set_index("measurement").loc[name]
+        before, then = (row(one, told["source"])["sigma"] ** 2 for one in (found, after[name]))
+        assert then == pytest.approx((1 - told["told"]) * before, abs=0.02 * before)
+
+
+def test_what_the_search_errs_by_is_said_where_the_gauge_is_finer(model):
+    found = explain(model, {"M": MU * LIFT / 4}, 1e-3)
+    assert (found.posterior.error < 1e-8).all()  # all is linear here
+    blunt = replace(found, posterior=replace(found.posterior, error=np.array([6e-4, 0.0])))
+    assert not any("intervals are wider" in said for said in sentences(found))
+    assert any("M is known to 0.60 µm, its gauge to 1.0 µm" in said for said in sentences(blunt))
 
 
 def test_slopes_of_distributions_are_those_of_their_quantiles(model):

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from mic import examples
 from mic.options import app
 from mic.report.page import write_report
 from mic.results.schema import (
@@ -31,12 +32,34 @@ SECTIONS = {
     "Find out what would mend it": (REMEDIES, REMEDY_EFFECTS),
 }
 
+#: What the pages on one assembly ask, and what it leaves.
+ASSEMBLIES = {
+    "Compare before and after": (
+        "results/lap-joint_lap-joint-weaker/comparison.html",
+        "results/lap-joint_lap-joint/comparison.html",
+    ),
+    "Find out what made one assembly as it is": ("results/lap-joint_measured/explanation.html",),
+    "Foretell assemblies one by one": ("predictions.csv", "quick.csv"),
+}
+
 
 def commands(section):
     """The commands that a section of the page shows."""
     text = PAGE.split(f"## {section}\n")[1].split("\n## ")[0]
     blocks = re.findall(r"```sh\n(.*?)```", text, re.S)
-    return text, [shlex.split(line) for block in blocks for line in block.strip().splitlines()]
+    return text, [shlex.split(line, comments=True) for block in blocks for line in block.strip().splitlines()]
+
+
+def others(scene, cache):
+    """What the pages on one assembly begin with: another run, two scenes of one's own, what was measured."""
+    text, _ = commands("Find out what made one assembly as it is")
+    Path("measured.csv").write_text(re.findall(r"```\n(measurement,.*?)```", text, re.S)[0])
+    Path("measured_parts.csv").write_text("F1,F2\n-5,2\n-4,\n-2,4\n")
+    weaker = [zone.model_copy(update={"friction": 0.1}) for zone in scene.zones]
+    run(scene.model_copy(update={"zones": weaker}), Path("results") / "lap-joint-weaker", cache)
+    for name, friction in (("my_joint", "0.27"), ("my_joint_weaker", "0.1")):
+        path = examples.copy("lap_joint", Path(name)) / "scene.toml"
+        path.write_text(path.read_text().replace("friction = 0.27", f"friction = {friction}"))
 
 
 @pytest.mark.slow
@@ -62,6 +85,15 @@ def test_what_the_page_asks_of_a_finished_run_stands_in_its_folder_and_report(la
             exec(code, {})
         for table in tables:
             assert (folder / table.place).is_file() and table.place in text
+    others(scene, cache)
+    for section, files in ASSEMBLIES.items():
+        text, asked = commands(section)
+        for program, *arguments in asked:
+            if "--watch" not in arguments:  # until Ctrl-C
+                done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
+                assert program == "mic" and done.exit_code == 0, f"{arguments}: {done.output}{done.exception}"
+        for file in files:
+            assert Path(file).is_file(), sorted(Path("results").iterdir())
     page = write_report(folder).read_text(encoding="utf-8")
     opening = page[page.index('<section id="answer">') : page.index("</section>")]
     assert "driven by" in opening and "is not measured" not in opening

@@ -8,10 +8,12 @@ import sys
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
-from support.springs import LIFT, MU, PULL, at_face, dragged
+from support.springs import LIFT, MU, PULL, at_face, dragged, six, spring_model
 from typer.testing import CliRunner
 
+import mic
 from mic.commands.predict import Log, read_parts
 from mic.errors import FormatError, SceneError
 from mic.options import app
@@ -70,6 +72,53 @@ def test_the_adjustment_that_helps_is_evaluated(model):
     assert idle["said"].startswith("no adjustment helps")
     with pytest.raises(ValueError, match="neither a locator nor a clamp"):
         Predictor(model, adjust=["nothing"])
+
+
+def touching(limit):
+    """b rises to t across a gap that half of the samples close: what M reads bends there."""
+    return spring_model(
+        [0.2],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
+        locators=[*six("b"), *six("t")],
+        zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.0, "pairs": 1}],
+        measurements=[at_face("t", name="M", lower=-limit, upper=limit)],
+        deviations=[{"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15}],
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    )
+
+
+def test_quick_answers_are_those_of_the_evaluation_within_what_they_say():
+    exact, quick = (Predictor(touching(1.0), quick=on) for on in (False, True))
+    x = 0.4 + 0.15 * np.random.default_rng(3).standard_normal(40)
+    told = [(row(exact.judge({"P": one}), "M"), row(quick.judge({"P": one}), "M")) for one in x[np.abs(x - 0.4) < 0.45]]
+    off = np.array([b["value"] - a["value"] for a, b in told])
+    half = np.array([b["high"] - b["value"] for _, b in told])
+    assert (half > 0).all() and half.max() < 1.96 * 0.005 * 2
+    assert (np.abs(off) <= half).mean() >= 0.9 and np.abs(off).max() > 0
+    beyond = {"P": 0.4 + 3.5 * 0.15}  # is evaluated
+    assert row(quick.judge(beyond), "M")["value"] == row(exact.judge(beyond), "M")["value"]
+
+
+def test_quick_answers_that_would_err_by_more_than_a_tolerance_allows_are_refused():
+    with pytest.raises(SceneError, match="quick answers for M err by .* leave quick out"):
+        Predictor(touching(1e-8), quick=True)
+
+
+def test_a_table_of_parts_gives_a_table_of_predictions(model):
+    told = mic.predict(model, pd.DataFrame({"P": [0.9, 1.39, 2.9], "D": [PULL, np.nan, PULL]}))
+    PREDICTIONS.check(told, "memory", "mend it")
+    whole = told[told["measurement"] == ""].set_index("row")
+    assert whole["verdict"].tolist() == ["accepted", "rejected", "refused"]
+    own = told[(told["measurement"] == "N")].set_index("row")
+    assert own["high"][0] == own["low"][0] and own["high"][1] - own["low"][1] == pytest.approx(
+        2 * 1.96 * 0.05, rel=1e-3
+    )
+    alike = mic.predict(model, [{"P": 0.9, "D": PULL}])
+    pd.testing.assert_frame_equal(alike, told[told["row"] == 0], check_index_type=False)
+    with pytest.raises(SceneError, match="no assembly"):
+        mic.predict(model, [])
+    with pytest.raises(ValueError, match="Q"):
+        mic.predict(model, [{"Q": 1.0}])
 
 
 @pytest.mark.parametrize(

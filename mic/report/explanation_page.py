@@ -20,7 +20,7 @@ __all__ = ["explanation_pictures", "sentences", "write_explanation"]
 
 NAMED = 3  # sources in a sentence
 UNUSUAL = 2.0  # standard deviations: a source this far off its mean is named as a cause
-DOUBT = 0.01  # probability below which the model does not explain what was measured
+DOUBT = 1e-4  # probability below which the scene does not explain what was measured: one source 4 σ off it does
 FEW = 100.0  # samples that count, below which the intervals are rough
 ROUGH = 0.5  # of the gauge's standard deviation: from then on it is said what the search errs by
 BEFORE, AFTER = "#9aa5b1", "#0b5cad"
@@ -79,7 +79,7 @@ def sentences(found: Explanation) -> list[str]:
     if error[worst] > ROUGH * gauge[worst]:
         told.append(
             f"Between the {found.posterior.evaluations} assemblies that were evaluated {_measured(found, worst)} is "
-            f"known to {number(1e3 * error[worst], 2)} µm, by its gauge to {number(1e3 * gauge[worst], 2)} µm: intervals "
+            f"known to {number(1e3 * error[worst], 2)} µm, its gauge to {number(1e3 * gauge[worst], 2)} µm: intervals "
             "are wider for it. Contacts change their state here, or the gauge is much finer than the sources."
         )
     if found.posterior.count < FEW:

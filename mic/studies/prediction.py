@@ -185,9 +185,8 @@ class Predictor:
                 return Emulator(u, h), off
         worst = int((off / fine).argmax())
         raise SceneError(
-            f"scene {scene.name!r}: quick answers for {scene.measurements[worst].name} err by {off[worst]:.3g} mm after "
-            f"{len(u)} evaluations, more than {FINE:.1%} of its tolerance; leave quick out, so that each assembly is "
-            "evaluated"
+            f"scene {scene.name!r}: quick answers for {scene.measurements[worst].name} err by {off[worst]:.3g} mm "
+            f"after {len(u)} evaluations, over {FINE:.1%} of its tolerance; leave quick out, so that all are evaluated"
         )
 
     def _verdicts(self, y: np.ndarray, half: np.ndarray) -> np.ndarray:

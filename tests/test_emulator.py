@@ -1,0 +1,36 @@
+"""Splines between what was evaluated: what is linear is met, what bends is met the better the more is known."""
+
+import numpy as np
+import pytest
+
+from mic.studies.emulator import Emulator
+
+
+@pytest.fixture
+def z():
+    return np.random.default_rng(0).standard_normal((60, 3))
+
+
+def test_what_is_linear_is_met_exactly_and_so_are_its_slopes(z):
+    B, a = np.array([[1.0, -2.0], [0.0, 3.0], [0.5, 0.0]]), np.array([4.0, -1.0])
+    spline, there = Emulator(z[:6], z[:6] @ B + a), 2 * z[10:]
+    np.testing.assert_allclose(spline(there), there @ B + a, atol=1e-10)
+    np.testing.assert_allclose(spline.slopes(there), np.tile(B.T, (len(there), 1, 1)), atol=1e-6)
+
+
+def test_a_bend_is_met_the_better_the_more_is_known(z):
+    def bent(z):
+        return np.column_stack([np.maximum(z[:, 0] + 0.3 * z[:, 1], 0.2), z[:, 2] ** 2])
+
+    there = np.random.default_rng(1).standard_normal((200, 3))
+    few, many = (np.sqrt(((Emulator(z[:n], bent(z[:n]))(there) - bent(there)) ** 2).mean(axis=0)) for n in (15, 60))
+    assert (many < 0.6 * few).all()
+
+
+def test_small_differences_are_met_as_large_ones_are(z):
+    """Of assemblies close to each other nothing is smoothed away, and units do not matter."""
+    h = np.sin(z[:, :1]) + z[:, 1:2] * z[:, 2:]
+    there = np.random.default_rng(1).standard_normal((20, 3))
+    large = Emulator(z, h)(there)
+    np.testing.assert_allclose(Emulator(1e-3 * z, h)(1e-3 * there), large, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(Emulator(z, 1e-4 * h)(there), 1e-4 * large, rtol=1e-8, atol=1e-12)
