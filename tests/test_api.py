@@ -8,11 +8,10 @@ import mic
 from mic.options import app
 
 ELSEWHERE = {"report": "write_report"}  # where a room has the name: what of it does what the command does
-INTERACTIVE = {"explore"}  # a page that is served
 
 
 def commands():
-    return {one.name or one.callback.__name__ for one in app.registered_commands} - INTERACTIVE
+    return {one.name or one.callback.__name__ for one in app.registered_commands}
 
 
 def test_every_command_is_a_public_function_and_every_public_function_but_those_that_read_is_a_command():
@@ -27,7 +26,7 @@ def test_every_command_is_a_public_function_and_every_public_function_but_those_
 
 
 @pytest.mark.parametrize(
-    "name", ["contributors", "explain", "friction", "order", "predict", "rare", "remedy", "sensitivity"]
+    "name", ["contributors", "explain", "explore", "friction", "order", "predict", "rare", "remedy", "sensitivity"]
 )
 def test_what_asks_a_model_takes_it_first_and_a_law_by_name(name):
     parameters = list(inspect.signature(getattr(mic, name)).parameters.values())

@@ -87,7 +87,7 @@ def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station
 
 def test_later_stages_leave_the_clamped_state_as_it_was(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
-    before = mic.reduce(with_stages(lap_scene, ("locate", "clamp"), welds=[], measurements=[]), cache)
+    before = mic.reduce(with_stages(lap_scene, ("locate", "clamp"), measurements=[]), cache)
     alone = before.process("coulomb").evaluate(deviations).resolutions["clamp"]
     followed = lap_model.process("coulomb").evaluate(deviations).resolutions["clamp"]
     np.testing.assert_allclose(alone.force, followed.force, atol=1e-6 * np.abs(alone.force).max())
@@ -95,7 +95,7 @@ def test_later_stages_leave_the_clamped_state_as_it_was(lap_model, lap_scene, ca
 
 def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
-    unwelded = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "measure"), welds=[]), cache)
+    unwelded = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "measure")), cache)
     held = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "weld", "measure")), cache)
     found, at_weld, after = (model.process("coulomb").evaluate(deviations) for model in (unwelded, held, lap_model))
     # Welds that do not close a gap move nothing while the clamps still hold ...
@@ -129,7 +129,6 @@ def test_slip_is_measured_from_where_the_contact_was_left(lap_scene, cache):
         update={
             "stages": [lap_scene.stages[0], clamp, again],
             "clamps": [*lap_scene.clamps, extra],
-            "welds": [],
             "measurements": [],
         }
     )

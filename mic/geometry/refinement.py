@@ -177,9 +177,14 @@ class _Leaves:
         corner = self.points[self.triangles]
         own = np.sqrt(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
         found = np.zeros(len(own), dtype=bool)
-        for place, far, wanted in zip(places, reach, size):
-            ball = np.linalg.norm(corner.mean(axis=1) - place, axis=1) <= far + 2 * np.sqrt(3) * own.max()
-            near = np.flatnonzero(ball & ~found & (own > wanted * (1 + EVEN)))
+        middle, order = corner.mean(axis=1), np.argsort(-own)
+        around = np.linalg.norm(corner - middle[:, None], axis=2).max(axis=1)
+        count = np.searchsorted(-own[order], -size * (1 + EVEN))  # triangles that are larger than each size
+        for place, far, larger in zip(places, reach, count):
+            near = order[:larger]
+            near = near[np.linalg.norm(middle[near] - place, axis=1) <= far * (1 + EVEN) + around[near]]
+            if not len(near):
+                continue
             share = closest_barycentric(corner[near], np.broadcast_to(place, (len(near), 3)))
             away = np.linalg.norm(np.einsum("qi,qij->qj", share, corner[near]) - place, axis=1)
             found[near[away <= far * (1 + EVEN)]] = True

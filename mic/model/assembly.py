@@ -34,11 +34,11 @@ from mic.model import characteristics
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
 from mic.model.modes import write_modes
-from mic.model.nugget_mesh import resolved
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.positions import position_rows
 from mic.model.rows import AXES, Rows
+from mic.model.solved_mesh import resolved
 from mic.model.sources import ranges, sources
 from mic.product import one_thread
 from mic.scene import Scene
@@ -165,7 +165,7 @@ class Assembly:
         What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
         and directions are vectors, clamps single ones.
     parts : tuple of Part
-        On the meshes that they are solved on (:mod:`mic.model.nugget_mesh`).
+        On the meshes that they are solved on (:mod:`mic.model.solved_mesh`).
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
     labels : dict of str to list of str
@@ -189,7 +189,7 @@ class Assembly:
     placed : tuple of str
         What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
     surfaces : dict of str to Surface
-        Of the parts as their meshes draw them, before elements at nuggets are divided.
+        Of the parts as their meshes draw them, before elements are divided.
     """
 
     scene: Scene
@@ -328,7 +328,6 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for body in parts:
         if body.superelement is not None:
             body.superelement.readings(body)  # what it cannot read is told before anything is computed
-    parts = tuple(resolved(part, scene) for part in parts)
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
     for zone in scene.zones:
@@ -337,7 +336,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone, bodies)) if asked else None)
     return Assembly(
         scene,
-        parts,
+        tuple(resolved(part, scene, contacts.zone, contacts.point, spacing) for part in parts),
         rows.matrices(),
         rows.labels,
         contacts,
