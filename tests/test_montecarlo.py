@@ -172,10 +172,10 @@ def test_a_sample_that_breaks_is_counted_and_the_rest_survives(lap_model, monkey
     target = draw(lap_model.scene, 4, 7, 1)
     evaluate = process.evaluate
 
-    def breaks(deviations):
+    def breaks(deviations, *at):
         if (deviations == target).all(axis=1).any():
             raise np.linalg.LinAlgError("planted")
-        return evaluate(deviations)
+        return evaluate(deviations, *at)
 
     monkeypatch.setattr(process, "evaluate", breaks)
     ((_, _, found),), _ = collected(lap_model, ["coulomb"], 20, 4)

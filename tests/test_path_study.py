@@ -163,10 +163,10 @@ def test_a_repetition_that_breaks_is_lost_alone(lap_model, tmp_path, monkeypatch
     sample_into(tmp_path, with_increments(lap_model, 2), ["coulomb"], SAMPLES, SEED)
     target, evaluate = draw(lap_model.scene, SEED, 2, 1), Process.evaluate
 
-    def breaks(self, deviations):
+    def breaks(self, deviations, *at):
         if (deviations == target).all(axis=1).any():
             raise np.linalg.LinAlgError("planted")
-        return evaluate(self, deviations)
+        return evaluate(self, deviations, *at)
 
     monkeypatch.setattr(Process, "evaluate", breaks)
     write_path_study(read_outcome(tmp_path))

@@ -36,7 +36,8 @@ def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
     """
     found = [warned for rule in FILE for warned in rule.judge(assembly.scene if assembly is not None else scene)]
     if assembly is not None:
-        found += [warned for rule in PARTS for warned in rule.judge(assembly.parts)]
+        drawn = [_sheet(part, assembly.surfaces[part.name]) for part in assembly.parts]  # not as they are solved
+        found += [warned for rule in PARTS for warned in rule.judge(drawn)]
         found += [warned for rule in MESHES for warned in rule.judge(assembly)]
     return tuple(found)
 
@@ -50,8 +51,12 @@ def suspect(scene: Scene, readable: Sequence[LoadedPart]) -> tuple[Warned, ...]:
     readable : sequence of LoadedPart
         Those of its parts that can be had, see :func:`readable`.
     """
-    parts = [SimpleNamespace(name=one.part.name, thickness=one.part.thickness, surface=one.surface) for one in readable]
+    parts = [_sheet(one.part, one.surface) for one in readable]
     return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+
+
+def _sheet(part, surface) -> SimpleNamespace:
+    return SimpleNamespace(name=part.name, thickness=part.thickness, surface=surface)
 
 
 def readable(scene: Scene, cache: Path) -> list[LoadedPart]:
