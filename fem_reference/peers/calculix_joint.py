@@ -48,24 +48,35 @@ class Strip:
     """
 
     def __init__(self, x: np.ndarray, y: np.ndarray, z: np.ndarray, young: float, poisson: float):
-        self.x, self.y, self.z = x, y, z
+        self.x, self.y, self.z, self._material = x, y, z, (young, poisson)
         shape = len(x), len(y), len(z)
         self._number = np.arange(1, 1 + len(x) * len(y) * len(z)).reshape(shape)
-        nodes = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
-        lines = ["*NODE", *(f"{n}, {a!r}, {b!r}, {c!r}" for n, (a, b, c) in enumerate(nodes.tolist(), start=1))]
+        self._nodes = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
+        self.K, freedom = self._stiffness(self._nodes)
+        self._column = np.full((len(self._nodes) + 1, 3), -1)
+        at_node = freedom[:, 0] <= len(self._nodes)
+        self._column[freedom[at_node, 0], freedom[at_node, 1]] = np.flatnonzero(at_node)
+        if (self._column[1:] < 0).any():
+            raise CalculixError("ccx gave no stiffness for some nodes")
+
+    def _stiffness(self, nodes: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
+        """K and whose its freedoms are, with these nodes (n, 3)."""
+        young, poisson = self._material
+        lines = ["*NODE"]  # a number has 20 characters at most
+        lines += [f"{n}, {a:.12g}, {b:.12g}, {c:.12g}" for n, (a, b, c) in enumerate(nodes.tolist(), start=1)]
         lines.append("*ELEMENT, TYPE=C3D8I, ELSET=SHEET")
         corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-        own = [self._number[a : a + shape[0] - 1, b : b + shape[1] - 1, c : c + shape[2] - 1] for a, b, c in corners]
+        i, j, k = (count - 1 for count in self._number.shape)
+        own = [self._number[a : a + i, b : b + j, c : c + k] for a, b, c in corners]
         elements = np.stack(own, -1).reshape(-1, 8)
         lines += [", ".join(map(str, [n, *element])) for n, element in enumerate(elements.tolist(), start=1)]
         lines += ["*MATERIAL, NAME=STEEL", f"*ELASTIC\n{young!r}, {poisson!r}", "*DENSITY\n1e-9"]
         lines.append("*SOLID SECTION, ELSET=SHEET, MATERIAL=STEEL")
-        self.K, freedom = stiffness("\n".join(lines) + "\n")
-        self._column = np.full((len(nodes) + 1, 3), -1)
-        at_node = freedom[:, 0] <= len(nodes)
-        self._column[freedom[at_node, 0], freedom[at_node, 1]] = np.flatnonzero(at_node)
-        if (self._column[1:] < 0).any():
-            raise CalculixError("ccx gave no stiffness for some nodes")
+        return stiffness("\n".join(lines) + "\n")
+
+    def deviated(self, shape: np.ndarray) -> csc_matrix:
+        """(d, d) K of the block whose nodes lie where a shape (d,) has moved them, mm; elements' freedoms as before."""
+        return self._stiffness(self._nodes + shape[self._column[1:]])[0]
 
     @property
     def middle(self) -> int:
@@ -95,7 +106,9 @@ class Strip:
         return csr_matrix(row)
 
 
-def joint(scene: Scene, deviations: np.ndarray, fine: float, coarse: float, layers: int = 2) -> np.ndarray:
+def joint(
+    scene: Scene, deviations: np.ndarray, fine: float, coarse: float, layers: int = 2, deviated: bool = False
+) -> np.ndarray:
     """Measurements (n, k), mm, of the lap joint at deviations (n, p), without friction.
 
     Parameters
@@ -108,6 +121,8 @@ def joint(scene: Scene, deviations: np.ndarray, fine: float, coarse: float, laye
         Largest element, mm, about the welds and elsewhere.
     layers : int
         Elements through each thickness, an even number.
+    deviated : bool
+        Whether strips have the stiffness of their deviated shape in place of the nominal one.
 
     Raises
     ------
@@ -134,9 +149,14 @@ def joint(scene: Scene, deviations: np.ndarray, fine: float, coarse: float, laye
         one.force * row(one, 0 if of[one.part] is lower else len(upper.z) - 1).toarray()[0] for one in scene.clamps
     )
     free = _Held(K, vstack(list(held.values())), csr_matrix((0, K.shape[0])))
-    clamped = _Held(K, vstack(list(held.values())), touch)
     kept = next(stage.keep for stage in scene.stages if stage.kind == "release")
-    released = _Held(K, vstack([*(held[name] for name in kept), ties]), touch[apart])
+
+    def stages(K: csc_matrix) -> tuple[_Held, _Held]:
+        """Clamped, and released once welded."""
+        welded = vstack([*(held[name] for name in kept), ties])
+        return _Held(K, vstack(list(held.values())), touch), _Held(K, welded, touch[apart])
+
+    nominal = None if deviated else stages(K)
     read = vstack([row(one) for one in scene.measurements])
     none = np.zeros(len(held))
     unit = {i: row(one).toarray()[0] for i, one in enumerate(scene.deviations) if one.kind == "force"}
@@ -148,6 +168,8 @@ def joint(scene: Scene, deviations: np.ndarray, fine: float, coarse: float, laye
             one.target: amplitude for amplitude, one in zip(amplitudes, scene.deviations) if one.kind == "locator"
         }
         gap = touch @ shape
+        both = zip(strips, np.split(shape, [size[0]]))
+        clamped, released = nominal or stages(csc_matrix(block_diag([strip.deviated(own) for strip, own in both])))
         closed = clamped.solve(press, np.array([asked.get(name, 0.0) for name in held]), gap)
         frozen = np.concatenate([[asked.get(name, 0.0) for name in kept], ties @ closed])
         found.append(read @ (shape + released.solve(np.zeros_like(shape), frozen, gap[apart])))
