@@ -35,7 +35,7 @@ def explore(source, port, browser, keep, shim, force, law):
     port, console = free(port), Console()  # told before anything long
     run = (source / "run.json").is_file()
     if run:
-        model, parts = studied(console, source)[0], ()
+        model = studied(console, source)[0]
         parts = RunFolder(source).parts(model.scene)
     else:
         model, parts = reduced(console, source)
