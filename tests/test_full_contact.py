@@ -202,10 +202,11 @@ from verification.scenes import few
 scene = few(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 scene = scene.model_copy(update={"zones": [zone.model_copy(update={"pairs": 4}) for zone in scene.zones]})
-if sys.argv[4] == "increments":
-    steps = {"path": "increments", "increments": 2}
-    stages = [s.model_copy(update=steps) if s.kind in ("clamp", "release") else s for s in scene.stages]
-    scene = scene.model_copy(update={"stages": stages})
+scene = scene.model_copy(update={"welds": [weld.model_copy(update={"fused": False}) for weld in scene.welds]})
+steps = {"path": "increments", "increments": 2 if sys.argv[4] == "increments" else 1}
+asked = ("clamp", "release") if sys.argv[4] == "increments" else ("release",)  # one stage is followed then
+stages = [stage.model_copy(update=steps) if stage.kind in asked else stage for stage in scene.stages]
+scene = scene.model_copy(update={"stages": stages})
 assembly = assemble(scene, Path(sys.argv[2]) / str(MPI.COMM_WORLD.rank))
 full = FullModel(assembly, path_tolerance=2e-1).evaluate(draw(scene, 5, 0, 1)[0])
 values = [full.measurements, *full.field("release").values()]
@@ -336,7 +337,7 @@ def test_every_node_of_the_zone(scene, cache):
     """One pair per vertex of either part; all pairs stand for the zone's area, and both routes agree as with few
     pairs."""
     assembly = assemble(scene, cache, every_node=True)
-    vertices = np.vstack([part.surface.points[:, :2] for part in assembly.parts])
+    vertices = np.vstack([surface.points[:, :2] for surface in assembly.surfaces.values()])
     overlap = vertices[(vertices[:, 0] >= 60) & (vertices[:, 0] <= 100)]
     found = assembly.contacts.point[:, :2]
     np.testing.assert_allclose(
@@ -376,6 +377,7 @@ def laid(scene, pinned):
 def test_a_part_that_rests_lies_and_carries_the_same_to_both(scene, cache, increments, law, pinned):
     """Springs about another place, of another stiffness, and Newton's method for the whole: the same equilibrium."""
     resting = laid(going(scene, "increments", increments), pinned)
+    resting = resting.model_copy(update={"welds": [one.model_copy(update={"fused": False}) for one in resting.welds]})
     model = mic.reduce(resting, cache)
     for sample in draw(resting, 5, 0, 2):
         full, reduced = FullModel(assemble(resting, cache)).evaluate(sample, law), model.evaluate(sample, law)

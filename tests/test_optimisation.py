@@ -317,7 +317,9 @@ A3 = {"item": "locators.upper-A3", "points": [[120, 12.5, 1]]}
 
 @pytest.mark.fem
 @pytest.mark.slow
-def test_items_at_other_places_are_those_of_a_scene_that_states_them(cache, monkeypatch):
+@pytest.mark.parametrize("fused, times", [(False, 1), (True, 2)])
+def test_items_at_other_places_are_those_of_a_scene_that_states_them(fused, times, cache, monkeypatch):
+    """Each part is solved once for all places; at a fused nugget its elements are divided: once for each of these."""
     computed, find = [], sites_module.influence_coefficients
 
     def counted(assembly, *arguments):
@@ -325,7 +327,8 @@ def test_items_at_other_places_are_those_of_a_scene_that_states_them(cache, monk
         return find(assembly, *arguments)
 
     monkeypatch.setattr(sites_module, "influence_coefficients", counted)
-    model = mic.reduce(placed([W1, A3]), cache)
+    welds = [one.model_copy(update={"fused": fused}) for one in mic.load_scene(mic.examples.folder("lap_joint")).welds]
+    model = mic.reduce(placed([W1, A3], welds=welds), cache)
     space = Space(model)
     sites, x = Sites(space, cache), draw(model.scene, 1, 0, 3)
     read = []
@@ -334,7 +337,7 @@ def test_items_at_other_places_are_those_of_a_scene_that_states_them(cache, monk
         read.append(sites.model(scene).evaluate(x, "coulomb").measurements)
         np.testing.assert_allclose(read[-1], mic.reduce(scene, cache).evaluate(x, "coulomb").measurements, atol=1e-9)
     assert np.abs(read[1] - read[0]).max() > 1e-3
-    assert sorted(computed) == ["lower", "upper"], "each part is solved once for all places"
+    assert sorted(computed) == ["lower"] * times + ["upper"] * times
 
 
 @pytest.mark.fem

@@ -2,7 +2,7 @@
 Find a remedy
 =============
 
-The drawing asks for M1 of the lap joint to be above -0.765 mm, but the upper strips of a batch come in with too large
+The drawing asks for M1 of the lap joint to be above -0.78 mm, but the upper strips of a batch come in with too large
 a force. Which locator would bring the assemblies back, and how far? ``mic remedy`` proposes changes by exact
 derivatives and evaluates them on fresh samples.
 """
@@ -19,7 +19,7 @@ deviations = [
     else item
     for item in scene.deviations
 ]  # fmt: skip
-limits = [item.model_copy(update={"lower": -0.765}) if item.name == "M1" else item for item in scene.measurements]
+limits = [item.model_copy(update={"lower": -0.78}) if item.name == "M1" else item for item in scene.measurements]
 model = mic.reduce(scene.model_copy(update={"deviations": deviations, "measurements": limits}))
 found = mic.remedy(model, "coulomb", samples=8, names=["upper-A1"], capability=0.3)
 

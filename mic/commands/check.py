@@ -95,7 +95,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         if _holds(folder, assembly):
             keep_studies(console, folder, {DENSITY: _density_table(asked, converged)})
     surfaces = assembly.surfaces
-    _draw_check(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
+    solved = {part.name: part.surface for part in assembly.parts}  # on which shapes are known
+    _draw_check(console, page, assembly.scene, solved, warnings, assembly.contacts, plans, shapes=shapes)
     if normals is not None or overlap is not None:
         from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 

@@ -3,7 +3,7 @@
 Where an item may stand, its functionals are retained at all of its points, together: every part is factorised once,
 and each model takes the rows and columns of H and the rows of G that it has. Where a combination of places asks for
 functionals that no single place does, as contact pairs do that follow two pads, the part is computed once more, with
-these as well.
+these as well. A fused weld's nugget has elements of its own: a part is factorised for each of its places.
 """
 
 from __future__ import annotations
@@ -75,11 +75,12 @@ class Sites:
         """The model of the scene with items at some of their places."""
         assembly = self._assembled(scene)
         self._retain(assembly)
-        missing = [part.name for part in assembly.parts if part.name not in self._found]
+        missing = {part.name: _mesh(part) for part in assembly.parts if _mesh(part) not in self._found}
         if missing:
-            whole = tuple(replace(part, functionals=self._known[part.name]) for part in assembly.parts)
+            whole = tuple(replace(part, functionals=self._known[_mesh(part)]) for part in assembly.parts)
             own = replace(assembly, parts=tuple(part for part in whole if part.name in missing))
-            self._found |= influence_coefficients(own, self._cache, self._progress)[0]
+            found = influence_coefficients(own, self._cache, self._progress)[0]
+            self._found |= {mesh: found[name] for name, mesh in missing.items()}
         taken = {part.name: self._taken(part) for part in assembly.parts}
         return ReducedModel.build(assembly, taken)
 
@@ -91,7 +92,8 @@ class Sites:
     def _retain(self, assembly: Assembly) -> None:
         """Add the functionals of an assembly to those that are known; a part that has more is computed anew."""
         for part in assembly.parts:
-            places = self._places.setdefault(part.name, {})
+            mesh = _mesh(part)
+            places = self._places.setdefault(mesh, {})
             own, before = part.functionals, len(places)
             fresh = []
             for i, key in enumerate(_keys(own)):
@@ -99,17 +101,22 @@ class Sites:
                     places[key] = len(places)
                     fresh.append(i)
             if len(places) > before:
-                self._known[part.name] = _joined(self._known.get(part.name), own, fresh)
-                self._found.pop(part.name, None)
+                self._known[mesh] = _joined(self._known.get(mesh), own, fresh)
+                self._found.pop(mesh, None)
 
     def _taken(self, part) -> InfluenceCoefficients:
         """Of the coefficients of all functionals those that a part has."""
-        whole, places = self._found[part.name], self._places[part.name]
+        whole, places = self._found[_mesh(part)], self._places[_mesh(part)]
         at = np.array([places[key] for key in _keys(part.functionals)], dtype=int)
         varied = whole.thicknesses
         if varied is not None:
             varied = Thicknesses(varied.t, varied.low, varied.high, varied.H[:, at][:, :, at], varied.G[:, at])
         return replace(whole, H=whole.H[np.ix_(at, at)], G=whole.G[at], thicknesses=varied)
+
+
+def _mesh(part) -> tuple[str, bytes]:
+    """What tells the meshes of a part apart: elements at a nugget are divided, wherever it stands."""
+    return part.name, part.surface.points.tobytes() + part.surface.triangles.tobytes()
 
 
 def _keys(own: Functionals) -> list[bytes]:
@@ -138,7 +145,7 @@ def _joined(known: Functionals | None, own: Functionals, rows: list[int]) -> Fun
 
 def _on_their_parts(space: Space, assembly: Assembly) -> None:
     """Every candidate lies on the part, or the parts, of its item."""
-    surfaces, lines = {part.name: part.surface for part in assembly.parts}, []
+    surfaces, lines = assembly.surfaces, []
     for i, (item, points) in enumerate(zip(space.items, space.points)):
         owner, off = standing(space.scene, item)[0], set[int]()
         for name in getattr(owner, "parts", None) or [owner.part]:
