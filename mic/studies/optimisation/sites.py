@@ -29,6 +29,8 @@ from mic.studies.optimisation.design import Design, Space
 
 __all__ = ["Sites"]
 
+Mesh = tuple[str, bytes]  #: of a part, by its name and what its mesh holds
+
 
 class Sites:
     """Models of a scene with its items at other places.
@@ -49,9 +51,9 @@ class Sites:
 
     def __init__(self, space: Space, cache: Path, progress: Callable[[str], None] = lambda line: None):
         self._cache, self._progress = cache, progress
-        self._known: dict[str, Functionals] = {}
-        self._places: dict[str, dict[bytes, int]] = {}
-        self._found: dict[str, InfluenceCoefficients] = {}
+        self._known: dict[Mesh, Functionals] = {}
+        self._places: dict[Mesh, dict[bytes, int]] = {}
+        self._found: dict[Mesh, InfluenceCoefficients] = {}
         try:
             stated = self._assembled(space.scene)
         except SceneError as problem:
@@ -114,7 +116,7 @@ class Sites:
         return replace(whole, H=whole.H[np.ix_(at, at)], G=whole.G[at], thicknesses=varied)
 
 
-def _mesh(part) -> tuple[str, bytes]:
+def _mesh(part) -> Mesh:
     """What tells the meshes of a part apart: elements at a nugget are divided, wherever it stands."""
     return part.name, part.surface.points.tobytes() + part.surface.triangles.tobytes()
 
