@@ -30,6 +30,7 @@ LIST = ROOT / "tests" / "mutations.toml"
 PYTEST = ("-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", "-m", "not slow")
 LONGEST = 600  # s: a test that hangs on an error has caught it
 FAILED = 1  # how pytest ends when a test failed; what else it may say is no verdict
+OWED = "Each names the tests that are to catch it; `script/mutate` tells whether they do."
 PAGE = """# Planted errors
 
 `script/mutate` plants one error of physics at a time in a copy of the program and runs the tests that stand beside it:
@@ -157,7 +158,7 @@ def run(folder: Path, tests: Sequence[str]) -> tuple[str, str]:
 def page(all_: Sequence[Mutation]) -> str:
     """docs/mutations.md."""
     survivors = [f"- {one.what} (`{one.file}`): {one.survives}" for one in all_ if one.survives]
-    told = "\n".join(["These survive, and why:", "", *survivors]) if survivors else f"All {len(all_)} are caught."
+    told = "\n".join(["These survive, and why:", "", *survivors]) if survivors else OWED
     rows = "\n".join(
         f"| {one.what} | `{one.file}` | {', '.join(f'`{Path(test).name}`' for test in one.tests)} |" for one in all_
     )
