@@ -28,6 +28,7 @@ __all__ = [
     "DAMAGED",
     "PARTIAL",
     "Format",
+    "append_text",
     "arrays_header",
     "clean",
     "fingerprint",
@@ -193,6 +194,24 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file, UTF-8."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def append_text(path: Path, text: str) -> None:
+    """Write text at a file's end; it is on disk when this ends, whatever becomes of the program.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "a", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as problem:
+        raise StorageError(f"{path}: cannot be written ({_reason(problem)}); make room and call again") from None
 
 
 def save_json(path: Path, format: Format, content: Mapping[str, Any]) -> None:

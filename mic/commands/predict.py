@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,11 +13,11 @@ from rich.console import Console
 
 from mic.commands.call import law_of, on_one_process, studied
 from mic.console import plain
-from mic.errors import FormatError, SceneError, Stopped, StorageError
+from mic.errors import FormatError, SceneError, Stopped
 from mic.results.identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene.tables import read_cells, read_number
-from mic.store import write_text
+from mic.store import append_text, write_text
 from mic.studies.prediction import Predictor
 
 __all__ = ["Log", "predict", "read_parts"]
@@ -160,16 +159,7 @@ class Log:
         """Write what was found of a row of a file."""
         told = found.assign(file=str(path), row=row, model=self.model)
         text = told.to_csv(index=False, header=not self.path.is_file() or not self.path.stat().st_size)
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with open(self.path, "a", encoding="utf-8", newline="") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as problem:
-            raise StorageError(
-                f"{self.path}: cannot be written ({problem.strerror}); make room and call again"
-            ) from None
+        append_text(self.path, text)
         self._known.add((str(path), row))
 
     def _mend(self) -> None:

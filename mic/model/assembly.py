@@ -296,11 +296,12 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     for i, weld in enumerate(scene.welds):
         with problems:
             drawn.append(_weld_rows(f"welds[{i}]", weld, bodies, rows))
-    pairs = _zone_pairs(scene, bodies, every_node, problems)
+    pressed = [_pressed(scene, zone, bodies) for zone in scene.zones]
+    pairs = _zone_pairs(scene, bodies, pressed, every_node, problems)
     if not problems:
         contacts = _contact_rows(scene, bodies, rows, pairs, every_node, problems)
     if not problems:
-        between = _between_rows(scene, bodies, rows, [] if every_node else pairs)
+        between = _between_rows(scene, bodies, rows, pressed, [] if every_node else pairs)
         weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn], problems)
     for source in sources(scene):
         with problems:
@@ -330,10 +331,10 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
             body.superelement.readings(body)  # what it cannot read is told before anything is computed
     weld_size = tuple(size for _, size in drawn)
     spacing: list[float | None] = []
-    for zone in scene.zones:
+    for zone, places in zip(scene.zones, pressed):
         first, second = (bodies[name] for name in zone.parts)
         asked = pairs and zone.candidates
-        spacing.append(candidate_spacing(zone, first, second, _pressed(scene, zone, bodies)) if asked else None)
+        spacing.append(candidate_spacing(zone, first, second, places) if asked else None)
     return Assembly(
         scene,
         tuple(resolved(part, scene, contacts.zone, contacts.point, spacing) for part in parts),
@@ -433,7 +434,7 @@ def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
     return {f"{axis}-moment ": patch.weight * (step @ pair.frame[:, j]) / radius for j, axis in ((1, "t1"), (2, "t2"))}
 
 
-def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[ContactPair]]:
+def _zone_pairs(scene, bodies, pressed, every_node, problems: Problems) -> list[list[ContactPair]]:
     """The pairs of each zone; none where no stage resolves contact."""
     resolved = any(stage.kind != "locate" for stage in scene.stages)
     landmarks = np.array([locator.point for locator in scene.locators]).reshape(-1, 3)
@@ -443,9 +444,9 @@ def _zone_pairs(scene, bodies, every_node, problems: Problems) -> list[list[Cont
         with problems:
             try:
                 if every_node:
-                    found.append(node_pairs(zone, a, b, _pressed(scene, zone, bodies)))
+                    found.append(node_pairs(zone, a, b, pressed[i]))
                 else:
-                    found.append(find_pairs(zone, a, b, landmarks, _pressed(scene, zone, bodies)))
+                    found.append(find_pairs(zone, a, b, landmarks, pressed[i]))
             except ValueError as error:
                 raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
             refuse_untold(entry("zones", i, zone), zone.parts, found[-1], a, b)
@@ -470,14 +471,14 @@ def _weld_normal(zone, weld, bodies) -> np.ndarray | None:
     return pair.frame[:, 0] if weld.parts[0] == zone.parts[0] else -pair.frame[:, 0]
 
 
-def _between_rows(scene, bodies, rows: Rows, pairs) -> Between:
+def _between_rows(scene, bodies, rows: Rows, pressed, pairs) -> Between:
     """Rows of the points between the pairs: their normal reading alone."""
     landmarks = np.array([locator.point for locator in scene.locators]).reshape(-1, 3)
     points: list[ContactPair] = []
     zones: list[int] = []
     for i, (zone, own) in enumerate(zip(scene.zones, pairs)):
         a, b = (bodies[name] for name in zone.parts)
-        found = find_between(zone, a, b, own, landmarks, _pressed(scene, zone, bodies))
+        found = find_between(zone, a, b, own, landmarks, pressed[i])
         for one in found:
             _joint_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, one, 1)
             points.append(one)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
@@ -11,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from mic.errors import SceneError, StorageError
+from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.identity import identity
 from mic.sampling.draw import draw
+from mic.store import append_text
 from mic.studies.optimisation.design import Design, Space
 from mic.studies.optimisation.objective import Objective
 from mic.studies.optimisation.sites import Sites
@@ -53,7 +53,7 @@ class Ledger:
                 except (ValueError, KeyError, TypeError):  # cut off when it was written
                     continue
             if not path.read_bytes().endswith(b"\n"):
-                self._append("\n")
+                append_text(path, "\n")
 
     def find(self, key: str) -> dict[str, np.ndarray] | None:
         """Arrays under a key; None where it is not known."""
@@ -67,20 +67,7 @@ class Ledger:
         if self.path is None:
             return
         told = {name: np.asarray(value, dtype=float).tolist() for name, value in arrays.items()}
-        self._append(json.dumps({"stamp": self.stamp, "key": key, "arrays": told}) + "\n")
-
-    def _append(self, text: str) -> None:
-        assert self.path is not None
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with open(self.path, "a", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as problem:
-            raise StorageError(
-                f"{self.path}: cannot be written ({str(problem.strerror).lower()}); make room and call again"
-            ) from None
+        append_text(self.path, json.dumps({"stamp": self.stamp, "key": key, "arrays": told}) + "\n")
 
 
 class Trials:
