@@ -1,5 +1,7 @@
 """A scene that is turned, mirrored, renumbered or written in other units is the same scene."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,15 +41,27 @@ def readings(case, folder):
     return assembly.contacts, np.array(rows)
 
 
+@pytest.fixture(scope="module")
+def given_readings(tmp_path_factory):
+    """What a case reads before it is changed: all changes see the same cases."""
+    return cache(lambda seed, watched: readings(random_case(seed, watched=watched), tmp_path_factory.mktemp("given")))
+
+
+@pytest.fixture(scope="module")
+def given_measurements(tmp_path_factory):
+    """What a case measures before it is changed, under a law."""
+    folder = cache(lambda seed, watched: tmp_path_factory.mktemp("given"))  # coefficients serve both laws
+    return cache(lambda seed, watched, law: random_case(seed, watched=watched).measurements(folder(seed, watched), law))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("watched", [False, True], ids=["any", "watched"])
 @pytest.mark.parametrize("change", SAME)
 @settings(max_examples=5, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, watched, seed, tmp_path_factory):
-    case = random_case(seed, watched=watched)
-    other, matrix, unit = SAME[change](case, seed)
-    contacts, patches = readings(case, tmp_path_factory.mktemp("given"))
+def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, watched, seed, given_readings, tmp_path_factory):
+    other, matrix, unit = SAME[change](random_case(seed, watched=watched), seed)
+    contacts, patches = given_readings(seed, watched)
     found, found_patches = readings(other, tmp_path_factory.mktemp("changed"))
     assert len(found) == len(contacts)
     close = dict(rtol=0, atol=1e-9)
@@ -65,12 +79,11 @@ def test_the_same_scene_has_the_same_pairs_in_the_same_order(change, watched, se
 @pytest.mark.parametrize("change", SAME)
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_path_factory):
-    case = random_case(seed, watched=watched)
-    other, _, unit = SAME[change](case, seed)
-    here, there = (tmp_path_factory.mktemp(name) for name in ("given", "changed"))  # coefficients serve both laws
+def test_the_same_scene_has_the_same_measurements(change, watched, seed, given_measurements, tmp_path_factory):
+    other, _, unit = SAME[change](random_case(seed, watched=watched), seed)
+    there = tmp_path_factory.mktemp("changed")
     for law in ("coulomb", "frictionless"):
-        given_one = case.measurements(here, law)
+        given_one = given_measurements(seed, watched, law)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
                 "mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit
@@ -84,9 +97,9 @@ def test_the_same_scene_has_the_same_measurements(change, watched, seed, tmp_pat
 @pytest.mark.parametrize("watched", [False, True], ids=["any", "watched"])
 @settings(max_examples=5, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_pairs_on_borders_follow_a_small_change(watched, seed, tmp_path_factory):
+def test_pairs_on_borders_follow_a_small_change(watched, seed, given_readings, tmp_path_factory):
     case = random_case(seed, watched=watched)
-    contacts, patches = readings(case, tmp_path_factory.mktemp("given"))
+    contacts, patches = given_readings(seed, watched)
     found, found_patches = readings(moved_by(case, 1e-9, seed), tmp_path_factory.mktemp("changed"))
     np.testing.assert_allclose(found.point, contacts.point, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.gap, contacts.gap, rtol=0, atol=1e-6)
@@ -97,9 +110,9 @@ def test_pairs_on_borders_follow_a_small_change(watched, seed, tmp_path_factory)
 @pytest.mark.fem
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(seed=SEEDS)
-def test_measurements_follow_a_small_change(seed, tmp_path_factory):
+def test_measurements_follow_a_small_change(seed, given_measurements, tmp_path_factory):
     case = random_case(seed)
-    given_one = case.measurements(tmp_path_factory.mktemp("given"), "coulomb")
+    given_one = given_measurements(seed, False, "coulomb")
     changed = moved_by(case, 1e-9, seed).measurements(tmp_path_factory.mktemp("changed"), "coulomb")
     np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-6)
 
