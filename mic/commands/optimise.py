@@ -17,17 +17,11 @@ from mic.results.statistics import Estimate
 from mic.store import write_text
 from mic.studies.optimisation import Matched, Optimum
 from mic.studies.optimisation import optimise as optimised
+from mic.studies.optimisation.words import OBJECTIVES as WORDS
 from mic.studies.optimisation.writing import rewritten
 
 __all__ = ["optimise"]
 
-WORDS = {
-    "cpk": "the least Cpk",
-    "yield": "the share of good assemblies",
-    "largest-six-sigma": "the largest 6σ, mm,",
-    "six-sigma": "the sum of 6σ, mm,",
-    "cost": "the cost",
-}
 LISTED = 12  # assemblies of matched parts that are printed
 
 
