@@ -290,8 +290,10 @@ class Process:
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
-            how["plans"] = self._plans if alike else None  # what rests under one friction may not under another
+            how["plans"] = self._plans
             try:
+                if not alike:  # what rests under one friction may not under another
+                    check_resting(model, self._plans, [self._settings["law"].name])
                 process = Process(model, self.law, backend=backend, **how)
             except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
