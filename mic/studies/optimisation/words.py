@@ -23,6 +23,7 @@ _GROWS = ("cpk", "yield")
 _QUANTITIES = {"cpk": "Cpk", "six-sigma": "6σ", "mean": "the mean", "force": "the sum of the forces"}
 _UNITS = {"cpk": "", "six-sigma": " mm", "mean": " mm", "force": " N"}
 MOST = 6  # names in a row
+PAIR = 2  # names of a group that are all told
 
 
 def asked(model: Any) -> list[str]:
@@ -40,19 +41,21 @@ def asked(model: Any) -> list[str]:
     """
     scene, space = model.scene, Space(model)
     own = space.asked
-    what, items = OBJECTIVES[own.objective].rstrip(","), _row(own.of) or "all measurements"
+    what, items = OBJECTIVES[own.objective].removesuffix(", mm,"), _row(own.of) or "all measurements"
     way = "as large" if own.objective in _GROWS else "as small"
     found = [f"wanted: {what} of {items} becomes {way} as it can, over the variation of the inputs"]
+    if own.reject:
+        found[0] += f"; an assembly outside its limits costs {own.reject:g}"
     if own.weights:
         found[0] += f"; weights: {_row([f'{name} {weight:g}' for name, weight in own.weights.items()])}"
     for one in space.settings:
         low, high = (one.now + end for end in (one.low, one.high))
-        kind = "force" if one.unit == "N" else "position"
+        kind = "force" if one.unit == "N" else "shim" if one.kind == "locator" else "stroke"
         found.append(
             f"may change: {kind} of {_row(one.targets)}, {low:g} to {high:g} {one.unit} ({one.now:g} as it is)"
         )
     for stage, groups in zip(space.stages, space.groups):
-        row, count = _row(["+".join(each) for each in groups]), math.factorial(len(groups))
+        row, count = _row([_together(each) for each in groups]), math.factorial(len(groups))
         found.append(f"may change: order of stage {stage}: {row}; {count:,} orders")
     for item, points in zip(space.items, space.points):
         places = "; ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in points[1 : MOST + 1])
@@ -85,6 +88,11 @@ def _effort(space: Space, kinds) -> str:
         f"takes: {told}; at most {BUDGET:,} evaluations of an assembly to find the best, unless --budget says another "
         f"number, and up to {2 * FRESH:,} to judge it (--fresh)"
     )
+
+
+def _together(names) -> str:
+    """Names of a group; of a large one the ends."""
+    return "+".join(names) if len(names) <= PAIR else f"{names[0]}+…+{names[-1]}"
 
 
 def _row(names) -> str:
