@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mic.commands.call import law_of, on_one_process, seed_of, studied, threads
+from mic.commands.call import keep_studies, law_of, on_one_process, seed_of, studied, threads
 from mic.console import plain
 from mic.errors import SceneError, Stopped
 from mic.results.schema import COMPARISON, OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
@@ -53,7 +53,9 @@ def optimise(source, samples, fresh, budget, seed, law, save, out):
         _stopped(console, scene, last, ledger)
         raise
     _print(console, found)
-    for table, frame in _tables(found).items():
+    tables = _tables(found)
+    keep_studies(console, run if folder == run else None, tables)
+    for table, frame in tables.items() if folder != run else ():
         table.write(folder, frame)
     if save is not None and found.gained:
         text = scene_file.read_text(encoding="utf-8")
