@@ -66,8 +66,9 @@ def functions() -> dict[str, str]:
     lines = [
         "# Commands and functions",
         "",
-        "Each command is a function of `mic`, and `mic.report.pictures(found)` draws what it returns: the pictures that",
-        "a report shows, which notebooks show by themselves. The [gallery](gallery/index) has a page for each question.",
+        "Each command is a function of `mic`, and `mic.report.pictures(found)` draws what it returns: the pictures",
+        "that a report shows, which notebooks show by themselves. The [gallery](gallery/index) has a page for each",
+        "question.",
         "",
         "| command | function | returns | pictures |",
         "| --- | --- | --- | --- |",
