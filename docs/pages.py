@@ -26,7 +26,7 @@ PACKAGES = {
 
 def write(folder: Path) -> None:
     """Write all generated pages; a page that has not changed keeps its time, one that nobody writes any more goes."""
-    pages = {**api(), **command_line(), **results(), **verification(), **project()}
+    pages = {**api(), **functions(), **command_line(), **results(), **verification(), **project()}
     for path in folder.glob("**/*.md"):
         if "gallery" not in path.parts and path.relative_to(folder).as_posix() not in pages:
             path.unlink()
@@ -56,6 +56,35 @@ def api() -> dict[str, str]:
         lines += [f"## {package}", "", f"{job[0].upper()}{job[1:]}.", ""]
         lines += [*_table(tree[package], "api/"), *_toctree([package], "api/")]
     return pages | {"api.md": "\n".join(lines)}
+
+
+def functions() -> dict[str, str]:
+    """Each command, the function of the same name, what it returns, and what is drawn of that."""
+    mic, shown = importlib.import_module("mic"), importlib.import_module("mic.report.shown").SHOWN
+    drawn = {one.command: one for one in shown}
+    commands = importlib.import_module("mic.options").app.registered_commands
+    lines = [
+        "# Commands and functions",
+        "",
+        "Each command is a function of `mic`, and `mic.report.pictures(found)` draws what it returns: the pictures",
+        "that a report shows, which notebooks show by themselves. The [gallery](gallery/index) has a page for each",
+        "question.",
+        "",
+        "| command | function | returns | pictures |",
+        "| --- | --- | --- | --- |",
+    ]
+    for name in sorted(command.name or command.callback.__name__ for command in commands):
+        function, where = getattr(mic, name), f"mic.{name}"
+        if isinstance(function, types.ModuleType):  # a room has the name
+            function, where = function.write_report, f"mic.{name}.write_report"
+        home = f"{function.__module__}.{function.__qualname__}"
+        returned = inspect.signature(function).return_annotation.removeprefix("pd.").replace(" | ", " or ")
+        one = drawn.get(name)
+        if one is not None and not isinstance(one.returns, type):
+            returned += f", as `mic.results.schema.{one.returns.name.upper()}`"
+        words = one.words if one is not None else {"check": "those of its page", "report": "its own"}.get(name, "–")
+        lines.append(f"| `mic {name}` | {{py:func}}`{where} <{home}>` | {returned} | {words} |")
+    return {"functions.md": "\n".join([*lines, ""])}
 
 
 def command_line() -> dict[str, str]:

@@ -7,7 +7,7 @@
 
 Each command is a function of the same name here, from a scene or model to tables and figures as data:
 ``mic.explain(model, measured, gauge)`` is ``mic explain``. ``mic report`` is :func:`mic.report.write_report`; pictures
-of what the functions return are drawn by :mod:`mic.report`.
+of what the functions return are drawn by ``mic.report.pictures`` (:mod:`mic.report.shown`).
 """
 
 from __future__ import annotations

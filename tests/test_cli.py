@@ -140,9 +140,12 @@ def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cac
         ('kind = "clamp"', 'kind = "clamp"\norder = [["C1-lower"], ["C1-upper"]]'),
         ("friction = 0.27", f"friction = 0.27\npairs = {FEW['lap']}"),
     )
+    with (tmp_path / "scene.toml").open("a") as file:
+        file.write('\n[optimise]\nforces = [{ clamps = ["C1-upper"], between = [30, 90] }]\n')
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     printed = CliRunner().invoke(app, ["check", scene], env=environment).output
-    process = printed[printed.index("Process") : printed.index("note:")].splitlines()
+    process = printed[printed.index("Process") : printed.index("Optimisation")].splitlines()
+    assert "• may change: force of C1-upper, 30 to 90 N (60 as it is)\n" in printed
     assert process[3:] == [
         "clamp: contact active, path followed",
         "  1. parts that overlap come to rest on each other",

@@ -156,3 +156,42 @@ def test_some_contacts_of_a_prepared_solver_are_solved_as_if_they_were_alone(pro
     assert (alone.force[:, ::3] > 1e-9).any(axis=1).all() and alone.converged.all()
     np.testing.assert_array_equal(taken.force, alone.force)
     np.testing.assert_array_equal(taken.residual, alone.residual)
+
+
+LAWS = ["coulomb", "frictionless", "associated", "micro-slip", "pressure-dependent"]
+
+
+def rough(coefficient, yielding=1e-4):
+    """Friction of a coefficient that halves under pressure, of contacts that yield."""
+    pressure = np.zeros((M, 2, 5))
+    pressure[:, 0, 1], pressure[:, 1, 0], pressure[:, 1, 1] = coefficient, 0.05, coefficient / 2
+    return Friction(np.full(M, coefficient), pressure, np.full(M, yielding))
+
+
+def alike(one, other):
+    for name in ("force", "displacement", "anchor", "residual", "status"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_under_another_friction_a_solver_is_to_the_bit_as_one_made_for_it(problem, law):
+    S, _, b = problem
+    before, path = ContactSolver(S, rough(0.5), law), Increments(1)
+    first = followed(before, b, path)
+    for friction in (rough(0.2), rough(0.2, yielding=3e-4)):
+        found = followed(before.under(friction), b, path)
+        alike(found, followed(ContactSolver(S, friction, law), b, path))
+        assert (law == "frictionless") == (np.abs(found.force - first.force).max() < 1e-9)
+    alike(followed(before, b, path), first)  # the one it was made of stays
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_candidates_under_another_friction_are_to_the_bit_as_such_made_for_it(problem, law):
+    _, _, b = problem
+    before, path = watched(problem, law, friction=rough(0.5)), Increments(1)
+    followed(before, b, path)
+    after, made = before.under(rough(0.2)), watched(problem, law, friction=rough(0.2))
+    alike(followed(after, b, path), followed(made, b, path))
+    np.testing.assert_array_equal(after.carried, made.carried)
+    normal = np.full((1, M), 0.2)
+    np.testing.assert_array_equal(after.bound(normal), made.bound(normal))

@@ -53,11 +53,11 @@ def test_parts_are_drawn_where_forces_and_motions_take_them(exploration):
     """A millionth of a force lifts b; t goes along with its clamp by D."""
     model = exploration.model
     parts = []
-    for p, name in enumerate("bt"):
+    for name in "bt":
         points, triangles, rigid = square(name)
-        basis = np.zeros((4, 3, len(model.compliance.H[p])), dtype=np.float32)
-        basis[:, 2, 0] = 0.5
-        parts.append(PartShape(name, points, triangles, basis, rigid))
+        basis = np.zeros((2, 4, 3), dtype=np.float32)
+        basis[1, :, 2] = 0.5
+        parts.append(PartShape(name, points, triangles, basis, rigid, np.array([2, 0])))
     picture, answer = Picture(exploration, Shapes(tuple(parts), "")), exploration.answer({"D": 2.1})
     placed, nominal = picture.placed(answer, 10.0), picture.placed(answer, 0.0)
     force = answer.evaluation.functional_force[0]
@@ -81,12 +81,12 @@ def test_without_shapes_measured_points_move_as_they_read_and_that_is_said(explo
 
 def test_shapes_are_kept_for_their_own_model_alone(exploration, tmp_path):
     points, triangles, rigid = square("b")
-    shapes = Shapes((PartShape("b", points, triangles, np.ones((4, 3, 2), np.float32), rigid),), "")
+    shapes = Shapes((PartShape("b", points, triangles, np.ones((2, 4, 3), np.float32), rigid, np.arange(2)),), "")
     path = beside(tmp_path / "model.npz")
     shapes.save(path, exploration.own)
     again = Shapes.load(path, exploration.own)
     assert path.name == "model.shapes.npz" and again.said == "" and again.parts[0].name == "b"
-    for key in ("points", "triangles", "basis", "rigid"):
+    for key in ("points", "triangles", "basis", "rigid", "acting"):
         np.testing.assert_array_equal(getattr(again.parts[0], key), getattr(shapes.parts[0], key))
     with pytest.raises(FormatError, match="belong to another model; write it again"):
         Shapes.load(path, dragged(measurements=[]))
@@ -104,6 +104,12 @@ def test_a_shape_is_the_field_of_the_finite_elements(lap_model, lap_scene, cache
     shapes = Shapes.of(lap_model, parts, cache)
     again = Shapes.of(lap_model, parts, cache, lambda line: pytest.fail("it was kept"))
     found = lap_model.evaluate({})
+    reads_only = set(lap_model.rows["measurement"].indices) - set(lap_model.rows["contact"].indices)
+    acting = np.concatenate(
+        [rows.start + one.acting for rows, one in zip(lap_model.compliance.functionals, again.parts)]
+    )
+    assert not reads_only & set(acting.tolist()) and len(acting) < lap_model.compliance.size
+    assert not np.delete(found.functional_force[0], acting).any()
     moved = again.displaced(lap_model, found.functional_force[0], found.motion[0])
     part, rows, modes = parts[1], lap_model.compliance.functionals[1], lap_model.compliance.motions[1]
     solved, rigid = provider.find(part).field(part, found.functional_force[0][rows, None])

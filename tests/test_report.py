@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from support.pages import unpacked
 from support.runs import all_fail, edit, fail
+from support.studies import left_by_studies
 
 import mic.report
 from mic.contact import ContactSolver
@@ -24,6 +25,7 @@ from mic.report.gallery import PICTURES, Entry, draw, draw_all
 from mic.report.law_pictures import law_cost
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.page import write_report
+from mic.report.shown import pictures
 from mic.report.style import LAWS, RC, change, number, percent
 from mic.report.thinning import thinned
 from mic.results.fields import write_fields
@@ -32,7 +34,7 @@ from mic.results.outcome import read_outcome
 from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
 from mic.scene import Scene
-from mic.studies.contributors import contributors
+from mic.studies.contributors import Contributors, contributors
 
 WHEELHOUSE = Path(__file__).resolve().parents[1] / "meshes" / "wheelhouse"
 
@@ -89,6 +91,8 @@ def _results(scene, cache, folder, samples):
         found = contributors(model, samples=16)
         CONTRIBUTORS.write(folder, found.table)
         LINEARITY.write(folder, found.linearity)
+        for table, frame in left_by_studies(model.scene)[0].items():
+            table.write(folder, frame)
     return _Page(write_report(folder))
 
 
@@ -210,12 +214,30 @@ def test_pictures_of_samples_stand_in_their_sections(page):
 
 @pytest.mark.slow
 @pytest.mark.fem
-def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder):
+def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder, monkeypatch):
     outcome = read_outcome(folder)
     drawn = draw_all(outcome, read_context(outcome))
     assert list(drawn) == [entry.name for entry in PICTURES]
     for name, picture in drawn.items():
         assert page.loads.count(picture.uri) == 1, name
+    monkeypatch.setattr("mic.report.shown.draw_all", lambda *_: drawn)
+    assert pictures(outcome) == [*drawn.values()]
+
+
+def test_pictures_of_what_functions_return_are_those_of_the_page(page, folder):
+    outcome = read_outcome(folder)
+    found = left_by_studies(outcome.model.scene)[1]
+    driven = Contributors(outcome.study(CONTRIBUTORS), outcome.study(LINEARITY))
+    shown = [picture for one in (driven, *found) for picture in pictures(one, outcome.model.scene)]
+    assert len(shown) == 9 and shown[-1].title == "The search"  # which no run keeps
+    for picture in shown[:-1]:
+        assert page.loads.count(picture.uri) == 1, picture.title
+
+
+def test_what_was_found_to_be_best_is_told(page):
+    assert "On 400 fresh samples the least Cpk 1.250 → 1.500: gain 0.250 (0.125 to 0.375)" in page.words
+    assert "1.625 on the 60 samples of the search, which took 1234 evaluations." in page.words
+    assert "force C1 60 75" in page.words and {"optimum-table", "orders", "misses", "optimum"} <= page.ids
 
 
 def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, tmp_path):
@@ -271,7 +293,7 @@ def test_every_picture_that_can_be_drawn_is_in_the_report():
 
 
 def test_a_picture_of_no_section_is_refused():
-    with pytest.raises(ValueError, match="section must be one of drivers, path, motion, slip, "):
+    with pytest.raises(ValueError, match="section must be one of drivers, steps, friction, misses, "):
         Entry("lost", "nowhere", lambda outcome, context: None)
 
 

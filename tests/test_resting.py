@@ -455,6 +455,14 @@ def test_a_stop_holds_while_it_carries_anything():
     assert loose((10.0, 2.0, 0.0), SLIP, 2.0, stopped=3.0) is None
 
 
+def test_a_sample_that_has_lost_its_friction_is_refused_as_a_scene_without_it():
+    rubs = {"kind": "friction", "name": "mu", "target": "Z", "sigma": 0.05}
+    model = table([push(100, (30, 20, 0))], friction=0.2, deviations=[rubs])
+    assert not model.evaluate({"mu": -0.1}).failed[0]
+    with pytest.raises(mic.errors.ImpossibleSample, match=r"\(clamp\): part 'b' .* holds it along x, along y, about z"):
+        model.evaluate({"mu": -0.2})
+
+
 def test_without_friction_the_directions_that_slide_are_named_before_anything_is_computed():
     refused(table([push(100, (30, 20, 0))], friction=0.0), r"\(clamp\): part 'b' .* holds it along x, along y, about z")
     laws = {"laws": ["coulomb", "frictionless"]}

@@ -8,7 +8,7 @@ The lap joint is sealed with an adhesive primer that halves its friction. What d
 
 import mic
 from mic import examples
-from mic.report import comparison_pictures
+from mic.report import pictures
 
 scene = mic.load_scene(examples.folder("lap_joint"))
 primed = scene.model_copy(update={"zones": [zone.model_copy(update={"friction": 0.135}) for zone in scene.zones]})
@@ -23,7 +23,7 @@ print((1e3 * measured.set_index("quantity")[columns]).round(2).T)
 
 # %%
 # The pictures of the page that ``mic compare`` writes.
-changes, distributions = comparison_pictures(found)
+changes, distributions = pictures(found)
 changes
 
 # %%

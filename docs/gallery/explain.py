@@ -8,7 +8,7 @@ back by Bayes' rule, with contact and friction as they are.
 
 import mic
 from mic import examples
-from mic.report import explanation_pictures
+from mic.report import pictures
 
 model = mic.reduce(mic.load_scene(examples.folder("lap_joint")))
 found = mic.explain(model, {"M1": 0.626, "M2": 0.763}, gauge=0.002, law="coulomb")
@@ -20,7 +20,7 @@ print(found.table[["source", "mean", "low", "high", "off", "told"]].round(2).to_
 
 # %%
 # The pictures of the page that ``mic explain`` writes: sources before and after, and what they give.
-sources, reached = explanation_pictures(found)
+sources, reached = pictures(found)
 sources
 
 # %%

@@ -7,10 +7,9 @@ a force. Which locator would bring the assemblies back, and how far? ``mic remed
 derivatives and evaluates them on fresh samples.
 """
 
-import matplotlib.pyplot as plt
-
 import mic
 from mic import examples
+from mic.report import pictures
 
 scene = mic.load_scene(examples.folder("lap_joint"))
 deviations = [
@@ -32,15 +31,6 @@ print(
 )
 
 # %%
-# The mean of M1 before and after, with three standard deviations to either side.
-figure, axis = plt.subplots(figsize=(8, 2.6), layout="constrained")
-axis.axvspan(*limits[0].bounds, color="#e8edf2")
-first = effects.iloc[0]
-bars = [("as it is", first["mean_before"], first["six_sigma_before"])]
-bars += [(row["remedy"], row["mean"], row["six_sigma"]) for row in effects.to_dict("records")]
-for place, (_, mean, spread) in enumerate(bars):
-    axis.errorbar(mean, place, xerr=spread / 2, fmt="o", color="#0b5cad" if place else "#9aa5b1", lw=2)
-axis.set_yticks(range(len(bars)), [name for name, _, _ in bars])
-axis.set_ylim(-0.5, len(bars) - 0.5)
-axis.set_xlabel("M1 (mm)")
-plt.show()
+# The picture that a report shows of it: each characteristic with three standard deviations to either side.
+(done,) = pictures(found, model.scene)
+done

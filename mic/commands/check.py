@@ -35,6 +35,7 @@ from mic.results.schema import DENSITY
 from mic.scene import load_scene
 from mic.store import replacing
 from mic.studies import density
+from mic.studies.optimisation.words import asked as asked_of_optimise
 from mic.studies.order import doubts
 from mic.studies.thickness import AWAY, interpolated
 
@@ -81,6 +82,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
+    _print_optimisation(console, assembly)
     model = _at_hand(assembly)
     _print_doubts(console, assembly, model)
     shapes = _print_sources(console, assembly, model)
@@ -142,6 +144,15 @@ def _print_process(console, assembly, plans):
         console.print(f"{plain(name)}: {opening(plan, len(assembly.contacts) > 0)}", highlight=False)
         for number, sentence in enumerate(sentences(assembly.scene, plan), 1):
             console.print(f"  {number}. {plain(sentence)}", highlight=False, soft_wrap=True)
+
+
+def _print_optimisation(console, assembly):
+    """What the scene asks of `mic optimise`."""
+    if assembly.scene.optimise is None:
+        return
+    console.print("[bold]Optimisation[/] (mic optimise)")
+    for sentence in asked_of_optimise(assembly):
+        console.print(f"• {plain(sentence)}", highlight=False, soft_wrap=True)
 
 
 def _at_hand(assembly):

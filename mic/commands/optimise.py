@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mic.commands.call import law_of, on_one_process, seed_of, studied, threads
+from mic.commands.call import keep_studies, law_of, on_one_process, seed_of, studied, threads
 from mic.console import plain
 from mic.errors import SceneError, Stopped
 from mic.results.schema import COMPARISON, OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
@@ -17,17 +17,11 @@ from mic.results.statistics import Estimate
 from mic.store import write_text
 from mic.studies.optimisation import Matched, Optimum
 from mic.studies.optimisation import optimise as optimised
+from mic.studies.optimisation.words import OBJECTIVES as WORDS
 from mic.studies.optimisation.writing import rewritten
 
 __all__ = ["optimise"]
 
-WORDS = {
-    "cpk": "the least Cpk",
-    "yield": "the share of good assemblies",
-    "largest-six-sigma": "the largest 6σ, mm,",
-    "six-sigma": "the sum of 6σ, mm,",
-    "cost": "the cost",
-}
 LISTED = 12  # assemblies of matched parts that are printed
 
 
@@ -59,7 +53,9 @@ def optimise(source, samples, fresh, budget, seed, law, save, out):
         _stopped(console, scene, last, ledger)
         raise
     _print(console, found)
-    for table, frame in _tables(found).items():
+    tables = _tables(found)
+    keep_studies(console, run if folder == run else None, tables)
+    for table, frame in tables.items() if folder != run else ():
         table.write(folder, frame)
     if save is not None and found.gained:
         text = scene_file.read_text(encoding="utf-8")

@@ -22,6 +22,9 @@ class Backend(Protocol):
     def take(self, own: np.ndarray) -> Backend:
         """The same for the contacts `own` (m,) alone, as if the others were not there."""
 
+    def under(self, friction: Friction) -> Backend:
+        """The same contacts under another friction (m,)."""
+
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Forces for every sample, good or not: the caller certifies them.
 

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mic.contact.friction import Friction
 from mic.contact.laws import Law
 
 __all__ = ["OPTIMISERS", "ConeProgramme"]
@@ -81,6 +82,11 @@ class ConeProgramme:
         else:
             constraints = [self._force >= 0]
         self._problem = cvxpy.Problem(objective, constraints)
+
+    def under(self, friction: Friction) -> ConeProgramme:
+        """See :meth:`mic.contact.backends.Backend.under`; it is stated anew."""
+        S, _, law, dimension = self._known
+        return ConeProgramme(S, friction.coefficient, law, self.name, dimension)
 
     def take(self, own: np.ndarray) -> ConeProgramme:
         """See :meth:`mic.contact.backends.Backend.take`; it is stated anew."""

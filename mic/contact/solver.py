@@ -103,17 +103,31 @@ class ContactSolver:
         self.dimension, self.tol = dimension, float(tol)
         self.S = _checked_compliance(S, dimension, semidefinite)
         self.contacts = len(self.S) // dimension
-        friction = Friction.of(mu, self.contacts)
-        if not self.law.frictional:
-            friction = Friction.of(0.0, self.contacts)
-        self.mu, self.compliance = friction.coefficient, self.law.compliance(friction)
-        self._parameters, self._series = self.law.parameters(friction), series_compliance(self.law, friction, dimension)
+        friction = self._rub(mu)
         # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series)
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
         self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.ravel()))
         self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
         self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+
+    def _rub(self, mu: float | np.ndarray | Friction) -> Friction:
+        """Take friction as it is, and its parameters; what the law has of it."""
+        friction = Friction.of(mu if self.law.frictional else 0.0, self.contacts)
+        self.mu, self.compliance = friction.coefficient, self.law.compliance(friction)
+        self._parameters = self.law.parameters(friction)
+        self._series = series_compliance(self.law, friction, self.dimension)
+        return friction
+
+    @one_thread
+    def under(self, mu: float | np.ndarray | Friction) -> ContactSolver:
+        """The same contacts under another friction; what the compliance alone decides is kept."""
+        some = copy(self)
+        friction = some._rub(mu)
+        if (some._series == self._series).all():
+            some.backend = self.backend.under(friction)
+            return some
+        return ContactSolver(self.S, mu, self.law, tol=self.tol, semidefinite=True, **self._settings)
 
     @one_thread
     def take(self, own: np.ndarray) -> ContactSolver:

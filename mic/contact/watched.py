@@ -17,6 +17,7 @@ not depend on what it is solved together with.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import fields, replace
 
 import numpy as np
@@ -95,6 +96,16 @@ class WatchedSolver:
         self._solvers: dict[bytes, ContactSolver] = {}
         self._joined = self._beside.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
+
+    def under(self, friction: Friction) -> WatchedSolver:
+        """The same candidates under another friction; what the compliance alone decides is kept."""
+        some = copy(self)
+        some._friction = friction if self.law.frictional else Friction.of(0.0, len(self._start))
+        some._parameters, some.carried = self.law.parameters(some._friction), np.zeros_like(self.carried)
+        of = lambda solver, own: solver.under(some._friction.take(own))
+        some._solvers = {key: of(one, np.frombuffer(key, dtype=bool)) for key, one in self._solvers.items()}
+        some._prepared = None if self._prepared is None else of(self._prepared, self._joined)
+        return some
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """As :meth:`mic.contact.ContactSolver.bound`, over all candidates."""

@@ -27,7 +27,7 @@ from mic.contact.states import ContactState
 from mic.errors import MicError
 from mic.explorer.picture import Picture
 from mic.explorer.shapes import Shapes
-from mic.report.style import STATE_COLOURS, STATE_WORDS, number, part_colour
+from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, number, part_colour
 from mic.store import write_text
 from mic.studies.exploration import GROUPS, Answer, Exploration
 
@@ -41,8 +41,6 @@ DRAWN = 100  # samples of a model without a run
 AT_ONCE = 0.03  # s of sampling at a time
 THICK = "A sheet of another thickness is drawn as one of its nominal thickness bends; all numbers are its own."
 TITLES = {"sources": "Sources", "locators": "Locators (shims)", "clamps": "Clamps", "friction": "Friction"}
-INSIDE, OUTSIDE = "#2f7d4f", "#c1121f"
-STATE_DOTS = STATE_COLOURS | {"open": "#8a94a0"}  # the report's, the open ones dark enough on white
 
 
 @dataclass(frozen=True)

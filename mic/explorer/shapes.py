@@ -1,7 +1,8 @@
 """The parts as they are drawn: thinned surfaces, and what each force on a part moves of them.
 
 A part is displaced by ``u(x) = Φ(x) f + R(x) q`` (:mod:`mic.results.fields`); here Φ is computed once for all forces
-there can be, one finite-element solve for each retained functional, at the vertices that a screen shows. Kept in a file
+there can be, one finite-element solve for each retained functional that a force can act on, at the vertices that a
+screen shows. Kept in a file
 of their own beside the model's, they are drawn where no finite elements are installed.
 """
 
@@ -24,9 +25,11 @@ from mic.store import Format, fingerprint, load_arrays, save_arrays
 
 __all__ = ["PartShape", "Shapes", "beside"]
 
-FORMAT = Format("set of drawn shapes", 1, "write it again with `mic explore SCENE --keep`")
+FORMAT = Format("set of drawn shapes", 2, "write it again with `mic explore SCENE --keep`")
+ACTING = ("locator", "clamp", "weld", "contact")  # kinds of rows along which something pushes
 ROOM = 250_000_000  # bytes that the solutions of some forces may take together
 
+_ARRAYS = ("points", "triangles", "basis", "rigid", "acting")
 _NONE = (
     "Parts are drawn as nominal, and contacts and measured points alone move: shapes take finite elements, which are "
     "not installed here, and are not known of a superelement."
@@ -43,10 +46,12 @@ class PartShape:
     points : (v, 3) array
         Nominal, mm.
     triangles : (t, 3) int array
-    basis : (v, 3, F) float32 array or None
-        Φ, mm/N and mm/(N mm); None where it is not known.
+    basis : (a, v, 3) float32 array or None
+        Φ of the functionals `acting`, mm/N and mm/(N mm); None where it is not known.
     rigid : (v, 3, 6) array
         R.
+    acting : (a,) int array
+        The part's functionals that forces can act on.
     """
 
     name: str
@@ -54,12 +59,14 @@ class PartShape:
     triangles: np.ndarray
     basis: np.ndarray | None
     rigid: np.ndarray
+    acting: np.ndarray
 
     def displaced(self, force: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """(v, 3) displacements under forces (F,) on its functionals, and its rigid motion (6,), mm."""
         if self.basis is None:
             return np.zeros_like(self.points)
-        flat = self.basis.reshape(-1, self.basis.shape[2]) @ force.astype(np.float32)
+        here = np.flatnonzero(force[self.acting])  # most contacts are open
+        flat = force[self.acting[here]].astype(np.float32) @ self.basis.reshape(len(self.basis), -1)[here]
         return flat.reshape(-1, 3) + self.rigid @ motion
 
 
@@ -98,11 +105,13 @@ class Shapes:
             return cls._from(*found)
         try:
             say("Shapes of the parts")
-            made = cls(tuple(_shape(part) for part in parts), "")
+            pushed, rows = _pushed(model), model.compliance.functionals
+            acting = [np.flatnonzero(pushed[one]) for one in rows]
+            made = cls(tuple(map(_shape, parts, acting)), "")
         except MissingProvider:
-            none = [thinned(part.surface) for part in parts]
+            nowhere, none = np.zeros(0, dtype=int), [thinned(part.surface) for part in parts]
             bare = tuple(
-                PartShape(part.name, part.surface.points[which], triangles, None, np.zeros((len(which), 3, 6)))
+                PartShape(part.name, part.surface.points[which], triangles, None, np.zeros((len(which), 3, 6)), nowhere)
                 for part, (which, triangles) in zip(parts, none)
             )
             return cls(bare, _NONE)
@@ -133,7 +142,7 @@ class Shapes:
         arrays = {
             f"{i}_{name}": getattr(part, name)
             for i, part in enumerate(self.parts)
-            for name in ("points", "triangles", "basis", "rigid")
+            for name in _ARRAYS
             if getattr(part, name) is not None
         }
         return {"parts": [part.name for part in self.parts], "said": self.said}, arrays
@@ -141,8 +150,7 @@ class Shapes:
     @classmethod
     def _from(cls, header, arrays) -> Shapes:
         parts = (
-            PartShape(name, *(arrays.get(f"{i}_{key}") for key in ("points", "triangles", "basis", "rigid")))
-            for i, name in enumerate(header["parts"])
+            PartShape(name, *(arrays.get(f"{i}_{key}") for key in _ARRAYS)) for i, name in enumerate(header["parts"])
         )
         return cls(tuple(parts), header["said"])
 
@@ -165,14 +173,22 @@ def _identity(model) -> str:
     return fingerprint([identity(model, 0), [len(H) for H in model.compliance.H]])
 
 
-def _shape(part: Part) -> PartShape:
+def _pushed(model) -> np.ndarray:
+    """(F,) which retained functionals a force can act on: those of fixtures, welds, contacts and shapes."""
+    found = np.abs(model.shape_forces).any(axis=1)
+    for kind in ACTING:
+        found[model.rows[kind].indices] = True
+    return np.asarray(found)
+
+
+def _shape(part: Part, acting: np.ndarray) -> PartShape:
     """Some forces at a time, so that what is solved for finds room."""
     kept, triangles = thinned(part.surface)
     count, size = len(part.functionals), len(part.surface.points)
     step = max(1, ROOM // (8 * 6 * 2 * size))
-    found, one = provider.find(part), np.eye(count)
-    basis, rigid = np.zeros((len(kept), 3, count), dtype=np.float32), np.zeros((size, 6, 6))
-    for first in range(0, count, step):
+    found, one = provider.find(part), np.eye(count)[:, acting]
+    basis, rigid = np.zeros((len(acting), len(kept), 3), dtype=np.float32), np.zeros((size, 6, 6))
+    for first in range(0, max(len(acting), 1), step):
         solved, rigid = found.field(part, one[:, first : first + step])
-        basis[:, :, first : first + step] = solved[kept, :3]
-    return PartShape(part.name, part.surface.points[kept], triangles, basis, rigid[kept, :3])
+        basis[first : first + step] = np.moveaxis(solved[kept, :3], 2, 0)
+    return PartShape(part.name, part.surface.points[kept], triangles, basis, rigid[kept, :3], acting)

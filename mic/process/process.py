@@ -110,6 +110,10 @@ class Process:
     plans : sequence of StagePlan, optional
         Those of the model's scene, where it is known that contact holds what rests; default: made and looked at.
 
+    like : Process, optional
+        Of the same plans under the same law, whose contacts differ by their friction alone: what does not hang on that
+        is taken over.
+
     Attributes
     ----------
     stages : list of PreparedStage
@@ -133,8 +137,9 @@ class Process:
         starts: Mapping[tuple[str, Step], np.ndarray] | None = None,
         limited: bool = True,
         plans: Sequence[StagePlan] | None = None,
+        like: Process | None = None,
     ):
-        self.model, self.law = model, law
+        self.model, self.law, self._like = model, law, like
         contacts = model.contacts
         # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
         smooth = contacts.dimension == 1 and not contacts.frictional
@@ -178,7 +183,12 @@ class Process:
         friction = contacts.friction_in(stage)
         own = (stage, step) if contacts.watched.any() else None
         key = step.bilateral, step.parked, step.stops, step.away, friction.coefficient.tobytes(), own
-        if key not in self._solvers:
+        if key in self._solvers:
+            return self._solvers[key]
+        if self._like is not None:
+            known = self._like._solver(stage, eliminated)
+            self._solvers[key] = known.under(stops_of(contacts, step).friction(friction))
+        else:
             start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
             self._solvers[key] = contact_solver(
                 contacts, *eliminated.compliance, friction, step, start, self._guessing, **self._settings
@@ -290,13 +300,18 @@ class Process:
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
-            how["plans"] = self._plans if alike else None  # what rests under one friction may not under another
+            how["plans"] = self._plans
+            how["like"] = self if model.compliance is self.model.compliance else None
             try:
+                if not alike:  # what rests under one friction may not under another
+                    check_resting(model, self._plans, [self._settings["law"].name])
                 process = Process(model, self.law, backend=backend, **how)
             except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
             process._changed_by = amplitudes
             vars(process)["_unit_motions"] = self._unit_motions
+            if how["like"] is not None:
+                vars(process).update({name: getattr(self, name) for name in ("_held", "_unit_shapes")})
             if len(self._varied) >= (KEPT if model.compliance is self.model.compliance else 1):  # compliance is large
                 self._varied.clear()
             self._varied[key] = process

@@ -1,8 +1,9 @@
 """The offline page of a run and its pictures. Drawing never solves, and changes nothing that a run left.
 
 Whoever works in Python finds here what the pages show: ``write_report(folder)`` draws the page of a results folder,
-``explanation_pictures(found)`` and ``comparison_pictures(found)`` the pictures of what :func:`mic.explain` and
-:func:`mic.compare` found, as :class:`mic.report.picture.Picture`, which notebooks show by themselves.
+``pictures(found)`` the pictures of what :func:`mic.explain`, :func:`mic.sensitivity` or another function found, as
+:class:`mic.report.picture.Picture`, which notebooks show by themselves. Which those are, :mod:`mic.report.shown`
+lists.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 _HOMES = {
     "comparison_pictures": "mic.report.comparison_page",
     "explanation_pictures": "mic.report.explanation_page",
+    "pictures": "mic.report.shown",
     "write_report": "mic.report.page",
 }
 

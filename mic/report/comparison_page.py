@@ -15,6 +15,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from mic.report.change_pictures import AFTER, BEFORE, change_picture
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import MOST_PANELS, Picture, panels, png, svg
 from mic.report.space_pictures import draw_surfaces
@@ -27,7 +28,6 @@ from mic.studies.comparison import Comparison
 
 __all__ = ["comparison_pictures", "sentences", "write_comparison"]
 
-BEFORE, AFTER = "#58626e", "#0b5cad"
 NAMED = 3  # characteristics in a sentence
 DRAWN = 200  # points of a density
 
@@ -61,7 +61,8 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
 def comparison_pictures(found: Comparison, fields: Sequence[FieldChange] = ()) -> list[Picture]:
     """The pictures of a comparison: changes with their intervals, distributions before and after, and maps."""
     with matplotlib.style.context(["default", RC]):
-        return [_forest(found), _densities(found), *([_maps(fields)] if fields else [])]
+        drawn = [change_picture(None, found.table), _densities(found), _maps(fields) if fields else None]
+    return [picture for picture in drawn if picture is not None]
 
 
 def sentences(found: Comparison) -> list[str]:
@@ -112,27 +113,6 @@ def _told(figure: str, value: float, digits: int = 3) -> str:
 
 def _micrometres(value: float) -> str:
     return f"{'+' * (value > 0)}{number(1e3 * value, 2)} µm"
-
-
-def _forest(found: Comparison) -> Picture:
-    """Changes of mean and 6σ of each key characteristic with their intervals, in per cent of the tolerance."""
-    own = found.table[found.table["tolerance"].notna()]
-    size = own[["mean_change", "six_sigma_change"]].abs().max(axis=1) / own["tolerance"]
-    own = own.loc[size.sort_values(ascending=False, kind="stable").index[:MOST_PANELS]]
-    place = np.arange(len(own))
-    fig = Figure(figsize=(10.5, 1.1 + 0.26 * len(own)), layout="constrained")
-    for ax, (figure, word) in zip(fig.subplots(1, 2, sharey=True), (("mean", "mean"), ("six_sigma", "6σ"))):
-        value, low, high = (100 * own[f"{figure}_change{end}"] / own["tolerance"] for end in ("", "_low", "_high"))
-        ax.axvline(0, color="#58626e", lw=0.8)
-        spread = np.nan_to_num(np.array([value - low, high - value]))
-        ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=AFTER, elinewidth=1.4)
-        ax.set_xlabel(f"change of {word} (% of the tolerance)")
-        ax.set_yticks(place, own["quantity"])
-    ax.invert_yaxis()
-    many = found.table["tolerance"].notna().sum()
-    text = f"The {len(own)} of {many} that change most. " if many > len(own) else ""
-    text += f"Lines: intervals of {100 * LEVEL:.0f} % of the paired difference; where one reaches 0, it may be chance."
-    return svg(fig, "What changes", text)
 
 
 def _densities(found: Comparison) -> Picture:

@@ -1,26 +1,28 @@
-"""Pictures of what drives the key characteristics."""
+"""Pictures of what drives the key characteristics: contributors, steps of the inputs, friction.
+
+Each is drawn from the tables that a study returns and a results folder keeps (:mod:`mic.results.schema`).
+"""
 
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
-from mic.report.context import Context
 from mic.report.picture import MOST_PANELS, Picture, panels, svg
-from mic.report.style import percent
-from mic.results.outcome import Outcome
-from mic.results.schema import CONTRIBUTORS, LINEARITY
+from mic.report.style import number, percent
+from mic.scene import Scene
+from mic.studies.friction import HOLDS
 
-__all__ = ["contributor_picture"]
+__all__ = ["contributor_picture", "friction_effect_picture", "sensitivity_picture"]
 
 ALONE, TOGETHER, LINEAR = "#0b5cad", "#9cc3e8", "#c8553d"
-BARS = 6  # contributors in a panel, the largest ones
+BARS = 6  # contributors or inputs in a panel, the largest ones
+FACTORS = ("#c8553d", "#8a94a0", "#0b5cad", "#2a9d8f", "#b26a00")  # of the factors by which friction is multiplied
 
 
-def contributor_picture(outcome: Outcome, context: Context) -> Picture | None:
+def contributor_picture(scene: Scene | None, table: pd.DataFrame, linearity: pd.DataFrame) -> Picture | None:
     """By key characteristic, first and total indices of the largest contributors, beside their linear shares."""
-    table, linearity = outcome.study(CONTRIBUTORS), outcome.study(LINEARITY)
-    if table is None or linearity is None:
-        return None
     told = linearity[linearity["interaction"].notna()]
     told = told.sort_values("r_squared", kind="stable").head(MOST_PANELS).sort_index()  # the least linear, if many
     if not len(told):
@@ -53,3 +55,69 @@ def contributor_picture(outcome: Outcome, context: Context) -> Picture | None:
     if least["r_squared"] == least["r_squared"]:
         caption += f" {least['measurement']} is the least linear, R² {percent(least['r_squared'], 1)}."
     return svg(fig, "What drives the key characteristics", caption)
+
+
+def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+    """By key characteristic, what a step of each of the inputs that change it most changes."""
+    size = table.assign(size=table["effect"].abs())
+    shown = list(size.groupby("measurement", sort=False)["size"].max().nlargest(MOST_PANELS).index)
+    shown = [name for name in table["measurement"].unique() if name in set(shown)]
+    if not shown:
+        return None
+    columns = min(4, len(shown))
+    fig, axes = panels(len(shown), columns, (10.5 / max(columns, 2), 1.9))
+    for i, (ax, name) in enumerate(zip(axes, shown)):
+        own = size[size["measurement"] == name].sort_values("size", ascending=False, kind="stable").head(BARS)
+        place = np.arange(len(own))
+        ax.axvline(0, color="#58626e", lw=0.8)
+        ax.barh(place, 1e3 * own["effect"], color=TOGETHER, height=0.6, label="about the mean assembly")
+        low, high = 1e3 * own["effect_low"], 1e3 * own["effect_high"]
+        ax.hlines(place, low, high, color=ALONE, lw=2.2, label="over the samples")
+        apart = (own["effect_above"] - own["effect_below"]).abs() > 1e-3 * own["size"]
+        for side, mark in (("below", "<"), ("above", ">")):
+            ends = 1e3 * own.loc[apart, f"effect_{side}"]
+            if len(ends):
+                ax.plot(ends, place[apart], mark, ms=5, mfc="white", color=LINEAR, ls="", label=f"at a change, {side}")
+        ax.set_yticks(place, [f"{row['input']} ({number(row['step'], 2)})" for row in own.to_dict("records")])
+        ax.invert_yaxis()
+        ax.set_title(name)
+        if i >= len(shown) - columns:
+            ax.set_xlabel("change (µm)")
+    handles = {label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels())}
+    fig.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=4)
+    most = size.iloc[int(size["size"].to_numpy().argmax())]
+    caption = (
+        f"At most {BARS} inputs each, with their step in brackets (mm, N or 1). {most['input']} changes most: "
+        f"{most['measurement']} by {number(1e3 * most['effect'])} µm for {number(most['step'], 2)}."
+    )
+    return svg(fig, "What a step of each input changes", caption)
+
+
+def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None:
+    """What all friction, multiplied, changes of mean and 6σ of each key characteristic, as shares of its 6σ."""
+    whole = effects[(effects["zone"] == "") & (effects["six_sigma"] > 0)]
+    if not len(whole):
+        return None
+    figures = ("mean_change", "six_sigma_change")
+    size = (whole[[*figures]].abs().max(axis=1) / whole["six_sigma"]).groupby(whole["measurement"], sort=False).max()
+    names = list(size.nlargest(MOST_PANELS).index)
+    factors = sorted(whole["factor"].unique())
+    fig = Figure(figsize=(10.5, 1.4 + 0.4 * len(names)), layout="constrained")
+    axes = fig.subplots(1, 2, sharey=True)
+    for ax, (figure, word) in zip(axes, zip(figures, ("mean", "6σ"))):
+        ax.axvspan(-100 * HOLDS, 100 * HOLDS, color="#e8edf2", label="the answer holds")
+        ax.axvline(0, color="#58626e", lw=0.8)
+        for j, (factor, colour) in enumerate(zip(factors, FACTORS)):
+            own = whole[whole["factor"] == factor].set_index("measurement").reindex(names)
+            value, low, high = (100 * own[f"{figure}{end}"] / own["six_sigma"] for end in ("", "_low", "_high"))
+            place = np.arange(len(names)) + 0.2 * (j - (len(factors) - 1) / 2)
+            spread = np.nan_to_num(np.array([value - low, high - value]))
+            ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=colour, elinewidth=1.4, label=f"× {factor:g}")
+        ax.set_yticks(range(len(names)), names)
+        ax.set_xlabel(f"change of {word} (% of 6σ)")
+    axes[0].invert_yaxis()
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(factors) + 1)
+    many = whole["measurement"].nunique()
+    text = f"The {len(names)} of {many} that change most. " if many > len(names) else ""
+    text += f"All friction multiplied, on the same samples; grey: by less than {percent(HOLDS)} of 6σ the answer holds."
+    return svg(fig, "What other friction changes", text)

@@ -9,8 +9,9 @@ import pandas as pd
 from mic.report.style import number, percent
 from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
+from mic.studies.optimisation.words import OBJECTIVES
 
-__all__ = ["design_words", "friction_words", "linear_words", "named", "remedy_words"]
+__all__ = ["design_words", "friction_words", "linear_words", "named", "optimum_words", "remedy_words"]
 
 TOLD = 3  # contributors that a sentence names
 FAR = 6.0  # standard normal numbers: of misses farther off nothing is told
@@ -171,6 +172,22 @@ def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
                 "the interval: the limit is curved, turns with contact, or has several likely misses. Take the "
                 "simulation's number."
             )
+    return said
+
+
+def optimum_words(whole: pd.DataFrame) -> list[str]:
+    """What the best that was found is worth, of samples that had no part in finding it."""
+    said = []
+    for row in whole.to_dict("records"):
+        gain, low, high = (number(row[f"gain{end}"]) for end in ("", "_low", "_high"))
+        before, after, found = (number(row[name], 4) for name in ("before", "after", "found"))
+        said.append(
+            f"On {row['fresh']} fresh samples {OBJECTIVES[row['objective']]} {before} → {after}: gain {gain} ({low} to "
+            f"{high}); {found} on the {row['samples']} samples of the search, which took {row['evaluations']} "
+            "evaluations."
+        )
+        if not row["gained"]:
+            said.append("Nothing was gained for sure: leave the scene as it is.")
     return said
 
 

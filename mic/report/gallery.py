@@ -12,22 +12,72 @@ from functools import partial
 
 import matplotlib.style
 
+from mic.report.change_pictures import change_picture, order_picture, remedy_picture
 from mic.report.contact_pictures import sample_picture, slip_force_picture, state_picture, tangential_density_picture
 from mic.report.context import Context
-from mic.report.driver_pictures import contributor_picture
+from mic.report.driver_pictures import contributor_picture, friction_effect_picture, sensitivity_picture
 from mic.report.law_pictures import friction_picture, law_cost_picture
 from mic.report.measurement_pictures import measurement_picture
+from mic.report.miss_pictures import likeliest_miss_picture, miss_picture
 from mic.report.path_pictures import friction_work_picture, path_error_picture, path_state_picture
 from mic.report.picture import Picture
 from mic.report.space_pictures import assembly_picture, deviation_map_picture, field_picture, overview_picture
 from mic.report.style import RC
 from mic.results.outcome import Outcome
+from mic.results.schema import (
+    COMPARISON,
+    CONTRIBUTORS,
+    DESIGN_POINTS,
+    FRICTION_EFFECTS,
+    LINEARITY,
+    ORDERS,
+    RARE,
+    REMEDY_EFFECTS,
+    SENSITIVITIES,
+    Table,
+)
 
-__all__ = ["PICTURES", "SECTIONS", "Entry", "draw", "draw_all"]
+__all__ = ["PICTURES", "SECTIONS", "Entry", "Kept", "draw", "draw_all"]
 
 #: Sections of the page that show their pictures one below the other. ``still`` holds what stands in for the interactive
 #: views where a browser cannot show them; the page names those pictures.
-SECTIONS = ("drivers", "path", "motion", "slip", "contacts", "laws", "characteristics", "fields", "still")
+SECTIONS = (
+    "drivers",
+    "steps",
+    "friction",
+    "misses",
+    "remedies",
+    "orders",
+    "optimum",
+    "path",
+    "motion",
+    "slip",
+    "contacts",
+    "laws",
+    "characteristics",
+    "fields",
+    "still",
+)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A picture of what a study found, drawn from the tables that its command has left in the run's folder.
+
+    Attributes
+    ----------
+    func : callable
+        ``func(scene, *tables) -> Picture or None``; :mod:`mic.report.shown` calls it with what the study returns.
+    tables : tuple of Table
+        Without one of them there is no picture.
+    """
+
+    func: Callable[..., Picture | None]
+    tables: tuple[Table, ...]
+
+    def __call__(self, outcome: Outcome, context: Context) -> Picture | None:
+        found = [outcome.study(table) for table in self.tables]
+        return None if any(one is None for one in found) else self.func(outcome.model.scene, *found)
 
 
 @dataclass(frozen=True)
@@ -55,7 +105,14 @@ class Entry:
 
 #: Every picture, in the order of the page.
 PICTURES = (
-    Entry("contributors", "drivers", contributor_picture),
+    Entry("contributors", "drivers", Kept(contributor_picture, (CONTRIBUTORS, LINEARITY))),
+    Entry("sensitivities", "steps", Kept(sensitivity_picture, (SENSITIVITIES,))),
+    Entry("friction-effects", "friction", Kept(friction_effect_picture, (FRICTION_EFFECTS,))),
+    Entry("rare-misses", "misses", Kept(miss_picture, (RARE,))),
+    Entry("likeliest-misses", "misses", Kept(likeliest_miss_picture, (DESIGN_POINTS,))),
+    Entry("remedy-effects", "remedies", Kept(remedy_picture, (REMEDY_EFFECTS,))),
+    Entry("order-changes", "orders", Kept(order_picture, (ORDERS,))),
+    Entry("optimum-changes", "optimum", Kept(change_picture, (COMPARISON,))),
     Entry("assembly", "still", assembly_picture),
     Entry("path-error", "path", path_error_picture),
     Entry("tangential-density", "motion", tangential_density_picture),

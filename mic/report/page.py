@@ -13,14 +13,34 @@ from plotly.offline import get_plotlyjs
 from mic.contact.solution import Status
 from mic.report.answer import answer
 from mic.report.context import read_context
-from mic.report.drivers import friction_words, linear_words, remedy_words, signed, unit_of
+from mic.report.drivers import (
+    design_words,
+    friction_words,
+    linear_words,
+    optimum_words,
+    remedy_words,
+    signed,
+    unit_of,
+)
 from mic.report.gallery import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, zone_colour
 from mic.report.template import rendered
 from mic.report.viewer import packed, viewer_data
 from mic.results.accuracy import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
-from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, REMEDIES, REMEDY_EFFECTS, SPREADS
+from mic.results.schema import (
+    CONTRIBUTORS,
+    DESIGN_POINTS,
+    FRICTION_EFFECTS,
+    LINEARITY,
+    OPTIMA,
+    OPTIMUM_CHANGES,
+    OPTIMUM_MATCHES,
+    RARE,
+    REMEDIES,
+    REMEDY_EFFECTS,
+    SPREADS,
+)
 from mic.results.statistics import LEVEL, covered_share
 from mic.store import replacing, write_text
 from mic.studies.contributors import joint_ranking
@@ -58,6 +78,10 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
     outcome = outcome or read_outcome(folder)
     context = read_context(outcome)
     pictures = draw_all(outcome, context)
+    sections = {
+        section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
+        for section in SECTIONS
+    }
     viewer = viewer_data(outcome, context)
     zones = _zones(outcome, context.stage, context.published)
     page = rendered(
@@ -68,13 +92,12 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
         stage=context.stage,
         level=f"{100 * LEVEL:.0f} %",
         answer=answer(outcome),
-        drivers=_drivers(outcome),
+        drivers=_drivers(outcome) | {"shown": any(sections[one] for one in ("drivers", "steps", "friction"))},
+        misses=_misses(outcome),
         remedies=_remedies(outcome),
+        optimum=_optimum(outcome),
         pictures=pictures,
-        sections={
-            section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
-            for section in SECTIONS
-        },
+        sections=sections,
         colour=lambda law: LAWS[law].colour,
         states=list(STATE_COLOURS),
         state_words=STATE_WORDS,
@@ -136,6 +159,26 @@ def _remedies(outcome: Outcome) -> dict[str, Any]:
             for one in moves
         ]
         found["rows"].append({"moves": told, "effects": _records(own[own["fresh"] == own["fresh"].max()])})
+    return found
+
+
+def _misses(outcome: Outcome) -> list[str]:
+    """The likeliest misses in sentences, as far as they were looked for."""
+    table, points = outcome.study(RARE), outcome.study(DESIGN_POINTS)
+    return [] if table is None or points is None else design_words(table, points)
+
+
+def _optimum(outcome: Outcome) -> dict[str, Any]:
+    """What was found to be best, judged on fresh samples, as far as it was asked."""
+    whole, changes, matched = (outcome.study(t) for t in (OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES))
+    found: dict[str, Any] = {"words": [], "changes": [], "matches": {}, "kinds": []}
+    if whole is not None and changes is not None:
+        found["words"], found["changes"] = optimum_words(whole), _records(changes)
+    if matched is not None and len(matched):
+        found["kinds"] = list(matched["kind"].unique())
+        for row in _records(matched):
+            found["matches"].setdefault(row["assembly"], {})[row["kind"]] = row["row"]
+        found["words"] = [*found["words"], f"{len(found['matches'])} assemblies of measured parts were matched."]
     return found
 
 

@@ -9,13 +9,17 @@ from mic.contact.states import STATES
 from mic.geometry.normals import Rule
 
 __all__ = [
+    "INSIDE",
     "LAWS",
     "MARK_COLOURS",
+    "OUTSIDE",
     "RC",
     "RULE_COLOURS",
     "RULE_WORDS",
     "STATE_COLOURS",
+    "STATE_DOTS",
     "STATE_WORDS",
+    "VERDICT_COLOURS",
     "change",
     "number",
     "part_colour",
@@ -25,7 +29,10 @@ __all__ = [
 
 
 STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
+STATE_DOTS = STATE_COLOURS | {"open": "#8a94a0"}  # of single pairs: open ones dark enough on white
 STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
+INSIDE, OUTSIDE = "#2f7d4f", "#c1121f"  # of limits
+VERDICT_COLOURS = {"accepted": INSIDE, "open": "#b26a00", "rejected": OUTSIDE}
 MARK_COLOURS = {
     "locator": "#1b1f24",
     "clamp": "#c1121f",

@@ -89,6 +89,8 @@ class Answer:
         Of this one assembly; ``functional_force`` and ``motion`` at the end of `stage`.
     preliminary : bool
         Whether the paths were followed coarsely.
+    points : (m, 3) array
+        The contact pairs, nominal, mm.
     table : DataFrame
         By key characteristic: ``measurement``, ``value``, ``lower``, ``upper`` (mm from nominal), ``within``.
     seconds : float
@@ -100,6 +102,7 @@ class Answer:
     contact_stage: str
     evaluation: Evaluation
     preliminary: bool
+    points: np.ndarray
     table: pd.DataFrame
     seconds: float
 
@@ -270,7 +273,8 @@ class Exploration:
         past = self.stages[: self.stages.index(at) + 1]
         touched = [name for name in past if name in found.resolutions]
         took = time.perf_counter() - before
-        return Answer(whole, at, touched[-1] if touched else "", found, coarse, table, took)
+        points = self.model.contacts.point
+        return Answer(whole, at, touched[-1] if touched else "", found, coarse, points, table, took)
 
     @cached_property
     def _process(self) -> Process:

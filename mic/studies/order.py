@@ -24,6 +24,7 @@ from mic.errors import SceneError
 from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, moves_of, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.results.schema import ORDERS
 from mic.results.tables import zone_motion
 from mic.sampling.draw import draw
 from mic.scene import Scene
@@ -289,7 +290,7 @@ def order(
     Returns
     -------
     DataFrame
-        As :func:`compare` returns it.
+        As :data:`mic.results.schema.ORDERS` declares it.
 
     Raises
     ------
@@ -299,7 +300,9 @@ def order(
     others = orders(model.scene) if others is None else others
     if len(others) < 2:
         raise SceneError(f"scene {model.scene.name!r}: its process has one order only; there is nothing to compare")
-    return compare(model, others, law or model.scene.report.laws[0], samples, seed, threads)
+    asked = law or model.scene.report.laws[0]
+    found = compare(model, others, asked, samples, seed, threads)
+    return found.assign(law=asked)[ORDERS.names]
 
 
 def quantities(model, evaluation: Evaluation) -> pd.DataFrame:

@@ -64,6 +64,16 @@ class NativeSolver:
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
         self.problem = ScaledProblem.of(law, W, parameters)
 
+    def under(self, friction: Friction) -> NativeSolver:
+        """See :meth:`mic.contact.backends.Backend.under`."""
+        some, law = copy(self), self.problem.law
+        parameters = law.parameters(friction)
+        if law.frictional:
+            d_n, d_t = self.scaling.reshape(-1, 3)[:, :2].T
+            parameters = law.scaled(parameters, d_n, d_t)
+        some.problem = replace(self.problem, parameters=np.ascontiguousarray(parameters, dtype=float))
+        return some
+
     def take(self, own: np.ndarray) -> NativeSolver:
         """See :meth:`mic.contact.backends.Backend.take`."""
         rows = np.flatnonzero(np.repeat(own, self._size))

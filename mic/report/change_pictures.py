@@ -1,0 +1,119 @@
+"""Pictures of what a change does: of a scene before and after, of remedies, of other orders of the process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy.special import ndtri
+
+from mic.report.measurement_pictures import LIMIT_COLOUR
+from mic.report.picture import MOST_PANELS, Picture, panels, svg
+from mic.report.style import number, percent
+from mic.results.statistics import LEVEL
+from mic.scene import Scene
+
+__all__ = ["AFTER", "BEFORE", "change_picture", "order_picture", "remedy_picture", "search_trail"]
+
+BEFORE, AFTER = "#58626e", "#0b5cad"
+
+
+def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+    """Changes of mean and 6σ of each key characteristic with their intervals, in per cent of the tolerance."""
+    own = table[table["tolerance"].notna()]
+    if not len(own):
+        return None
+    size = own[["mean_change", "six_sigma_change"]].abs().max(axis=1) / own["tolerance"]
+    own = own.loc[size.sort_values(ascending=False, kind="stable").index[:MOST_PANELS]]
+    place = np.arange(len(own))
+    fig = Figure(figsize=(10.5, 1.1 + 0.26 * len(own)), layout="constrained")
+    for ax, (figure, word) in zip(fig.subplots(1, 2, sharey=True), (("mean", "mean"), ("six_sigma", "6σ"))):
+        value, low, high = (100 * own[f"{figure}_change{end}"] / own["tolerance"] for end in ("", "_low", "_high"))
+        ax.axvline(0, color="#58626e", lw=0.8)
+        spread = np.nan_to_num(np.array([value - low, high - value]))
+        ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=AFTER, elinewidth=1.4)
+        ax.set_xlabel(f"change of {word} (% of the tolerance)")
+        ax.set_yticks(place, own["quantity"])
+    ax.invert_yaxis()
+    many = table["tolerance"].notna().sum()
+    text = f"The {len(own)} of {many} that change most. " if many > len(own) else ""
+    text += f"Lines: intervals of {100 * LEVEL:.0f} % of the paired difference; where one reaches 0, it may be chance."
+    return svg(fig, "What changes", text)
+
+
+def remedy_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None:
+    """Mean and 6σ of each key characteristic as it is and with each remedy, against its limits."""
+    if not len(effects):
+        return None
+    own = effects[effects["fresh"] == effects["fresh"].max()]
+    names = list(own.groupby("measurement", sort=False)["margin_before"].min().nsmallest(MOST_PANELS).index)
+    limits = {} if scene is None else {item.name: item.bounds for item in scene.measurements}
+    remedies = list(own["remedy"].unique())
+    columns = min(3, len(names))
+    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), 0.8 + 0.28 * len(remedies)), sharey=True)
+    for i, (ax, name) in enumerate(zip(axes, names)):
+        rows = own[own["measurement"] == name].set_index("remedy").reindex(remedies)
+        first = rows.iloc[0]
+        mean = 1e3 * np.array([first["mean_before"], *rows["mean"]])
+        reach = 500 * np.array([first["six_sigma_before"], *rows["six_sigma"]])
+        place = np.arange(len(mean))
+        for limit in limits.get(name, ()):
+            if np.isfinite(limit):
+                ax.axvline(1e3 * limit, color=LIMIT_COLOUR, lw=1.3)
+        ax.errorbar(mean[1:], place[1:], xerr=reach[1:], fmt="o", ms=4, color=AFTER, elinewidth=1.6)
+        ax.errorbar(mean[:1], place[:1], xerr=reach[:1], fmt="o", ms=4, color=BEFORE, elinewidth=1.6)
+        ax.set_yticks(place, ["as it is", *remedies])
+        ax.set_ylim(len(mean) - 0.5, -0.5)
+        ax.set_title(name)
+        if i >= len(names) - columns:
+            ax.set_xlabel("mean ± 3σ (µm)")
+    said = [f"{name} {percent(rows['outside'].max(), 1)}" for name, rows in own.groupby("remedy", sort=False)]
+    worst = own.groupby("measurement")["outside_before"].max().max()
+    told = "fresh samples" if own["fresh"].all() else "the samples that the remedies were found with"
+    text = f"Of {told}; red: limits. Of the worst characteristic {percent(worst, 1)} are outside as it is; "
+    return svg(fig, "What each remedy does", text + f"with {', '.join(said)}.")
+
+
+def order_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+    """By order of the process, the largest change of mean and of 6σ of any key characteristic."""
+    own = table[(table["tolerance"] > 0) & (table["order"] != table["order"].iloc[0])] if len(table) else table
+    if not len(own):
+        return None
+    orders = list(own["order"].unique())[:MOST_PANELS]
+    fig = Figure(figsize=(10.5, 1.1 + 0.26 * len(orders)), layout="constrained")
+    axes = fig.subplots(1, 2, sharey=True)
+    wide = float(ndtri(0.5 + LEVEL / 2))
+    for ax, (figure, word) in zip(axes, (("mean", "mean"), ("six_sigma", "6σ"))):
+        share = 100 * own[f"{figure}_change"] / own["tolerance"]
+        rows = own.loc[share.abs().groupby(own["order"], sort=False).idxmax()].set_index("order").loc[orders]
+        value, error = (100 * rows[f"{figure}_{what}"] / rows["tolerance"] for what in ("change", "error"))
+        ax.axvline(0, color="#58626e", lw=0.8)
+        ax.errorbar(
+            value, np.arange(len(rows)), xerr=wide * np.nan_to_num(error), fmt="o", ms=4, color=AFTER, elinewidth=1.4
+        )
+        for place, (x, name) in enumerate(zip(value, rows["quantity"])):
+            ax.annotate(name, (x, place), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=7)
+        ax.margins(x=0.12)
+        ax.set_xlabel(f"largest change of {word} (% of the tolerance)")
+    axes[0].set_yticks(range(len(orders)), orders)
+    axes[0].set_ylim(len(orders) - 0.5, -0.7)
+    text = (
+        f"Against the order as stated, on the same {int(own['samples'].min())} samples; of each order the key "
+        f"characteristic that changes most. Lines: intervals of {100 * LEVEL:.0f} %."
+    )
+    return svg(fig, "What other orders of the process change", text)
+
+
+def search_trail(trail: pd.DataFrame, objective: str) -> Picture | None:
+    """The objective of the best design so far, as the search went on."""
+    if not len(trail):
+        return None
+    fig = Figure(figsize=(10.5, 2.6), layout="constrained")
+    ax = fig.subplots()
+    ax.step(trail["evaluations"], trail["objective"], where="post", color=AFTER, lw=1.6, marker="o", ms=3)
+    ax.set(xlabel="evaluations of an assembly", ylabel=objective)
+    first, last = trail["objective"].iloc[0], trail["objective"].iloc[-1]
+    text = (
+        f"The best so far on the samples of the search, from {number(first)} to {number(last)}; fresh samples judge it."
+    )
+    return svg(fig, "The search", text)

@@ -1,0 +1,82 @@
+"""Pictures of rare misses: how often limits are missed, and by which deviations most likely."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from mic.report.drivers import FAR
+from mic.report.measurement_pictures import LIMIT_COLOUR
+from mic.report.picture import MOST_PANELS, Picture, panels, svg
+from mic.report.style import number, percent
+from mic.results.statistics import LEVEL
+from mic.scene import Scene
+
+__all__ = ["likeliest_miss_picture", "miss_picture"]
+
+INK, FIRST = "#0b5cad", "#c8553d"
+LIMITS = 8  # panels: likelier misses than the others
+BARS = 6  # deviations in a panel
+MILLION = 1e6
+LARGE = 1e-2  # a probability that is told in per cent
+NEVER = 1e-9  # a probability that is drawn at the axis' end
+
+
+def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+    """Probability of a miss with its interval, beside that to first order, on a logarithmic scale."""
+    if not len(table):
+        return None
+    own = table.head(MOST_PANELS)
+    place = np.arange(len(own))
+    value, low, high = (np.maximum(own[f"outside{end}"], NEVER) for end in ("", "_low", "_high"))
+    fig = Figure(figsize=(10.5, 1.2 + 0.32 * len(own)), layout="constrained")
+    ax = fig.subplots()
+    spread = MILLION * np.array([value - low, high - value])
+    ax.errorbar(MILLION * value, place, xerr=spread, fmt="o", ms=5, color=INK, elinewidth=1.6, label="simulated")
+    known = own["first_order"].notna().to_numpy()
+    first = MILLION * np.maximum(own["first_order"][known], NEVER)
+    ax.plot(first, place[known], "D", ms=5, mfc="white", color=FIRST, ls="", label="to first order")
+    ax.set_xscale("log")
+    ax.set_yticks(place, [name or "any limit" for name in own["measurement"]])
+    ax.set_ylim(len(own) - 0.5, -0.5)
+    ax.set_xlabel("outside its limits, of a million")
+    fig.legend(loc="outside upper left", ncols=2)
+    row = own.iloc[0]
+    large = row["outside"] >= LARGE
+    said, least, most = (
+        percent(share, 1) if large else number(MILLION * share, 2)
+        for share in (row["outside"], row["outside_low"], row["outside_high"])
+    )
+    said += "" if large else " of a million"
+    text = (
+        f"{row['measurement'] or 'The assembly'} misses in {said} ({least} to {most}). "
+        f"Lines: intervals of {100 * LEVEL:.0f} %. "
+        f"{own['evaluations'].sum()} evaluations."
+    )
+    return svg(fig, "How often limits are missed", text)
+
+
+def likeliest_miss_picture(scene: Scene | None, points: pd.DataFrame) -> Picture | None:
+    """By limit that is missed likeliest, where the deviations are there, in standard deviations."""
+    near = points[points["found"].astype(bool) & (points["beta"] < FAR)]
+    limits = near.drop_duplicates(["measurement", "limit"]).sort_values("beta", kind="stable").head(LIMITS)
+    if not len(limits):
+        return None
+    columns = min(4, len(limits))
+    fig, axes = panels(len(limits), columns, (10.5 / max(columns, 2), 1.9))
+    for i, (ax, one) in enumerate(zip(axes, limits.to_dict("records"))):
+        own = near[(near["measurement"] == one["measurement"]) & (near["limit"] == one["limit"])]
+        own = own.sort_values("share", ascending=False, kind="stable").head(BARS)
+        ax.axvline(0, color="#58626e", lw=0.8)
+        ax.barh(np.arange(len(own)), own["sigmas"], color=LIMIT_COLOUR, alpha=0.75, height=0.6)
+        ax.set_yticks(np.arange(len(own)), own["deviation"])
+        ax.invert_yaxis()
+        ax.set_title(f"{one['measurement']}, {one['limit']}: β = {number(one['beta'])}")
+        if i >= len(limits) - columns:
+            ax.set_xlabel("off its mean (σ)")
+    text = (
+        f"Of each limit the likeliest assembly that misses it, β standard deviations off; at most {BARS} deviations, "
+        "those of most importance first."
+    )
+    return svg(fig, "The likeliest misses", text)

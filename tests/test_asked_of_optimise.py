@@ -1,0 +1,98 @@
+"""What `mic check` says of a table [optimise]: in words, with numbers, before anything is computed."""
+
+import pytest
+from support.springs import at_face, six, spring_model
+from typer.testing import CliRunner
+
+import mic
+from mic.options import app
+from mic.results.schema import COMPARISON, OPTIMA
+from mic.studies.optimisation import BUDGET, FRESH
+from mic.studies.optimisation.words import asked
+
+PLACES = [[float(i), 0.0, 0.0] for i in range(1, 9)]
+WHOLE = {
+    "objective": "cost",
+    "reject": 40,
+    "of": ["M"],
+    "forces": [{"clamps": ["C"], "between": [10, 100]}],
+    "shims": [{"of": ["bl1"], "between": [-0.5, 0.25]}, {"of": ["T"], "between": [-1, 1]}],
+    "orders": [{"stage": "clamp", "groups": [["C", "U", "V"], ["T"]]}],
+    "places": [{"item": "locators.bl2", "points": PLACES}],
+    "constraints": [
+        {"quantity": "six-sigma", "of": ["M"], "at_most": 0.3},
+        {"quantity": "force", "at_least": 5, "at_most": 90},
+    ],
+}
+
+
+def built(table, folder=None):
+    kinds = {"matching": [{"name": name, "file": str(folder / f"{name}.csv")} for name in "fr"]} if folder else {}
+    return spring_model(
+        [9.0],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ba"],
+        locators=[*six("b"), *six("a")],
+        clamps=[at_face("b", name="C", force=20.0), *(at_face("a", name=name, stroke=2.0) for name in "TUV")],
+        zones=[{"name": "Z", "parts": ["b", "a"], "friction": 0.0, "pairs": 1}],
+        measurements=[at_face("b", name="M", lower=0.5, upper=1.5)],
+        deviations=[
+            {"name": name, "kind": "locator", "target": f"{name}l1", "mean": 0.1, "sigma": 0.1} for name in "ba"
+        ],
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+        optimise=table | kinds,
+    )
+
+
+def words(table, folder=None):
+    return asked(built(table, folder))
+
+
+def test_all_that_may_be_changed_and_must_be_kept_is_told():
+    *told, effort = words(WHOLE)
+    assert told == [
+        "wanted: the cost of M becomes as small as it can, over the variation of the inputs; an assembly outside its "
+        "limits costs 40",
+        "may change: force of C, 10 to 100 N (20 as it is)",
+        "may change: shim of bl1, -0.5 to 0.25 mm (0 as it is)",
+        "may change: stroke of T, 1 to 3 mm (2 as it is)",
+        "may change: order of stage clamp: C+…+V, T; 2 orders",
+        "may change: place of locators.bl2, to (1, 0, 0); (2, 0, 0); (3, 0, 0); (4, 0, 0); (5, 0, 0); (6, 0, 0) and 2 "
+        "more",
+        "kept: 6σ of M is at most 0.3 mm",
+        "kept: the sum of the forces of all clamps is at least 5 N and at most 90 N",
+    ]
+    assert effort.startswith("takes: 18 designs of orders and places × 3 settings between bounds; ")
+    assert f"{BUDGET:,} evaluations" in effort and f"{2 * FRESH:,}" in effort
+
+
+def test_what_is_wanted_is_told_with_its_weights():
+    told = words({"objective": "largest-six-sigma", "weights": {"M": 2}, "forces": WHOLE["forces"]})
+    assert told[0].startswith("wanted: the largest 6σ of all measurements becomes as small as it can")
+    assert told[0].endswith("; weights: M 2") and told[-1].startswith("takes: 1 setting between bounds; ")
+    told = words({"forces": WHOLE["forces"]})
+    assert told[0].startswith("wanted: the least Cpk of all measurements becomes as large as it can, ")
+
+
+def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path):
+    (tmp_path / "f.csv").write_text("b\n0.1\n0.2\n0.3\n")
+    (tmp_path / "r.csv").write_text("a\n0.1\n0.2\n")
+    told = words({}, tmp_path)
+    assert "may be matched: 3 parts f, measured: b" in told and "may be matched: 2 parts r, measured: a" in told
+    assert told[-1].startswith("takes: 6 combinations of parts; ")
+    (tmp_path / "r.csv").unlink()
+    with pytest.raises(mic.SceneError, match=r"optimise\.matching\[1\]\.file \(r\)"):
+        words({}, tmp_path)
+
+
+def test_what_is_found_of_a_run_stands_in_its_report(tmp_path, monkeypatch):
+    """Its tables go where the report is drawn from, with the run's folder held; elsewhere there is no page."""
+    model, drawn = built({"forces": WHOLE["forces"], "of": ["M"]}), []
+    monkeypatch.setattr("mic.commands.optimise.studied", lambda console, source: (model, source))
+    monkeypatch.setattr("mic.report.page.write_report", lambda folder: drawn.append(folder) or folder / "report.html")
+    short = ["--samples", "20", "--fresh", "20", "--budget", "60", "--law", "frictionless"]
+    for place in ([], ["--out", str(tmp_path / "elsewhere")]):
+        done = CliRunner().invoke(app, ["optimise", str(tmp_path), *short, *place])
+        assert done.exit_code == 0, done.output
+        assert drawn == [tmp_path] and ("report: " in done.output) == (not place)
+        folder = tmp_path / "elsewhere" if place else tmp_path
+        assert len(OPTIMA.read(folder, "")) == len(COMPARISON.read(folder, "")) - 1 == 1
