@@ -7,10 +7,15 @@ A cubic spline in several dimensions [1]_ goes through, or close by, what was ev
 so that whatever is linear is met exactly. Contacts that change their state bend h a little almost everywhere; weights
 are damped as far as the distances between neighbours make sense of. D stretches the directions that matter.
 
+How far it misses each of the points that it goes by, were it made of the others alone, takes one inverse [2]_: with M
+the matrix of its equations, the one at z_i is missed by w_i / (M⁻¹)_ii.
+
 References
 ----------
 .. [1] J. Duchon: Splines minimizing rotation-invariant semi-norms in Sobolev spaces, in: Constructive Theory of
        Functions of Several Variables, Springer (1977) 85-100.
+.. [2] S. Rippa: An algorithm for selecting a good value for the parameter c in radial basis function interpolation,
+       Adv. Comput. Math. 11 (1999) 193-210.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 __all__ = ["Emulator"]
 
@@ -43,12 +49,23 @@ class Emulator:
         steep = np.sqrt((slope**2).mean(axis=1))
         self._stretch = np.sqrt(np.maximum(steep / max(steep.max(), 1e-300), LEAST))
         nearest = KDTree(z * self._stretch).query(z * self._stretch, 2)[0][:, 1]
-        damping = DAMPED * float(np.median(nearest)) ** 3
-        self._spline = RBFInterpolator(z * self._stretch, h, smoothing=damping, kernel="cubic", degree=1)
+        self._known, self._answers = z * self._stretch, h
+        self._damping = DAMPED * float(np.median(nearest)) ** 3
+        self._spline = RBFInterpolator(self._known, h, smoothing=self._damping, kernel="cubic", degree=1)
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """(m, k) at numbers (m, p)."""
         return np.asarray(self._spline(z * self._stretch))
+
+    def left_out(self) -> np.ndarray:
+        """(n, k) what was found at each z_i, less what the others alone would tell."""
+        n, p = self._known.shape
+        tail = np.column_stack([np.ones(n), self._known])
+        equations = np.zeros((n + p + 1, n + p + 1))
+        equations[:n, :n] = cdist(self._known, self._known) ** 3 + self._damping * np.eye(n)
+        equations[:n, n:], equations[n:, :n] = tail, tail.T
+        inverse = np.linalg.inv(equations)[:n, :n]
+        return np.asarray(inverse @ self._answers / np.diag(inverse)[:, None])
 
     def slopes(self, z: np.ndarray) -> np.ndarray:
         """(m, k, p) derivatives there."""
