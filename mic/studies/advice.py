@@ -1,7 +1,7 @@
 """The smallest adjustment that brings an assembly within its limits.
 
 What counts is how far the intervals ``h ± half`` of the key characteristics reach beyond their limits at most. Each
-adjustment is tried by itself, in steps that can be set; smallest is what takes the least share of what is allowed of it.
+adjustment is tried by itself, in steps that can be set; smallest is what takes the least share of what is allowed.
 Where none suffices, the one that leaves least is told.
 
 Key characteristics of an adjusted assembly come from what was learnt (:mod:`mic.studies.learning`), and what that errs
@@ -72,7 +72,7 @@ class Advisor:
     some : sequence of Adjustment
         One at least.
     learnt : Learnt, optional
-        What was learnt of the model with these adjustments.
+        What was learnt of what these adjustments change.
     """
 
     def __init__(self, model: ReducedModel, law: str, some: Sequence[Adjustment], learnt: Learnt | None = None):
@@ -80,7 +80,7 @@ class Advisor:
         self._law, self._some, self._learnt = law, list(some), learnt
         self._lower, self._upper = np.array([item.bounds for item in model.scene.measurements]).T
 
-    def propose(self, x: np.ndarray, y: np.ndarray, half: np.ndarray, covered: bool) -> Proposal:
+    def propose(self, x: np.ndarray, y: np.ndarray, half: np.ndarray, off: np.ndarray, covered: bool) -> Proposal:
         """The smallest adjustment of an assembly.
 
         Parameters
@@ -89,14 +89,17 @@ class Advisor:
             Its deviations.
         y, half : (k,) array
             Its key characteristics and the half widths of their intervals, mm.
+        off : (k,) array
+            What y errs by, mm; 0 where it was evaluated.
         covered : bool
             Whether it lies between the assemblies that were learnt from.
         """
         learnt, before = self._learnt, self._beyond(y, half)
         if learnt is not None and covered:
-            foretold = lambda a, changes: learnt(self._adjusted(x, a, changes))
-            which, change, beyond = self._smallest(foretold, half + learnt.off)
-            if beyond <= 0 or self._beyond(foretold(which, np.array([change]))[0], half - learnt.off) > 0:
+            errs = off + learnt.off
+            foretold = lambda a, changes: y + learnt(self._adjusted(x, a, changes))
+            which, change, beyond = self._smallest(foretold, half + errs)
+            if beyond <= 0 or self._beyond(foretold(which, np.array([change]))[0], half - errs) > 0:
                 return Proposal(self._some[which], change, beyond, before, False)
         which, change, beyond = self._evaluated(x, y, half)
         return Proposal(self._some[which], change, beyond, before, True)

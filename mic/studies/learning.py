@@ -5,6 +5,9 @@ largest of n such misses lie, with a confidence of 0.95, no fewer than 0.95 of a
 below the largest of 59, the second of 93. The assemblies asked for scatter less than those that were learnt from, and
 each of them is answered by one assembly more.
 
+What an adjustment changes is learnt by itself: assemblies that are known are evaluated again, each adjusted in one way;
+and where nothing is adjusted, nothing changes.
+
 References
 ----------
 .. [1] S. S. Wilks: Determination of sample sizes for setting tolerance limits, Ann. Math. Stat. 12 (1941) 91-96.
@@ -45,16 +48,16 @@ KEPT = Format("set of assemblies learnt from", 1, ABSENT)
 
 @dataclass(frozen=True)
 class Learnt:
-    """Key characteristics of assemblies between those that were evaluated.
+    """Key characteristics of assemblies between those that were evaluated, or what adjustments change of them.
 
     Attributes
     ----------
     mean, scale : (p,) array
         Of the deviations, adjustments after them; what never varies has a scale of 0.
     x : (n, p) array
-        What was evaluated.
+        What is known.
     h : (n, k) array
-        Key characteristics that were found there, mm.
+        What was found there, mm.
     judged : (n,) array of bool
         Which of them tell what the spline errs by.
     """
@@ -107,9 +110,9 @@ def learn(
     law : str
         Contact law.
     some : sequence of Adjustment
-        What may be adjusted: of each assembly one, by as much as it may. Their changes follow the deviations.
+        With ``before``, what may be adjusted, and is learnt; the changes stand after the deviations.
     before : Learnt, optional
-        Assemblies without adjustments that are known.
+        What was learnt without adjustments.
     cache : Path, optional
         Folder in which what was evaluated is kept for the next time.
     progress : callable, optional
@@ -123,29 +126,32 @@ def learn(
     scene, p, a = model.scene, len(model.scene.deviations), len(some)
     mean = np.array([item.mean for item in scene.deviations] + [0.0] * a)
     scale = np.array([item.sigma for item in scene.deviations] + [(one.high - one.low) / SPANNED for one in some])
-    known, heights = np.empty((0, p + a)), np.empty((0, len(scene.measurements)))
-    if before is not None:
-        known, heights = np.pad(before.x, ((0, 0), (0, a))), before.h
-    kept, own = _kept(cache, model, law, some, known, heights)
+    kept, own = _kept(cache, model, law, some, before)
     if kept is not None and (answered := kept.find(own)) is not None:
-        x, h = answered[1]["x"], answered[1]["h"]
-        return Learnt(mean, scale, x, h, np.arange(len(x)) >= len(known))
+        return Learnt(mean, scale, *(answered[1][name] for name in ("x", "h", "judged")))
+    stream = np.random.default_rng([0, a])
     process = (extended(model, some)[0] if some else model).process(law)
-    stream, x, h = np.random.default_rng([0, a]), known, heights
-    found: Learnt | None = None
+    x, h, drawn = np.empty((0, p + a)), np.empty((0, len(scene.measurements))), 0
+    if before is not None:
+        x = np.pad(_spread(scene, stream, LEAST), ((0, 0), (0, a)))
+        h = np.zeros((LEAST, h.shape[1]))
+    free, found = len(x), None
     for count in (max(LEAST, p + p // 2 + 3 * a), *[BATCH] * BATCHES):
-        new = _drawn(scene, some, stream, count)
+        which = np.arange(drawn, drawn + count)
+        new = _spread(scene, stream, count) if before is None else before.x[which % len(before.x)]
+        new = np.concatenate([new, _changes(some, which, stream)], axis=1)
         done = process.attempt(new)
+        told = done.measurements if before is None else done.measurements - before.h[which % len(before.h)]
+        x, h = np.concatenate([x, new[~done.failed]]), np.concatenate([h, told[~done.failed]])
         progress(count)
-        x = np.concatenate([x, new[~done.failed]])
-        h = np.concatenate([h, done.measurements[~done.failed]])
-        if len(x) - len(known) < 2 or len(x) < np.count_nonzero(scale) + 3:
+        drawn += count
+        if len(x) - free < np.count_nonzero(scale) + 3:
             continue
-        found = Learnt(mean, scale, x, h, np.arange(len(x)) >= len(known))
-        if (found.off <= FINE * tolerance(scene, h)).all():
+        found = Learnt(mean, scale, x, h, np.arange(len(x)) >= free)
+        if (found.off <= FINE * tolerance(scene, h if before is None else before.h)).all():
             break
     if kept is not None and found is not None:
-        kept.keep(own, {}, {"x": x, "h": h})
+        kept.keep(own, {}, {"x": found.x, "h": found.h, "judged": found.judged})
     return found
 
 
@@ -155,18 +161,22 @@ def tolerance(scene: Scene, h: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(upper - lower), upper - lower, 6 * h.std(axis=0))
 
 
-def _drawn(scene: Scene, some: Sequence[Adjustment], stream: np.random.Generator, count: int) -> np.ndarray:
-    """(n, p + a) assemblies to be evaluated, each adjusted in one way at most."""
+def _spread(scene: Scene, stream: np.random.Generator, count: int) -> np.ndarray:
+    """(n, p) assemblies on all sides of the mean one."""
     z = WIDER * stream.standard_normal((count, len(scene.deviations)))
-    changes = np.zeros((count, len(some)))
-    if some:
-        low, high = np.array([(one.low, one.high) for one in some]).T
-        which = np.arange(count) % len(some)
-        changes[np.arange(count), which] = (low + (high - low) * stream.random((count, 1)))[np.arange(count), which]
-    return np.concatenate([from_normal(scene, np.clip(z, -REACH, REACH)), changes], axis=1)
+    return from_normal(scene, np.clip(z, -REACH, REACH))
 
 
-def _kept(cache: Path | None, model, law: str, some, known, heights) -> tuple[Cache | None, str]:
+def _changes(some: Sequence[Adjustment], which: np.ndarray, stream: np.random.Generator) -> np.ndarray:
+    """(n, a) changes of one adjustment each, in turn."""
+    found, share = np.zeros((len(which), len(some))), stream.random(len(which))
+    for i, turn in enumerate(which if some else ()):
+        own = some[turn % len(some)]
+        found[i, turn % len(some)] = own.low + (own.high - own.low) * share[i]
+    return found
+
+
+def _kept(cache: Path | None, model, law: str, some, before: Learnt | None) -> tuple[Cache | None, str]:
     """Where it is kept, and the identity of all that it hangs on."""
     if cache is None:
         return None, ""
@@ -174,8 +184,8 @@ def _kept(cache: Path | None, model, law: str, some, known, heights) -> tuple[Ca
         "model": identity(model, 0),
         "law": law,
         "some": [[one.name, one.low, one.high] for one in some],
-        "before": [fingerprint(np.ascontiguousarray(one).tobytes()) for one in (known, heights)],
-        "how": [REACH, WIDER, LEAST, BATCH, BATCHES, FINE],
+        "before": [] if before is None else [fingerprint(one.tobytes()) for one in (before.x, before.h)],
+        "how": [REACH, WIDER, LEAST, BATCH, BATCHES, FINE, SPANNED],
         "limits": [[float(end) for end in item.bounds] for item in model.scene.measurements],
     }
     return Cache(cache, "answers", KEPT), fingerprint(asked)

@@ -137,7 +137,7 @@ class Predictor:
         told = np.hypot(half, off)
         verdict, said, ways = self._verdicts(y, told), "", [way] * (len(y) + 1)
         if self._advisor is not None and (verdict != "accepted").any():
-            found = self._advisor.propose(x, y, half, self._covers(x))
+            found = self._advisor.propose(x, y, half, off, self._covers(x))
             said, ways[-1] = str(found), "evaluated" if found.evaluated else way
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
         items = self.model.scene.measurements
