@@ -87,13 +87,11 @@ def test_the_smallest_adjustment_that_suffices_is_told(exact):
 class Planted:
     """In place of what was learnt: what two adjustments change of M."""
 
-    off = np.array([0.01, 0.0])
-
     def __init__(self, told):
         self.told = told
 
     def __call__(self, x):
-        return np.column_stack([self.told(*x[:, -2:].T), np.zeros(len(x))])
+        return np.column_stack([self.told(*x[:, -2:].T), np.zeros(len(x))]), np.tile([0.01, 0.0], (len(x), 1))
 
 
 @pytest.mark.parametrize(
@@ -146,7 +144,7 @@ def test_answers_learnt_beforehand_are_those_of_the_evaluation_within_what_they_
     assert len(ways["learnt"]) > 40 and ways["evaluated"]
     off = np.array([abs(b["value"] - a["value"]) for a, b in ways["learnt"]])
     half = np.array([b["high"] - b["value"] for _, b in ways["learnt"]])
-    assert 0 < half.max() <= 1.1 * FINE * 2 * limit and off.max() > 0
+    assert 0 < np.median(half) <= FINE * 2 * limit and off.max() > 0
     assert (off <= half).mean() >= 0.95 - 2 * np.sqrt(0.95 * 0.05 / len(off))
     for name in ("M", ""):
         assert all(row(a, name)["verdict"] == row(b, name)["verdict"] for a, b in told)
@@ -163,9 +161,9 @@ def test_what_the_answers_err_by_is_no_less_than_what_they_miss():
     known = learn(model, "coulomb")
     assert 0 < known.off[0] and len(known.x) >= 59
     x = 0.4 + 0.15 * np.clip(np.random.default_rng(4).standard_normal((400, 1)), -3, 3)
-    missed = np.abs(known(x) - model.process("coulomb").evaluate(x).measurements)[:, 0]
-    assert (missed <= known.off[0]).mean() >= 0.95
-    assert missed.max() > 0.1 * known.off[0]
+    told, off = known(x)
+    missed = np.abs(told - model.process("coulomb").evaluate(x).measurements)
+    assert (missed <= off).mean() >= 0.95 and missed.max() > 0.1 * known.off[0]
     assert known.covers(np.array([0.4])) and not known.covers(np.array([0.4 + 3.1 * 0.15]))
 
 

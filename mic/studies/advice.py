@@ -26,7 +26,8 @@ TRIED = 20  # changes to either side, between which the smallest is looked for
 AGAIN = 8  # evaluations at most
 WORTH = 1e-3  # mm: an adjustment that helps less is none
 
-_Foretold = Callable[[int, np.ndarray], np.ndarray]  # key characteristics (n, k) of one adjustment's changes (n,)
+#: Key characteristics (n, k) of changes (n,) of one adjustment, and half widths (n, k) or (k,) of their intervals.
+_Foretold = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -96,10 +97,14 @@ class Advisor:
         """
         learnt, before = self._learnt, self._beyond(y, half)
         if learnt is not None and covered:
-            errs = off + learnt.off
-            foretold = lambda a, changes: y + learnt(self._adjusted(x, a, changes))
-            which, change, beyond = self._smallest(foretold, half + errs)
-            if beyond <= 0 or self._beyond(foretold(which, np.array([change]))[0], half - errs) > 0:
+
+            def foretold(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                more, errs = learnt(self._adjusted(x, a, changes))
+                return y + more, half + off + errs
+
+            which, change, beyond = self._smallest(foretold)
+            told, wide = foretold(which, np.array([change]))
+            if beyond <= 0 or self._beyond(told, 2 * half - wide)[0] > 0:  # by as much as it errs by at least
                 return Proposal(self._some[which], change, beyond, before, False)
         which, change, beyond = self._evaluated(x, y, half)
         return Proposal(self._some[which], change, beyond, before, True)
@@ -114,19 +119,19 @@ class Advisor:
         found[:, : len(x)], found[:, len(x) + a] = x, changes
         return found
 
-    def _smallest(self, foretold: _Foretold, half: np.ndarray) -> tuple[int, float, float]:
+    def _smallest(self, foretold: _Foretold) -> tuple[int, float, float]:
         """Which adjustment, its change, and how far the intervals reach beyond then, by what is foretold."""
         best, enough = (0, 0.0, np.inf), []
         for a, own in enumerate(self._some):
             for end in (own.low, own.high):
                 coarse = np.linspace(0.0, end, TRIED + 1)
-                beyond = self._beyond(foretold(a, coarse), half)
+                beyond = self._beyond(*foretold(a, coarse))
                 first = int(np.argmax(beyond[1:] <= 0)) + 1 if (beyond[1:] <= 0).any() else int(beyond.argmin())
                 if not first:
                     best = min(best, (a, 0.0, float(beyond[0])), key=lambda one: one[2])
                     continue
                 fine = own.settings(float(coarse[first - 1]), float(coarse[first]))
-                left = self._beyond(foretold(a, fine), half)
+                left = self._beyond(*foretold(a, fine))
                 i = int(np.argmax(left <= 0)) if (left <= 0).any() else int(left.argmin())
                 found = a, float(fine[i]), float(left[i])
                 best = min(best, found, key=lambda one: one[2])
@@ -139,7 +144,7 @@ class Advisor:
         slope = np.nan_to_num(self._model.sensitivities(start, self._law, self._names).jacobian[0])  # (k, a)
         known: dict[tuple[int, float], np.ndarray] = {}
 
-        def foretold(a: int, changes: np.ndarray) -> np.ndarray:
+        def foretold(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Along the slopes, through what is known to the same side and nearest."""
             found = y + np.outer(changes, slope[:, a])
             for i, change in enumerate(changes):
@@ -147,10 +152,10 @@ class Advisor:
                 if near:
                     at = min(near, key=lambda at: abs(at - change))
                     found[i] += (known[a, at] - y - at * slope[:, a]) * (change / at)
-            return found
+            return found, half
 
         for _ in range(AGAIN):
-            a, change, _ = self._smallest(foretold, half)
+            a, change, _ = self._smallest(foretold)
             if not change or (a, change) in known:
                 break
             answer = process.attempt(self._adjusted(x, a, np.array([change])))

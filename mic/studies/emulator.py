@@ -8,7 +8,9 @@ so that whatever is linear is met exactly. Contacts that change their state bend
 are damped as far as the distances between neighbours make sense of. D stretches the directions that matter.
 
 How far it misses each of the points that it goes by, were it made of the others alone, takes one inverse [2]_: with M
-the matrix of its equations, the one at z_i is missed by w_i / (M⁻¹)_ii.
+the matrix of its equations, the one at z_i is missed by w_i / (M⁻¹)_ii. As the mean of a random field the spline also
+has a standard deviation, in units of its own: √(δ − bᵀ M⁻¹ b) between the z_i, b the right side there and δ the
+damping, and (M⁻¹)_ii^−½ at one that is left out.
 
 References
 ----------
@@ -19,6 +21,8 @@ References
 """
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -57,15 +61,30 @@ class Emulator:
         """(m, k) at numbers (m, p)."""
         return np.asarray(self._spline(z * self._stretch))
 
-    def left_out(self) -> np.ndarray:
-        """(n, k) what was found at each z_i, less what the others alone would tell."""
+    def left_out(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, k) what was found at each z_i, less what the others alone would tell, and (n,) how far off these are, in
+        the units of :meth:`apart`."""
+        n = len(self._known)
+        own = np.diag(self._inverse)[:n, None]
+        return self._inverse[:n, :n] @ self._answers / own, 1 / np.sqrt(own[:, 0])
+
+    def apart(self, z: np.ndarray) -> np.ndarray:
+        """(m,) standard deviations of the spline at numbers (m, p), but for a factor: how far off what is known is."""
+        right = self._right(z * self._stretch)
+        square = self._damping - np.einsum("ij,ij->i", right @ self._inverse, right)
+        return np.sqrt(np.maximum(square, self._damping))
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
         n, p = self._known.shape
-        tail = np.column_stack([np.ones(n), self._known])
         equations = np.zeros((n + p + 1, n + p + 1))
-        equations[:n, :n] = cdist(self._known, self._known) ** 3 + self._damping * np.eye(n)
-        equations[:n, n:], equations[n:, :n] = tail, tail.T
-        inverse = np.linalg.inv(equations)[:n, :n]
-        return np.asarray(inverse @ self._answers / np.diag(inverse)[:, None])
+        equations[:n] = self._right(self._known)
+        equations[n:, :n] = equations[:n, n:].T
+        equations[:n, :n] += self._damping * np.eye(n)
+        return np.linalg.inv(equations)
+
+    def _right(self, z: np.ndarray) -> np.ndarray:
+        return np.column_stack([cdist(z, self._known) ** 3, np.ones(len(z)), z])
 
     def slopes(self, z: np.ndarray) -> np.ndarray:
         """(m, k, p) derivatives there."""

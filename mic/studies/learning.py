@@ -1,9 +1,9 @@
 """Answers that are learnt before anything is asked: assemblies on all sides, a spline between them, what it errs by.
 
-By how much the spline misses an assembly is told by those that it was made of, each left out in turn. Below the r-th
-largest of n such misses lie, with a confidence of 0.95, no fewer than 0.95 of all, whatever their distribution [1]_:
-below the largest of 59, the second of 93. The assemblies asked for scatter less than those that were learnt from, and
-each of them is answered by one assembly more.
+By how much the spline misses an assembly is told by those that it was made of, each left out in turn, as a share of
+how far it is off the others, the median at least. Below the r-th largest of n such shares lie, with a confidence of
+0.95, no fewer than 0.95 of all, whatever their distribution [1]_: below the largest of 59, the second of 93. The
+assemblies asked for scatter less than those that were learnt from, and each of them is answered by one assembly more.
 
 What an adjustment changes is learnt by itself: assemblies that are known are evaluated again, each adjusted in one way;
 and where nothing is adjusted, nothing changes.
@@ -68,16 +68,20 @@ class Learnt:
     h: np.ndarray
     judged: np.ndarray
     emulator: Emulator = field(init=False, repr=False)
-    off: np.ndarray = field(init=False)  #: (k,) what it errs by in 95 %, mm
+    off: np.ndarray = field(init=False)  #: (k,) what it errs by in 95 %, in the midst of them, mm
+    _midst: float = field(init=False)
     _farthest: float = field(init=False)
 
     def __post_init__(self):
         u = self._scaled(self.x)
         emulator = Emulator(u, self.h)
-        missed = np.abs(emulator.left_out()[self.judged])
-        rank = min(int(binom.ppf(LEVEL, len(missed), LEVEL)), len(missed) - 1)
+        missed, apart = (one[self.judged] for one in emulator.left_out())
+        midst = float(np.median(apart))
+        shares = np.abs(missed) / np.maximum(apart / midst, 1.0)[:, None]
+        rank = min(int(binom.ppf(LEVEL, len(shares), LEVEL)), len(shares) - 1)
         object.__setattr__(self, "emulator", emulator)
-        object.__setattr__(self, "off", np.sort(missed, axis=0)[rank])
+        object.__setattr__(self, "off", np.sort(shares, axis=0)[rank])
+        object.__setattr__(self, "_midst", midst)
         object.__setattr__(self, "_farthest", float(np.linalg.norm(u[self.judged], axis=1).max()))
 
     def covers(self, x: np.ndarray) -> bool:
@@ -85,9 +89,10 @@ class Learnt:
         u = self._scaled(x)
         return bool((np.abs(u) <= REACH).all() and np.linalg.norm(u) <= self._farthest)
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Key characteristics (m, k) of assemblies (m, p)."""
-        return self.emulator(self._scaled(x))
+    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Key characteristics (m, k) of assemblies (m, p), and what they err by (m, k), mm."""
+        u = self._scaled(x)
+        return self.emulator(u), np.maximum(self.emulator.apart(u) / self._midst, 1.0)[:, None] * self.off
 
     def _scaled(self, x: np.ndarray) -> np.ndarray:
         varied = self.scale > 0

@@ -165,9 +165,9 @@ class Predictor:
         the half widths that are known; whether they were evaluated."""
         learnt = self.learnt
         if learnt is not None and self._covers(x):
-            y = learnt(x[None])[0]
-            if (self._verdicts(y - learnt.off, half) == self._verdicts(y + learnt.off, half)).all():
-                return y, learnt.off, "learnt"
+            y, off = (one[0] for one in learnt(x[None]))
+            if (self._verdicts(y - off, half) == self._verdicts(y + off, half)).all():
+                return y, off, "learnt"
         found = self._process.attempt(x[None])
         return None if found.failed[0] else found.measurements[0], np.zeros(len(self._lower)), "evaluated"
 
