@@ -57,8 +57,8 @@ WIDE_SHARE = 0.2
 FIRST = 8  # assemblies to begin with, beside 3/2 of each number
 BATCH = 16  # assemblies between two looks
 BATCHES = 8
-#: of the gauge's standard deviation: what e may be. Uncertainties are told to two digits at most, which rounds them by up
-#: to 5 %; so much wider e makes them where it is √(1.05² − 1) = 0.32 of the gauge's
+#: of the gauge's standard deviation: what e may be. Uncertainties are told to two digits at most, which rounds them by
+#: up to 5 %; so much wider e makes them where it is √(1.05² − 1) = 0.32 of the gauge's
 CLOSE = 0.3
 LOOSE = (2e-2, 5e-3, 1e-3)  # tolerances of the path, the loosest first
 LOOSENED = CLOSE / 2  # the same of a looser path alone: a quarter of e², the spline has the other three
