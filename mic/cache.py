@@ -1,4 +1,4 @@
-"""What is computed once and kept from run to run: generated meshes, influence coefficients, drawn shapes.
+"""What is computed once and kept: generated meshes, influence coefficients, drawn shapes, assemblies learnt from.
 
 A kept file is believed only where it is whole, of what is asked for, and one's own. It counts as absent, which is said
 in one line and mended by the next :meth:`Cache.keep`, where
@@ -28,7 +28,7 @@ from mic.store import Format, load_arrays, save_arrays
 __all__ = ["ABSENT", "Cache"]
 
 ABSENT = "it counts as absent and is replaced"  #: remedy of every format that a cache keeps
-ROOMS = ("influence", "meshes", "shapes")  # of a cache folder, and all that it holds
+ROOMS = ("answers", "influence", "meshes", "shapes")  # of a cache folder, and all that it holds
 
 _log = logging.getLogger(__name__)
 

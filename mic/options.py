@@ -291,12 +291,13 @@ def predict(
     shim: Annotated[float, typer.Option(help="Largest move of a locator or clamp, mm.")] = 0.5,
     force: Annotated[float, typer.Option(help="By which a clamp's force is multiplied or divided at most.")] = 2.0,
     error: Annotated[float, typer.Option(min=0, help="Standard deviation of the model's error, mm.")] = 0.0,
-    quick: Annotated[
+    exact: Annotated[
         bool,
         typer.Option(
-            "--quick",
-            help="Answer in milliseconds, from a spline between some dozen assemblies that are evaluated beforehand; "
-            "what it errs by is part of each interval.",
+            "--exact",
+            help="Evaluate every assembly. Otherwise answers come in milliseconds, from a spline between some dozen "
+            "assemblies that are evaluated beforehand and kept; what it errs by is part of each interval, and where "
+            "it does not decide, the assembly is evaluated.",
         ),
     ] = False,
     law: StudyLaw = None,
@@ -306,7 +307,7 @@ def predict(
     Every key characteristic with the interval that unmeasured deviations leave. Rows farther off than six standard
     deviations are refused. Each answer is on disk before the next row is read.
     """
-    _carry_out("predict", source, parts, watch, log, adjust, shim, force, error, quick, law)
+    _carry_out("predict", source, parts, watch, log, adjust, shim, force, error, exact, law)
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import RBFInterpolator
 
 from mic.studies.emulator import Emulator
 
@@ -34,3 +35,14 @@ def test_small_differences_are_met_as_large_ones_are(z):
     large = Emulator(z, h)(there)
     np.testing.assert_allclose(Emulator(1e-3 * z, h)(1e-3 * there), large, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(Emulator(z, 1e-4 * h)(there), 1e-4 * large, rtol=1e-8, atol=1e-12)
+
+
+def test_what_is_left_out_is_missed_by_as_much_as_the_others_alone_miss_it(z):
+    """And how far it is off them is told in the same units as everywhere else."""
+    h = np.column_stack([np.maximum(z[:, 0], 0.2), z[:, 1] ** 2])
+    whole, own = Emulator(z, h), np.arange(len(z)) != 7
+    missed, apart = whole.left_out()
+    alone = RBFInterpolator((z * whole._stretch)[own], h[own], smoothing=whole._damping, kernel="cubic", degree=1)
+    np.testing.assert_allclose(missed[7], h[7] - alone((z * whole._stretch)[[7]])[0], rtol=1e-8)
+    near = whole.apart(np.stack([z[7], z[7] + 0.5, z[7] + 3.0]))
+    assert near[0] < near[1] < near[2] and near[0] < apart[7]

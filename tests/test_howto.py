@@ -39,7 +39,7 @@ ASSEMBLIES = {
         "results/lap-joint_lap-joint/comparison.html",
     ),
     "Find out what made one assembly as it is": ("results/lap-joint_measured/explanation.html",),
-    "Foretell assemblies one by one": ("predictions.csv", "quick.csv"),
+    "Foretell assemblies one by one": ("predictions.csv", "exact.csv"),
 }
 
 

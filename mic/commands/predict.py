@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from rich.console import Console
+from rich.progress import Progress, TextColumn
 
+from mic import cache_folder
 from mic.commands.call import law_of, on_one_process, studied
 from mic.console import plain
 from mic.errors import FormatError, SceneError, Stopped
@@ -18,6 +20,7 @@ from mic.results.identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene.tables import read_cells, read_number
 from mic.store import append_text, write_text
+from mic.studies.learning import tolerance
 from mic.studies.prediction import Predictor
 
 __all__ = ["Log", "predict", "read_parts"]
@@ -27,7 +30,7 @@ STYLES = {"accepted": "green", "rejected": "red", "open": "yellow", "refused": "
 
 
 @on_one_process
-def predict(source, parts, watch, log, adjust, shim, force, error, quick, law):
+def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
     """``mic predict``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
     if (parts is None) == (watch is None):
@@ -36,7 +39,7 @@ def predict(source, parts, watch, log, adjust, shim, force, error, quick, law):
         raise SceneError(f"--watch: there is no folder {watch}; make it, or name another")
     model, _ = studied(console, source)
     try:
-        predictor = Predictor(model, law_of(model, law), adjust or (), shim, force, error, quick)
+        predictor = _ready(console, model, law_of(model, law), adjust or (), shim, force, error, exact)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
     kept = Log(log, identity(model, 0)[:12])
@@ -60,6 +63,24 @@ def predict(source, parts, watch, log, adjust, shim, force, error, quick, law):
             time.sleep(PAUSE)
     except (KeyboardInterrupt, Stopped):
         console.print(f"Ended: {kept.count} assemblies stand in {plain(log)}.", highlight=False, soft_wrap=True)
+
+
+def _ready(console, model, law, adjust, shim, factor, error, exact) -> Predictor:
+    """A predictor; what it learns beforehand is shown, and what that errs by said."""
+    with Progress(TextColumn("{task.description}"), TextColumn("{task.completed:.0f}"), console=console) as progress:
+        bar = progress.add_task("assemblies evaluated beforehand", total=None, visible=not exact)
+        advance = lambda count: progress.advance(bar, count)
+        predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache_folder(), advance)
+    learnt = predictor.learnt
+    if learnt is not None:
+        share = learnt.off / tolerance(model.scene, learnt.h)
+        worst, names = int(share.argmax()), [item.name for item in model.scene.measurements]
+        said = f"Answers lie between {len(learnt.x)} assemblies that were evaluated, and err by "
+        said += f"{1e3 * learnt.off[worst]:.2g} µm at {names[worst]} in 95 %, {share[worst]:.2%} of its tolerance."
+        console.print(plain(said), highlight=False, soft_wrap=True)
+    elif not exact:
+        console.print("Every assembly is evaluated: too few could be beforehand.", highlight=False, soft_wrap=True)
+    return predictor
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -89,8 +110,9 @@ def _file(console, predictor: Predictor, kept: Log, path: Path) -> None:
         line = f"{path.name} row {row}: {whole['verdict']}"
         line += f" ({', '.join(bad)})" if bad else ""
         line += f"; {whole['said']}" if whole["said"] else ""
+        way = ", evaluated" if whole["way"] == "evaluated" else ""
         console.print(
-            f"{plain(line)}   [dim]{1e3 * took:.1f} ms[/]",
+            f"{plain(line)}   [dim]{1e3 * took:.1f} ms{way}[/]",
             style=STYLES[whole["verdict"]],
             highlight=False,
             soft_wrap=True,

@@ -60,11 +60,20 @@ class Adjustment:
         """The largest change that is allowed."""
         return max(-self.low, self.high)
 
+    @property
+    def step(self) -> float:
+        """The least change."""
+        return 10.0 ** math.floor(math.log10(self.size / STEPS))
+
     def settable(self, change: float) -> float:
         """A change that can be set, not less than the one asked for, and within the bounds."""
-        step = 10.0 ** math.floor(math.log10(self.size / STEPS))
-        count = math.ceil(abs(change) / step - 1e-9) if abs(change) > 1e-3 * self.size else 0
-        return float(np.clip(math.copysign(count, change) * step, self.low, self.high))
+        count = math.ceil(abs(change) / self.step - 1e-9) if abs(change) > 1e-3 * self.size else 0
+        return float(np.clip(math.copysign(count, change) * self.step, self.low, self.high))
+
+    def settings(self, start: float, end: float) -> np.ndarray:
+        """(n,) changes that can be set from one to another, the smallest first; both to one side, end the larger."""
+        count = np.arange(max(math.ceil(abs(start) / self.step - 1e-9), 1), math.ceil(abs(end) / self.step - 1e-9) + 1)
+        return np.clip(np.copysign(count, end) * self.step, self.low, self.high)
 
 
 def adjustments(

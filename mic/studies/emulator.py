@@ -7,17 +7,27 @@ A cubic spline in several dimensions [1]_ goes through, or close by, what was ev
 so that whatever is linear is met exactly. Contacts that change their state bend h a little almost everywhere; weights
 are damped as far as the distances between neighbours make sense of. D stretches the directions that matter.
 
+How far it misses each of the points that it goes by, were it made of the others alone, takes one inverse [2]_: with M
+the matrix of its equations, the one at z_i is missed by w_i / (M⁻¹)_ii. As the mean of a random field the spline also
+has a standard deviation, in units of its own: √(δ − bᵀ M⁻¹ b) between the z_i, b the right side there and δ the
+damping, and (M⁻¹)_ii^−½ at one that is left out.
+
 References
 ----------
 .. [1] J. Duchon: Splines minimizing rotation-invariant semi-norms in Sobolev spaces, in: Constructive Theory of
        Functions of Several Variables, Springer (1977) 85-100.
+.. [2] S. Rippa: An algorithm for selecting a good value for the parameter c in radial basis function interpolation,
+       Adv. Comput. Math. 11 (1999) 193-210.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 __all__ = ["Emulator"]
 
@@ -43,12 +53,38 @@ class Emulator:
         steep = np.sqrt((slope**2).mean(axis=1))
         self._stretch = np.sqrt(np.maximum(steep / max(steep.max(), 1e-300), LEAST))
         nearest = KDTree(z * self._stretch).query(z * self._stretch, 2)[0][:, 1]
-        damping = DAMPED * float(np.median(nearest)) ** 3
-        self._spline = RBFInterpolator(z * self._stretch, h, smoothing=damping, kernel="cubic", degree=1)
+        self._known, self._answers = z * self._stretch, h
+        self._damping = DAMPED * float(np.median(nearest)) ** 3
+        self._spline = RBFInterpolator(self._known, h, smoothing=self._damping, kernel="cubic", degree=1)
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """(m, k) at numbers (m, p)."""
         return np.asarray(self._spline(z * self._stretch))
+
+    def left_out(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, k) what was found at each z_i, less what the others alone would tell, and (n,) how far off these are, in
+        the units of :meth:`apart`."""
+        n = len(self._known)
+        own = np.diag(self._inverse)[:n, None]
+        return self._inverse[:n, :n] @ self._answers / own, 1 / np.sqrt(own[:, 0])
+
+    def apart(self, z: np.ndarray) -> np.ndarray:
+        """(m,) standard deviations of the spline at numbers (m, p), but for a factor: how far off what is known is."""
+        right = self._right(z * self._stretch)
+        square = self._damping - np.einsum("ij,ij->i", right @ self._inverse, right)
+        return np.sqrt(np.maximum(square, self._damping))
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        n, p = self._known.shape
+        equations = np.zeros((n + p + 1, n + p + 1))
+        equations[:n] = self._right(self._known)
+        equations[n:, :n] = equations[:n, n:].T
+        equations[:n, :n] += self._damping * np.eye(n)
+        return np.linalg.inv(equations)
+
+    def _right(self, z: np.ndarray) -> np.ndarray:
+        return np.column_stack([cdist(z, self._known) ** 3, np.ones(len(z)), z])
 
     def slopes(self, z: np.ndarray) -> np.ndarray:
         """(m, k, p) derivatives there."""

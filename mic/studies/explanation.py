@@ -57,9 +57,11 @@ WIDE_SHARE = 0.2
 FIRST = 8  # assemblies to begin with, beside 3/2 of each number
 BATCH = 16  # assemblies between two looks
 BATCHES = 8
-CLOSE = 0.3  # of the gauge's standard deviation: e that is no larger makes intervals wider by 5 % at most
+#: of the gauge's standard deviation: what e may be. Uncertainties are told to two digits at most, which rounds them by
+#: up to 5 %; so much wider e makes them where it is √(1.05² − 1) = 0.32 of the gauge's
+CLOSE = 0.3
 LOOSE = (2e-2, 5e-3, 1e-3)  # tolerances of the path, the loosest first
-LOOSENED = 0.15  # of the gauge's standard deviation: what a looser path may err by
+LOOSENED = CLOSE / 2  # the same of a looser path alone: a quarter of e², the spline has the other three
 PROBES = 4  # assemblies at which that is looked at
 TOGETHER = 0.9  # correlation of sources that the measurement cannot tell apart
 KNOWN = 0.75  # of its variance taken away: half of the standard deviation is left, and a source counts as known

@@ -5,14 +5,18 @@ told by the derivatives about the mean assembly, ``σ² = Σ_j (∂h/∂x_j σ_j
 ``h ± 1.96 √(σ² + e²)`` lies within its limits, e the error of the model, rejected where none of it does, and open
 between.
 
-Where an evaluation takes longer than an answer may, answers come from a spline between assemblies that were evaluated
-beforehand (:mod:`mic.studies.emulator`). What it errs by at assemblies that it had not seen is part of e.
+Answers come from a spline between assemblies that were evaluated beforehand (:mod:`mic.studies.learning`). What it errs
+by in 95 % is part of the interval. Where that would change a verdict, and where the assembly lies
+beyond those that were learnt from, the assembly is evaluated, however long that takes.
+
+Of the adjustments that bring the whole interval of every characteristic within its limits, the smallest is told, as a
+share of what is allowed of each; where none does, the one that brings the worst farthest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -22,29 +26,13 @@ from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
 from mic.results.statistics import LEVEL
-from mic.sampling.normal import from_normal
-from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extended
-from mic.studies.emulator import Emulator
+from mic.studies.adjustment import FACTOR, SHIM, adjustments
+from mic.studies.advice import Advisor
+from mic.studies.learning import learn
 
 __all__ = ["FARTHEST", "Predictor", "predict"]
 
 FARTHEST = 6.0  #: standard deviations: what lies farther off its mean, the model was not built for
-TRIED = 41  # changes of an adjustment within its bounds, from which the best is taken
-WORTH = 1e-3  # mm: an adjustment that helps less is none
-#: standard deviations: between assemblies so far off their means the spline is made, and beyond them it is not asked
-REACH = 3.0
-WIDER = 1.5  # standard deviations of those
-FIRST, BATCH, BATCHES = 8, 16, 8  # assemblies to begin with, beside 3/2 of each deviation; and those added until
-FINE = 5e-3  # of the tolerance: e of the spline is small enough
-
-
-@dataclass(frozen=True)
-class _Adjusted:
-    """A model with some adjustments as deviations more."""
-
-    model: ReducedModel
-    names: list[str]
-    some: list[Adjustment]
 
 
 class Predictor:
@@ -61,14 +49,22 @@ class Predictor:
         By how much at most: mm, and of a force.
     error : float
         e above, mm.
-    quick : bool
-        Whether a spline answers in place of an evaluation, within :data:`REACH` standard deviations. Making it ready
-        takes some dozen evaluations.
+    exact : bool
+        Whether every assembly is evaluated. Otherwise some dozen are beforehand.
+    cache : Path, optional
+        Folder in which these are kept for the next time.
+    progress : callable, optional
+        Called with the number of evaluations that were done beforehand.
+
+    Attributes
+    ----------
+    learnt : Learnt or None
+        What answers come from; None where every assembly is evaluated.
 
     Raises
     ------
     SceneError
-        If nothing is measured or nothing varies; if the spline errs by more than :data:`FINE` of a tolerance.
+        If nothing is measured or nothing varies.
     ValueError
         If what may be adjusted is not known, or the error is negative.
     """
@@ -81,7 +77,9 @@ class Predictor:
         shim: float = SHIM,
         factor: float = FACTOR,
         error: float = 0.0,
-        quick: bool = False,
+        exact: bool = False,
+        cache: Path | None = None,
+        progress: Callable[[int], None] = lambda count: None,
     ):
         scene = model.scene
         if not scene.measurements or not scene.deviations:
@@ -96,16 +94,14 @@ class Predictor:
         self._mean = np.array([item.mean for item in scene.deviations])
         self._sigma = np.array([item.sigma for item in scene.deviations])
         self._lower, self._upper = np.array([item.bounds for item in scene.measurements]).T
-        self._adjusted = None
+        self.learnt = None if exact else learn(model, self.law, (), None, cache, progress)
+        self._advisor: Advisor | None = None
         if adjust:
             some = adjustments(model, shim, factor, list(adjust))
-            self._adjusted = _Adjusted(*extended(model, some), some)
+            learnt = learn(model, self.law, some, self.learnt, cache, progress) if self.learnt is not None else None
+            self._advisor = Advisor(model, self.law, some, learnt)
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
-        self._emulator: Emulator | None = None
-        self._off = np.zeros(len(self._lower))  # what it errs by
-        if quick:
-            self._emulator, self._off = self._learned()
 
     def judge(self, values: Mapping[str, float]) -> pd.DataFrame:
         """Foretell one assembly.
@@ -133,21 +129,23 @@ class Predictor:
         farthest = int(far.argmax())
         if far[farthest] > FARTHEST:
             return self._told("refused", f"{names[farthest]} is {far[farthest]:.3g} σ off its mean", far[farthest])
-        y, off = self._foretold(x, far[farthest])
+        unknown = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
+        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unknown)
+        y, off, way = self._foretold(x, half)
         if y is None:
             return self._told("failed", "its contact problems were not solved", far[farthest])
-        unknown = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
-        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + off**2 + unknown)
-        verdict = self._verdicts(y, half)
-        said = ""
-        if self._adjusted is not None and (verdict != "accepted").any():
-            said = self._best(x, y, half)
+        told = np.hypot(half, off)
+        verdict, said, ways = self._verdicts(y, told), "", [way] * (len(y) + 1)
+        if self._advisor is not None and (verdict != "accepted").any():
+            found = self._advisor.propose(x, y, half, off, self._covers(x))
+            said, ways[-1] = str(found), "evaluated" if found.evaluated else way
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
         items = self.model.scene.measurements
         return self._tabled(
             [*(item.name for item in items), ""],
-            np.append([y, y - half, y + half], np.full((3, 1), np.nan), axis=1),
+            np.append([y, y - told, y + told], np.full((3, 1), np.nan), axis=1),
             [*verdict, worst],
+            ways,
             [*("" for _ in items), said],
             far[farthest],
         )
@@ -158,78 +156,34 @@ class Predictor:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(off > 0, off / self._sigma, 0.0)
 
-    def _foretold(self, x: np.ndarray, far: float) -> tuple[np.ndarray | None, np.ndarray]:
-        """Key characteristics (k,) of an assembly, none where they cannot be computed, and what they err by (k,)."""
-        if self._emulator is not None and far <= REACH:
-            return self._emulator(self._scaled(x[None]))[0], self._off
+    def _covers(self, x: np.ndarray) -> bool:
+        """Whether an assembly lies between those that were learnt from."""
+        return self.learnt is not None and self.learnt.covers(x)
+
+    def _foretold(self, x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray | None, np.ndarray, str]:
+        """Key characteristics (k,) of an assembly, none where they cannot be computed; what they err by (k,), beside
+        the half widths that are known; whether they were evaluated."""
+        learnt = self.learnt
+        if learnt is not None and self._covers(x):
+            y, off = (one[0] for one in learnt(x[None]))
+            if (self._verdicts(y - off, half) == self._verdicts(y + off, half)).all():
+                return y, off, "learnt"
         found = self._process.attempt(x[None])
-        return None if found.failed[0] else found.measurements[0], np.zeros(len(self._lower))
-
-    def _scaled(self, x: np.ndarray) -> np.ndarray:
-        """Deviations (n, p) off their means, in standard deviations."""
-        return np.asarray((x - self._mean) / np.where(self._sigma > 0, self._sigma, 1.0))
-
-    def _learned(self) -> tuple[Emulator, np.ndarray]:
-        """A spline between assemblies on all sides, and what it errs by (k,), mm."""
-        scene, p = self.model.scene, len(self._mean)
-        stream, fine = np.random.default_rng(0), FINE * (self._upper - self._lower)
-        u, h, off = np.empty((0, p)), np.empty((0, len(fine))), np.full(len(fine), np.inf)
-        for count in (p + p // 2 + FIRST, *[BATCH] * BATCHES):
-            x = from_normal(scene, np.clip(WIDER * stream.standard_normal((count, p)), -REACH, REACH))
-            found = self._process.attempt(x)
-            known, own = self._scaled(x[~found.failed]), found.measurements[~found.failed]
-            if len(u) > p + 1 and len(own):
-                off = np.sqrt(((Emulator(u, h)(known) - own) ** 2).mean(axis=0))
-            u, h = np.concatenate([u, known]), np.concatenate([h, own])
-            if (off <= fine).all():
-                return Emulator(u, h), off
-        worst = int((off / fine).argmax())
-        raise SceneError(
-            f"scene {scene.name!r}: quick answers for {scene.measurements[worst].name} err by {off[worst]:.3g} mm "
-            f"after {len(u)} evaluations, over {FINE:.1%} of its tolerance; leave quick out, so that all are evaluated"
-        )
+        return None if found.failed[0] else found.measurements[0], np.zeros(len(self._lower)), "evaluated"
 
     def _verdicts(self, y: np.ndarray, half: np.ndarray) -> np.ndarray:
         within = (y - half >= self._lower) & (y + half <= self._upper)
         beyond = (y + half < self._lower) | (y - half > self._upper)
         return np.where(within, "accepted", np.where(beyond, "rejected", "open")).astype(object)
 
-    def _beyond(self, y: np.ndarray, half: np.ndarray) -> np.ndarray:
-        """(...) how far the intervals (..., k) reach beyond their limits at most, mm; negative within."""
-        return np.maximum(y + half - self._upper, self._lower - y + half).max(axis=-1)
-
-    def _best(self, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> str:
-        """The adjustment that brings the worst characteristic farthest towards its limits, evaluated; in words."""
-        assert self._adjusted is not None
-        model, names, some = self._adjusted.model, self._adjusted.names, self._adjusted.some
-        start = np.concatenate([x, np.zeros(len(names))])
-        J = np.nan_to_num(model.sensitivities(start, self.law, names).jacobian[0])  # (k, a)
-        now, best = float(self._beyond(y, half)), None
-        for a, own in enumerate(some):
-            changes = np.linspace(own.low, own.high, TRIED)
-            foretold = self._beyond(y + changes[:, None] * J[:, a], half)
-            i = int(foretold.argmin())
-            if best is None or foretold[i] < best[0]:
-                best = float(foretold[i]), a, own.settable(float(changes[i]))
-        assert best is not None
-        _, a, change = best
-        start[len(x) + a] = change
-        found = model.process(self.law).attempt(start[None])
-        left = np.inf if found.failed[0] else float(self._beyond(found.measurements[0], half))
-        own = some[a]
-        if left > now - WORTH:
-            return f"no adjustment helps; {own.name} would do most"
-        reached = "within all limits" if left <= 0 else f"still {1e3 * left:.3g} µm beyond"
-        return f"{own.name} by {change:+.4g} {own.unit}: {reached}"
-
     def _told(self, verdict: str, said: str, far: float) -> pd.DataFrame:
-        return self._tabled([""], np.full((3, 1), np.nan), [verdict], [said], far)
+        return self._tabled([""], np.full((3, 1), np.nan), [verdict], [""], [said], far)
 
-    def _tabled(self, names: list[str], values: np.ndarray, verdicts: list[str], said: list[str], far: float):
+    def _tabled(self, names, values: np.ndarray, verdicts: list[str], ways: list[str], said: list[str], far: float):
         """The table, at once: of values, low and high ends (3, rows)."""
         told = {"file": "", "row": 0, "model": "", "law": self.law, "measurement": names}
-        told |= dict(zip(("value", "low", "high"), values, strict=True)) | {"verdict": verdicts, "said": said}
-        return pd.DataFrame(told | {"far": float(far)}, columns=PREDICTIONS.names)
+        told |= dict(zip(("value", "low", "high"), values, strict=True)) | {"verdict": verdicts}
+        return pd.DataFrame(told | {"way": ways, "said": said, "far": float(far)}, columns=PREDICTIONS.names)
 
 
 def predict(
@@ -240,7 +194,8 @@ def predict(
     shim: float = SHIM,
     factor: float = FACTOR,
     error: float = 0.0,
-    quick: bool = False,
+    exact: bool = False,
+    cache: Path | None = None,
 ) -> pd.DataFrame:
     """Foretell assemblies from their measured parts; one after the other, :class:`Predictor` does that.
 
@@ -249,7 +204,7 @@ def predict(
     model : ReducedModel
     parts : DataFrame, or sequence of mappings
         A row or mapping for each assembly: values of deviations by name, N or mm. NaN is not known.
-    law, adjust, shim, factor, error, quick
+    law, adjust, shim, factor, error, exact, cache
         As :class:`Predictor` takes them.
 
     Returns
@@ -268,6 +223,6 @@ def predict(
     rows = parts.to_dict("records") if isinstance(parts, pd.DataFrame) else list(parts)
     if not rows:
         raise SceneError("parts: there is no assembly in them; give a row for each")
-    predictor = Predictor(model, law, adjust, shim, factor, error, quick)
+    predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache)
     known = [{str(name): value for name, value in row.items() if not np.isnan(value)} for row in rows]
     return pd.concat([predictor.judge(row).assign(row=i) for i, row in enumerate(known)], ignore_index=True)
