@@ -1,10 +1,13 @@
 """What `mic check` says of a table [optimise]: in words, with numbers, before anything is computed."""
 
+import re
+
 import pytest
 from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 import mic
+from mic import examples
 from mic.options import app
 from mic.results.schema import COMPARISON, OPTIMA
 from mic.studies.optimisation import BUDGET, FRESH
@@ -96,3 +99,14 @@ def test_what_is_found_of_a_run_stands_in_its_report(tmp_path, monkeypatch):
         assert drawn == [tmp_path] and ("report: " in done.output) == (not place)
         folder = tmp_path / "elsewhere" if place else tmp_path
         assert len(OPTIMA.read(folder, "")) == len(COMPARISON.read(folder, "")) - 1 == 1
+
+
+@pytest.mark.fem
+def test_a_candidate_off_its_part_is_told_by_the_check(tmp_path):
+    """With its page, before anything is reduced."""
+    folder = examples.copy("lap_joint", tmp_path / "joint")
+    with (folder / "scene.toml").open("a") as file:
+        file.write('\n[optimise]\nplaces = [{ item = "welds.W1", points = [[92, 64, 0.5]] }]\n')
+    done = CliRunner().invoke(app, ["check", str(folder), "--page", str(tmp_path / "check.html")])
+    assert re.search(r"^optimise.places\[0\].points\[0\] \(welds.W1\): \[92, 64, 0.5\] lies 39 mm", str(done.exception))
+    assert "lies 39 mm off part" in (tmp_path / "check.html").read_text()

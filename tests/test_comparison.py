@@ -8,6 +8,7 @@ from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 import mic
+from mic import examples
 from mic.errors import RunError, SceneError
 from mic.options import app
 from mic.report.comparison_page import sentences
@@ -139,10 +140,23 @@ def test_lists_of_samples_go_together_row_by_row(before):
 def test_what_has_nothing_in_common_is_refused(before):
     items = before.scene.model_dump(mode="json")["measurements"]
     scene = mic.Scene(**before.scene.model_dump(mode="json") | {"measurements": [items[0] | {"name": "other"}]})
-    with pytest.raises(SceneError, match="no key characteristic in common"):
-        compare(before, dataclasses.replace(before, scene=scene), samples=3)
+    nothing = []
+    for changes, words in (
+        (scene, r"no key characteristic in common \(M; other\): give two scenes of one assembly"),
+        (scene.model_copy(update={"parts": []}), r"'springs' and 'springs' have no part in common \(b, t; none\)"),
+        (before.scene.model_copy(update={"stages": before.scene.stages[:2]}), r"key characteristic .* \(M; none\)"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            compare(before, dataclasses.replace(before, scene=changes), samples=3, progress=nothing.append)
+    assert nothing == []
     with pytest.raises(SceneError, match="two laws at most"):
         compare(before, before, ("coulomb", "frictionless", "associated"))
+
+
+def test_scenes_of_other_assemblies_are_refused_before_either_is_reduced(monkeypatch):
+    monkeypatch.setattr("mic.commands.compare.studied", lambda *_: pytest.fail("it was reduced"))
+    done = CliRunner().invoke(app, ["compare", *(str(examples.folder(name)) for name in ("lap_joint", "wheelhouse"))])
+    assert "have no part in common (lower, upper; inner, outer)" in str(done.exception)
 
 
 def test_differences_of_scenes_name_what_came_and_went(before):

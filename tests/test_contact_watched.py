@@ -1,5 +1,9 @@
 """Candidates of which only those that would penetrate take part, against all of them at once."""
 
+import pickle
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -195,3 +199,24 @@ def test_candidates_under_another_friction_are_to_the_bit_as_such_made_for_it(pr
     np.testing.assert_array_equal(after.carried, made.carried)
     normal = np.full((1, M), 0.2)
     np.testing.assert_array_equal(after.bound(normal), made.bound(normal))
+
+
+def test_columns_that_threads_ask_for_at_once_are_each_its_own():
+    """Finding them lets others run meanwhile, as compiled code does."""
+    S = np.random.default_rng(0).standard_normal((40, 40))
+
+    def find(numbers):
+        time.sleep(1e-4)
+        return S.T[numbers]
+
+    columns, orders = Columns(find, S.shape), [np.random.default_rng(i).permutation(40) for i in range(4)]
+
+    def asked(order):
+        return [columns.take(order[i : i + 3]) for i in range(0, 40, 3)]
+
+    with ThreadPoolExecutor(4) as pool:
+        for order, told in zip(orders, pool.map(asked, orders)):
+            np.testing.assert_array_equal(np.concatenate(told), S.T[order])
+    assert columns.found == 40
+    again = pickle.loads(pickle.dumps(Columns.of(S)))
+    np.testing.assert_array_equal(again.take(orders[0]), S.T[orders[0]])

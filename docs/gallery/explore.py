@@ -24,7 +24,7 @@ for one in exploration.controls:
 stated
 
 # %%
-# The upper strip comes in with another force, and a locator is shimmed by half of what that makes.
+# The upper strip comes in with another force, and a locator is shimmed against it.
 bent = exploration.answer({"F1": -3.0})
 print(bent.table.round(3).to_string(index=False))
 shimmed = exploration.answer({"F1": -3.0, "locators.lower-A3": -0.07})

@@ -35,6 +35,8 @@ from mic.results.schema import DENSITY
 from mic.scene import load_scene
 from mic.store import replacing
 from mic.studies import density
+from mic.studies.optimisation.design import Space
+from mic.studies.optimisation.sites import on_their_parts
 from mic.studies.optimisation.words import asked as asked_of_optimise
 from mic.studies.order import doubts
 from mic.studies.thickness import AWAY, interpolated
@@ -67,6 +69,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     try:
         assembly = assemble(asked, cache_folder(), progress=say, check=plan_assembly)
         plans = plan_assembly(assembly)
+        optimisation = _optimisation(assembly)
     except SceneError as error:
         parts = readable(asked, cache_folder())
         warnings, surfaces = suspect(asked, parts), {one.part.name: one.surface for one in parts}
@@ -82,7 +85,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
-    _print_optimisation(console, assembly)
+    _print_optimisation(console, optimisation)
     model = _at_hand(assembly)
     _print_doubts(console, assembly, model)
     shapes = _print_sources(console, assembly, model)
@@ -146,12 +149,18 @@ def _print_process(console, assembly, plans):
             console.print(f"  {number}. {plain(sentence)}", highlight=False, soft_wrap=True)
 
 
-def _print_optimisation(console, assembly):
-    """What the scene asks of `mic optimise`."""
+def _optimisation(assembly) -> list[str]:
+    """What the scene asks of `mic optimise`, in words; nothing where it asks nothing."""
     if assembly.scene.optimise is None:
-        return
-    console.print("[bold]Optimisation[/] (mic optimise)")
-    for sentence in asked_of_optimise(assembly):
+        return []
+    on_their_parts(Space(assembly), assembly)
+    return asked_of_optimise(assembly)
+
+
+def _print_optimisation(console, sentences):
+    if sentences:
+        console.print("[bold]Optimisation[/] (mic optimise)")
+    for sentence in sentences:
         console.print(f"• {plain(sentence)}", highlight=False, soft_wrap=True)
 
 

@@ -10,10 +10,12 @@ from rich.table import Table
 
 from mic.commands.call import counting, on_one_process, studied, threads
 from mic.console import plain
+from mic.process.model import ReducedModel
 from mic.results.field_changes import field_changes, write_field_changes
 from mic.results.outcome import read_outcome
 from mic.results.schema import COMPARISON
-from mic.studies.comparison import SAMPLES
+from mic.scene import load_scene
+from mic.studies.comparison import SAMPLES, need_common
 from mic.studies.comparison import compare as compared
 
 __all__ = ["compare"]
@@ -25,6 +27,7 @@ def compare(before, after, samples, seed, law, out):
     from mic.report.comparison_page import sentences, write_comparison  # drawing libraries are slow to import
 
     console = Console()
+    need_common(*map(_scene, (before, after)))  # before any of them is reduced
     sides = [_side(console, source) for source in (before, after)]
     laws = [one.value for one in law or []]
     with counting(console, "evaluations", 2 * (samples or SAMPLES)) as advance:
@@ -40,6 +43,13 @@ def compare(before, after, samples, seed, law, out):
     for sentence in sentences(found):
         console.print(plain(sentence), highlight=False, soft_wrap=True)
     console.print(f"page: [bold]{plain(page)}[/]   table: {plain(folder / COMPARISON.place)}", soft_wrap=True)
+
+
+def _scene(source):
+    """The scene of a run, of a saved model, or of a file."""
+    if (source / "run.json").is_file():
+        return read_outcome(source).model.scene
+    return ReducedModel.load(source).scene if source.suffix == ".npz" and source.is_file() else load_scene(source)
 
 
 def _side(console, source):

@@ -11,6 +11,7 @@ from mic import cache_folder
 from mic.commands.call import law_of, on_one_process, reduced, studied
 from mic.console import plain
 from mic.errors import RunError, SceneError
+from mic.product import one_thread
 from mic.results.folder import RunFolder
 from mic.results.outcome import read_outcome
 from mic.studies.exploration import explore as explored
@@ -63,7 +64,7 @@ def explore(source, port, browser, keep, shim, force, law):
             f"Open {address}\nOnly this machine is answered; end with Ctrl-C.", highlight=False, soft_wrap=True
         )
 
-    serve(page, port, browser, ready)
+    one_thread(serve)(page, port, browser, ready)  # for all of its threads, which would else undo each other's
     console.print("Ended.")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from threading import Lock
 
 import numpy as np
 
@@ -16,7 +17,7 @@ __all__ = ["Columns"]
 
 
 class Columns:
-    """A matrix (r, c) that is had by columns: what r rows read per contact force.
+    """A matrix (r, c) that is had by columns: what r rows read per contact force. Threads may share it.
 
     Parameters
     ----------
@@ -35,6 +36,7 @@ class Columns:
         # Columns that were there when the matrix was made or sent elsewhere, and those found since, with room for more.
         self._given, self._own, self._count = np.empty((0, shape[0])), np.empty((0, shape[0])), 0
         self._at = np.full(shape[1], -1, dtype=np.int64)
+        self._finding = Lock()
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> Columns:
@@ -55,7 +57,12 @@ class Columns:
     def __getstate__(self) -> dict:
         """All that was found is given to whoever gets the copy; processes that share it add to it each for itself."""
         given = np.concatenate([self._given, self._own[: self._count]]) if self._count else self._given
-        return self.__dict__ | {"_given": given, "_own": np.empty((0, self.shape[0])), "_count": 0}
+        state = self.__dict__ | {"_given": given, "_own": np.empty((0, self.shape[0])), "_count": 0}
+        return {name: value for name, value in state.items() if name != "_finding"}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state)
+        self._finding = Lock()
 
     def take(self, numbers: np.ndarray) -> np.ndarray:
         """(k, r) columns with these numbers (k,), one a row."""
@@ -92,8 +99,12 @@ class Columns:
         return read
 
     def _provide(self, numbers) -> None:
-        new = np.unique(numbers[self._at[numbers] < 0])
-        if not len(new):
+        if (self._at[numbers] < 0).any():
+            with self._finding:
+                self._add(np.unique(numbers[self._at[numbers] < 0]))
+
+    def _add(self, new: np.ndarray) -> None:
+        if not len(new):  # another thread has found them meanwhile
             return
         count = self._count + len(new)
         if count > len(self._own):
@@ -101,9 +112,9 @@ class Columns:
             room[: self._count] = self._own[: self._count]
             self._own = room
         self._own[self._count : count] = self._find(new)
-        self._at = self._at.copy()  # others may share it
-        self._at[new] = len(self._given) + np.arange(self._count, count)
-        self._count = count
+        at = self._at.copy()  # others may share it, or read it now
+        at[new] = len(self._given) + np.arange(self._count, count)
+        self._at, self._count = at, count
 
 
 def _first(S: Columns, count: int, numbers: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from mic.sampling.draw import keys, placed
 from mic.scene import Scene
 from mic.studies.order import quantities
 
-__all__ = ["SAMPLES", "Comparison", "Side", "compare", "differences", "scene_differences"]
+__all__ = ["SAMPLES", "Comparison", "Side", "compare", "differences", "need_common", "scene_differences"]
 
 SAMPLES = 200
 BLOCK = 20  # samples between two calls of `progress`
@@ -113,10 +113,11 @@ def compare(
     Raises
     ------
     SceneError
-        If the two have no key characteristic in common, or one states its samples and the other does not.
+        If the two have no part or no key characteristic in common, or one states its samples and the other does not.
     RunError
         If two runs drew other samples.
     """
+    need_common(*(each.model.scene if isinstance(each, Outcome) else each.scene for each in (a, b)))
     law_a, law_b = (_law_of(each, law) for each, law in zip((a, b), _two(laws)))
     group = None
     if isinstance(a, Outcome) and isinstance(b, Outcome) and samples is None:
@@ -128,7 +129,6 @@ def compare(
             _evaluated(model, each, law, deviations, threads, progress)
             for model, each, law, deviations in zip(models, (a, b), (law_a, law_b), drawn)
         )
-    _need_common(before, after)
     table, valid = differences(before, after, group)
     return Comparison(
         before,
@@ -301,13 +301,24 @@ def _need_same_draws(sides, common: np.ndarray) -> None:
 # ---------------------------------------------------------------------------------------------------- statistics
 
 
-def _need_common(a: Side, b: Side) -> None:
-    measured = [{item.name for item in side.scene.measurements} & set(side.values) for side in (a, b)]
-    if not measured[0] & measured[1]:
-        raise SceneError(
-            f"{a.name} and {b.name}: have no key characteristic in common "
-            f"({', '.join(sorted(measured[0])) or 'none'}; {', '.join(sorted(measured[1])) or 'none'}); name them alike"
-        )
+def need_common(a: Scene, b: Scene) -> None:
+    """Two scenes are of one assembly, as far as their names tell.
+
+    Raises
+    ------
+    SceneError
+        If they have no part or no key characteristic in common.
+    """
+    for what, table in (("part", "parts"), ("key characteristic", "measurements")):
+        names = [[item.name for item in getattr(scene, table)] for scene in (a, b)]
+        if what != "part":  # read by some stage
+            names = [own if any(s.kind == "measure" for s in scene.stages) else [] for scene, own in zip((a, b), names)]
+        if not {*names[0]} & {*names[1]}:
+            raise SceneError(
+                f"{a.name!r} and {b.name!r} have no {what} in common ({', '.join(names[0]) or 'none'}; "
+                f"{', '.join(names[1]) or 'none'}): give two scenes of one assembly, and name alike what is to be "
+                "compared"
+            )
 
 
 def _rows(a: Side, b: Side, valid: np.ndarray, group: np.ndarray | None) -> Iterator[dict[str, Any]]:

@@ -27,7 +27,7 @@ from mic.scene import Scene
 from mic.scene.optimisation import standing
 from mic.studies.optimisation.design import Design, Space
 
-__all__ = ["Sites"]
+__all__ = ["Sites", "on_their_parts"]
 
 Mesh = tuple[str, bytes]  #: of a part, by its name and what its mesh holds
 
@@ -61,7 +61,7 @@ class Sites:
                 f"optimise.places: other places take the parts' meshes, and they cannot be had ({problem}); give the "
                 "scene file, beside which they lie"
             ) from None
-        _on_their_parts(space, stated)
+        on_their_parts(space, stated)
         for own, points in enumerate(space.points):
             for at in range(1, len(points)):
                 places = tuple(at if i == own else 0 for i in range(len(space.points)))
@@ -145,8 +145,14 @@ def _joined(known: Functionals | None, own: Functionals, rows: list[int]) -> Fun
     )
 
 
-def _on_their_parts(space: Space, assembly: Assembly) -> None:
-    """Every candidate lies on the part, or the parts, of its item."""
+def on_their_parts(space: Space, assembly: Assembly) -> None:
+    """Every candidate lies on the part, or the parts, of its item.
+
+    Raises
+    ------
+    SceneError
+        Naming each that does not, and the nearest point that does.
+    """
     surfaces, lines = assembly.surfaces, []
     for i, (item, points) in enumerate(zip(space.items, space.points)):
         owner, off = standing(space.scene, item)[0], set[int]()
