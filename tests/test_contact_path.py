@@ -7,6 +7,7 @@ import pytest
 
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
+from mic.contact.tangent import lag
 
 MU = 0.5
 
@@ -215,3 +216,12 @@ def test_a_rescued_path_counts_what_was_factorised_in_vain_and_what_the_ladder_f
     rescued, before = solver.follow(b, path=path).trace.factorisations, plain.trace.factorisations
     assert sum(spent) > 0 and before.all()
     assert rescued.tolist() == [before[0] + sum(spent), before[1]]
+
+
+def test_a_sliders_lag_is_told_however_far_it_slides():
+    z = np.array([1e-6, 0.3, 3.0, 30.0])
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        np.testing.assert_allclose(lag(z), 1 / z - 1 / np.expm1(z), atol=1e-9)
+        np.testing.assert_allclose(lag(-z), 1 - lag(z), rtol=1e-12)
+        np.testing.assert_allclose(lag(np.array([800.0, 1e6, -1e6])), [1 / 800, 1e-6, 1 - 1e-6], rtol=1e-12)
+    assert lag(np.zeros(1))[0] == 0.5

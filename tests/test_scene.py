@@ -243,6 +243,13 @@ def edited(tmp_path, pattern, replacement):
     return tmp_path / "scene.toml"
 
 
+def test_a_name_where_a_group_belongs_is_not_read_letter_by_letter(tmp_path):
+    scene = edited(tmp_path, *(CLAMP, 'kind = "clamp"\norder = ["C1-upper", "C1-lower"]'))
+    with pytest.raises(mic.SceneError, match="give a list in brackets; got 'C1-upper'") as error:
+        mic.load_scene(scene)
+    assert "called 'C'" not in str(error.value)
+
+
 @pytest.mark.parametrize("case", BROKEN)
 def test_bad_scene(tmp_path, case):
     pattern, replacement, words = BROKEN[case]

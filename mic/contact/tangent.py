@@ -39,7 +39,7 @@ from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, ON_CONE, OPEN, STICK
 from mic.contact.trail import Trail
 
-__all__ = ["Bend", "Contact", "End", "Varied", "retrace"]
+__all__ = ["Bend", "Contact", "End", "Varied", "lag", "retrace"]
 
 #: Where Newton's method leads nowhere: tolerance of the ladder, how often the sliders' shifts are renewed, and until
 #: they change by no more than this share of the motion.
@@ -148,6 +148,23 @@ class End:
             return np.concatenate(arrays)
 
         return cls(**{one.name: joined([getattr(piece, one.name) for piece in pieces]) for one in fields(cls)})
+
+
+def lag(z: np.ndarray) -> np.ndarray:
+    """``φ(z) = 1/z - 1/(eᶻ - 1)``: how far behind the end of its slip a slider's reference is, in shares of it.
+
+    Of ``φ(|z|)``, in which nothing overflows, and ``φ(z) + φ(-z) = 1``.
+
+    Parameters
+    ----------
+    z : (n,) array
+        Slips, in shares of what turns a slider, of either sign.
+    """
+    size = np.abs(z)
+    small = size < SMALL
+    long = np.where(small, 1.0, size)
+    value = np.where(small, 0.5 - size / 12.0, 1.0 / long + np.exp(-long) / np.expm1(-long))
+    return np.where(z < 0.0, 1.0 - value, value)
 
 
 def retrace(
@@ -344,12 +361,8 @@ class _Walk:
             e = before[:, 1:] / np.where(turns, t0, 1.0)[:, None]
             l = -(e * now[:, 1:]).sum(axis=1)
             z = np.where(turns, l / (0.5 * self.length * np.where(turns, t0 + t, 1.0)), 1.0)
-            small = np.abs(z) < SMALL
-            lag = np.where(
-                small, 0.5 - z / 12.0, 1.0 / np.where(small, 1.0, z) - 1.0 / np.expm1(np.where(small, 1.0, z))
-            )
             last, shift = shift, np.zeros((m, size))
-            shift[:, 1:] = -np.where(turns, lag * l, 0.0)[:, None] * e
+            shift[:, 1:] = -np.where(turns, lag(z) * l, 0.0)[:, None] * e
             if np.abs(shift - last).max() <= RENEWED * max(np.abs(now).max(), 1e-300):
                 break
         return f

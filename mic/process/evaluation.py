@@ -29,7 +29,8 @@ class Resolution:
     state : (n, m) int8 array
         A :class:`mic.contact.states.ContactState` each.
     trace : mic.contact.path.Trace
-        What the contacts went through on the way: slip under load, friction's work, shares of the path.
+        What the contacts went through on the way: slip under load, friction's work, shares of the path.  Its error is
+        that of the contacts' positions at the end of the stage: what this path left and, at most, what all before did.
     residual : (n,) array
         The scale-free natural-map residual, the largest of the increments, or of the ends of the steps followed.
     converged : (n,) bool array

@@ -255,7 +255,7 @@ class PreparedStage:
         resolution.converged[list(unheld)] = False
         for sample, said in unheld.items():
             resolution.status[sample] = said
-        return state, resolution
+        return replace(state, path_error=resolution.trace.error), resolution
 
     def _unheld(self, state: ProcessState) -> dict[int, str]:
         """Samples in which a part lies loose at the stage's end, and what to say of them."""
@@ -354,6 +354,7 @@ class PreparedStage:
             left=left,
             anchor=anchor,
             failed=state.failed if converged is None else state.failed | ~converged,
+            path_error=state.path_error,
             value={row: v[:, j] for j, row in enumerate(step.bilateral)},
             reaction={row: reaction[:, j] for j, row in enumerate(step.bilateral)},
             push={i: drive.push[:, i] for i in step.loads},
@@ -492,7 +493,8 @@ class PreparedStage:
             force=end.force.copy(),
             displacement=displacement,
             state=classify(end.force, bound),
-            trace=whole.trace,
+            # Contacts begin where the paths before left them.  What slides forgets that, what sticks hands it on.
+            trace=replace(whole.trace, error=start.path_error + whole.trace.error),
             residual=whole.residual,
             converged=whole.converged,
             iterations=whole.iterations,

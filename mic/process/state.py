@@ -42,6 +42,9 @@ class ProcessState:
         Relative displacement that each weld row keeps.
     failed : (n,) bool array
         Samples whose contact missed its tolerance in some stage.
+    path_error : (n,) array
+        Estimate of the error that the paths of all stages so far left in the anchors, root mean square over the
+        contacts, mm (:class:`mic.contact.path.Trace`); NaN once one of them estimated none.
     """
 
     reading: Mapping[str, np.ndarray]
@@ -49,6 +52,7 @@ class ProcessState:
     left: np.ndarray
     anchor: np.ndarray
     failed: np.ndarray
+    path_error: np.ndarray
     value: Mapping[Row, np.ndarray] = field(default_factory=dict)
     reaction: Mapping[Row, np.ndarray] = field(default_factory=dict)
     push: Mapping[int, np.ndarray] = field(default_factory=dict)
@@ -60,4 +64,4 @@ class ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and so many rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
         none = np.zeros((n, m, d))
-        return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool))
+        return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n))

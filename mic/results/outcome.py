@@ -155,7 +155,7 @@ class Outcome:
         return self._gathered(law, samples, lambda block: block.column("resolutions", "residual", stage=stage))
 
     def path_error(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) estimated error that a stage's path left, mm, see :data:`mic.results.schema.RESOLUTIONS`."""
+        """(n,) estimated error that the path up to a stage's end left, mm (:data:`mic.results.schema.RESOLUTIONS`)."""
         return self._gathered(law, samples, lambda block: block.column("resolutions", "path_error", stage=stage))
 
     def tangential(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:

@@ -24,7 +24,14 @@ from scipy.special import ndtri, stdtrit
 
 from mic.results.statistics import LEVEL, Estimate
 
-__all__ = ["centred_capability_change", "jackknife", "mean_change", "share_change", "six_sigma_change"]
+__all__ = [
+    "centred_capability_change",
+    "jackknife",
+    "mean_change",
+    "share_change",
+    "six_sigma_change",
+    "standard_error",
+]
 
 #: A figure of samples with these numbers, means and standard deviations.
 Figure = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -89,6 +96,11 @@ def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
     spread = np.sqrt(more + less + 1 - (more - less) ** 2 / (n + 2)) / (n + 2)
     half = float(ndtri(0.5 + level / 2)) * spread
     return Estimate.of(a, (more - less) / n, max(value - half, -1.0), min(value + half, 1.0))
+
+
+def standard_error(change: Estimate, level: float = LEVEL) -> float:
+    """``s`` above, of which the interval of a change was made; of samples each by itself."""
+    return float((change.high - change.value) / stdtrit(change.used - 1, 0.5 + level / 2))
 
 
 def jackknife(y, figure: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50) -> Estimate:

@@ -184,10 +184,8 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
 def _errors(outcome, law, numbers, evaluation, converged) -> pd.DataFrame:
     """Tangential positions are what the stages so far moved."""
     frames = []
-    estimate = np.zeros(len(numbers))
     change = np.zeros((len(numbers), len(outcome.model.contacts), 2))
     for stage in outcome.stages:
-        estimate = estimate + outcome.path_error(law, stage, numbers)
         moved = np.stack([outcome.contact(law, stage, f"u_t{axis}", numbers) for axis in (1, 2)], axis=2)
         change = change + evaluation.resolutions[stage].displacement[:, :, 1:] - moved
         frames.append(
@@ -196,7 +194,7 @@ def _errors(outcome, law, numbers, evaluation, converged) -> pd.DataFrame:
                     "law": law,
                     "sample": numbers.astype(np.int64),
                     "stage": stage,
-                    "estimate": estimate,
+                    "estimate": outcome.path_error(law, stage, numbers),
                     "measured": np.sqrt((change**2).sum(axis=2).mean(axis=1)),
                     "converged": converged,
                 }

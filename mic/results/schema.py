@@ -271,8 +271,9 @@ RESOLUTIONS = _dataset(
             "path_error",
             "float64",
             "mm",
-            "estimate of the error that the stage's path left in the contacts' tangential positions, and in the slip "
-            "of those that opened, root mean square over the pairs; NaN where nothing estimates it",
+            "estimate of the error that the path up to the end of the stage left in the contacts' tangential "
+            "positions, and in the slip of those that opened, root mean square over the pairs: what the stage's path "
+            "left, and those of the stages before; NaN where nothing estimates it",
         ),
         Column("steps", "int64", "", "steps along the path"),
         Column(
@@ -600,7 +601,7 @@ PATH_ERRORS = _statistic(
         _LAW,
         Column("sample", "int64", "", "number of the sample"),
         Column("stage", "str", "", "stage that resolves contact"),
-        Column("estimate", "float64", "mm", "sum of `path_error` of `resolutions` over the stages so far"),
+        Column("estimate", "float64", "mm", "`path_error` of `resolutions`"),
         Column(
             "measured",
             "float64",

@@ -324,7 +324,7 @@ def _unseen(outcome: Outcome, law: str) -> dict[str, Any] | None:
 
 
 def _path(outcome: Outcome, law: str) -> dict[str, Any]:
-    """What the way took, a sample, and the estimated error that it left, mm: mean and largest, by stage."""
+    """What the way took, a sample, and the estimated error at the end of each stage, mm: mean and largest."""
     moments = outcome.digests[law].moments
     found = {
         stage: {column: moments["resolutions", stage, column] for column in ("path_error", "steps", "factorisations")}

@@ -24,6 +24,7 @@ from mic.errors import SceneError
 from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, moves_of, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.results.paired import mean_change, six_sigma_change, standard_error
 from mic.results.schema import ORDERS
 from mic.results.tables import zone_motion
 from mic.sampling.draw import draw
@@ -330,25 +331,23 @@ def _changes(name: str, values: pd.DataFrame, base: pd.DataFrame, valid: np.ndar
 
     mean, six_sigma = statistics(a)
     base_mean, base_six_sigma = statistics(b)
-    left_out = [[np.subtract(*pair) for pair in zip(*map(statistics, _without(i, a, b)))] for i in range(n)]
-    error = np.sqrt((n - 1) * np.var(left_out, axis=0)) if n > 2 else np.full((2, a.shape[1]), np.nan)
+    mean_error, six_sigma_error = (
+        [standard_error(change(before, now)) for before, now in zip(b.T, a.T)]
+        for change in (mean_change, six_sigma_change)
+    )
     return pd.DataFrame(
         {
             "order": name,
             "quantity": values.columns,
             "mean": mean,
             "mean_change": mean - base_mean,
-            "mean_error": error[0],
+            "mean_error": mean_error,
             "six_sigma": six_sigma,
             "six_sigma_change": six_sigma - base_six_sigma,
-            "six_sigma_error": error[1],
+            "six_sigma_error": six_sigma_error,
             "samples": n,
         }
     )
-
-
-def _without(i: int, *samples: np.ndarray) -> tuple[np.ndarray, ...]:
-    return tuple(np.delete(x, i, axis=0) for x in samples)
 
 
 def _by_largest(table: pd.DataFrame) -> pd.DataFrame:
