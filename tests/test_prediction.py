@@ -268,6 +268,10 @@ def test_the_command_foretells_each_row_once(model, tmp_path):
     assert [one["verdict"] for one in rows if not one["measurement"]] == ["accepted", "rejected", "refused"]
     again = CliRunner().invoke(app, asked)
     assert again.exit_code == 0 and "row" not in again.output
+    asked[3] = str(tmp_path / "none.csv")
+    missing = CliRunner().invoke(app, asked)
+    assert "there is no file" in str(missing.exception) and "the folder that you are in" in str(missing.exception)
+    assert "evaluated" not in missing.output, "before anything is learnt"
     neither = CliRunner().invoke(app, asked[:2])
     assert neither.exit_code != 0 and "give either --parts" in str(neither.exception)
 
