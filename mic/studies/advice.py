@@ -6,7 +6,7 @@ Where none suffices, the one that leaves least is told.
 
 Key characteristics of an adjusted assembly come from what was learnt (:mod:`mic.studies.learning`), and what that errs
 by is added to the intervals. Where it does not decide, they come from the derivatives and are evaluated at what is
-proposed, by which the slopes are corrected, until it is proposed again.
+proposed, which is gone by from there on, until it is proposed again.
 """
 
 from __future__ import annotations
@@ -145,21 +145,36 @@ class Advisor:
         known: dict[tuple[int, float], np.ndarray] = {}
 
         def foretold(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Along the slopes, through what is known to the same side and nearest."""
-            found = y + np.outer(changes, slope[:, a])
+            """Between what is known on the same side, and along the slopes beyond."""
+            found = np.empty((len(changes), len(y)))
             for i, change in enumerate(changes):
-                near = [at for b, at in known if b == a and at * change > 0]
-                if near:
-                    at = min(near, key=lambda at: abs(at - change))
-                    found[i] += (known[a, at] - y - at * slope[:, a]) * (change / at)
+                points = sorted(
+                    [(0.0, y)]
+                    + [(abs(at), own) for (b, at), own in known.items() if (b, at * change > 0) == (a, True)],
+                    key=lambda one: one[0],
+                )
+                places, values = np.array([one[0] for one in points]), np.array([one[1] for one in points])
+                last = np.clip(np.searchsorted(places, abs(change)), 1, len(places)) - 1
+                found[i] = values[last] + (abs(change) - places[last]) * np.sign(change) * slope[:, a]
+                if last + 1 < len(places):
+                    share = (abs(change) - places[last]) / (places[last + 1] - places[last])
+                    found[i] = values[last] + share * (values[last + 1] - values[last])
             return found, half
+
+        def evaluate(a: int, change: float) -> None:
+            answer = process.attempt(self._adjusted(x, a, np.array([change])))
+            known[a, change] = np.full(len(y), np.inf) if answer.failed[0] else answer.measurements[0]
 
         for _ in range(AGAIN):
             a, change, _ = self._smallest(foretold)
-            if not change or (a, change) in known:
+            if (a, change) in known or (not change and known):
                 break
-            answer = process.attempt(self._adjusted(x, a, np.array([change])))
-            known[a, change] = np.full(len(y), np.inf) if answer.failed[0] else answer.measurements[0]
+            if change:
+                evaluate(a, change)
+            else:  # where nothing moves at first, more may
+                for b, own in enumerate(self._some):
+                    evaluate(b, own.low)
+                    evaluate(b, own.high)
         tried = [(a, change, float(self._beyond(own, half))) for (a, change), own in known.items()]
         tried = tried or [(0, 0.0, float(self._beyond(y, half)))]
         return self._least([one for one in tried if one[2] <= 0]) or min(tried, key=lambda one: one[2])
