@@ -24,6 +24,7 @@ __all__ = ["Advisor", "Proposal"]
 
 TRIED = 20  # changes to either side, between which the smallest is looked for
 AGAIN = 8  # evaluations at most
+LOST = 1e6  # mm: in place of what cannot be computed, beyond all limits
 WORTH = 1e-3  # mm: an adjustment that helps less is none
 
 #: Key characteristics (n, k) of changes (n,) of one adjustment, and half widths (n, k) or (k,) of their intervals.
@@ -148,22 +149,19 @@ class Advisor:
             """Between what is known on the same side, and along the slopes beyond."""
             found = np.empty((len(changes), len(y)))
             for i, change in enumerate(changes):
-                points = sorted(
-                    [(0.0, y)]
-                    + [(abs(at), own) for (b, at), own in known.items() if (b, at * change > 0) == (a, True)],
-                    key=lambda one: one[0],
-                )
-                places, values = np.array([one[0] for one in points]), np.array([one[1] for one in points])
-                last = np.clip(np.searchsorted(places, abs(change)), 1, len(places)) - 1
-                found[i] = values[last] + (abs(change) - places[last]) * np.sign(change) * slope[:, a]
-                if last + 1 < len(places):
-                    share = (abs(change) - places[last]) / (places[last + 1] - places[last])
-                    found[i] = values[last] + share * (values[last + 1] - values[last])
+                own = {0.0: y} | {abs(at): told for (b, at), told in known.items() if b == a and at * change > 0}
+                at, way = np.array(sorted(own)), abs(change)
+                near = int(np.clip(np.searchsorted(at, way) - 1, 0, len(at) - 1))
+                before = own[at[near]]
+                if near + 1 < len(at):
+                    found[i] = before + (way - at[near]) / (at[near + 1] - at[near]) * (own[at[near + 1]] - before)
+                else:
+                    found[i] = before + (way - at[near]) * np.sign(change) * slope[:, a]
             return found, half
 
         def evaluate(a: int, change: float) -> None:
             answer = process.attempt(self._adjusted(x, a, np.array([change])))
-            known[a, change] = np.full(len(y), np.inf) if answer.failed[0] else answer.measurements[0]
+            known[a, change] = np.full(len(y), LOST) if answer.failed[0] else answer.measurements[0]
 
         for _ in range(AGAIN):
             a, change, _ = self._smallest(foretold)
