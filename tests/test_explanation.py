@@ -230,3 +230,7 @@ def test_the_command_writes_a_page_and_tables(model, tmp_path):
     assert EXPLANATION.read(tmp_path / "out", "")["source"].tolist() == ["P", "D"]
     page = (tmp_path / "out" / "explanation.html").read_text(encoding="utf-8")
     assert "Most probable cause: P at" in page and page.count("data:image/svg+xml") == 2
+    (tmp_path / "measured.csv").write_text("measurement,value\nO,1\n")
+    other = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "other")])
+    said = str(other.exception)
+    assert "measured.csv" in said and "no key characteristic 'O', it has: M, N; correct the name" in said

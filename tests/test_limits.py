@@ -201,6 +201,17 @@ def test_a_gun_presses_both_faces_until_they_touch_and_opens_after_the_weld(gun,
     assert found.measurements[0, 0] == pytest.approx(down, rel=1e-9)
 
 
+def test_beyond_what_a_gun_needs_nothing_hangs_on_its_force():
+    """So that it is nothing to optimise: the face stops where the two touch, and what the gun has left it keeps."""
+    deviations = [{"name": "D", "kind": "locator", "target": "bl1", "mean": 0.0, "sigma": 0.05}]
+    found = [
+        plates(welds=[weld(gun=gun)], stages=WELDED, deviations=deviations).evaluate([[0.0], [0.1]], "coulomb")
+        for gun in (1.5 * NEEDED / 4, 15 * NEEDED / 4)
+    ]
+    assert all(one.built.all() for one in found) and np.ptp(found[0].measurements) > 1e-3
+    np.testing.assert_allclose(found[0].measurements, found[1].measurements, rtol=0, atol=1e-12)
+
+
 def test_guns_one_after_the_other_press_only_while_their_weld_is_made():
     """The second gun finds the gap closed; without a weld, the first leaves nothing behind."""
     two = [weld(gun=100.0), weld(name="V", gun=3.0)]

@@ -18,7 +18,7 @@ from mic.commands.predict import Log, read_parts
 from mic.errors import FormatError, SceneError
 from mic.options import app
 from mic.results.schema import PREDICTIONS
-from mic.studies.adjustment import Adjustment, adjustments
+from mic.studies.adjustment import Adjustment, adjustments, extended
 from mic.studies.advice import Advisor
 from mic.studies.learning import FINE, learn
 from mic.studies.prediction import Predictor
@@ -117,25 +117,36 @@ def test_of_several_that_suffice_the_one_that_takes_least_of_what_is_allowed_is_
     assert str(found).startswith(said) and not found.evaluated and found.beyond <= 0
 
 
-def touching(limit):
+def touching(limits):
     """b rises to t across a gap that half of the samples close: what M reads bends there."""
     return spring_model(
         [0.2],
         parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
         locators=[*six("b"), *six("t")],
         zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.0, "pairs": 1}],
-        measurements=[at_face("t", name="M", lower=-limit, upper=limit)],
+        measurements=[at_face("t", name="M", lower=limits[0], upper=limits[1])],
         deviations=[{"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15}],
         stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
     )
 
 
+@pytest.mark.parametrize(("start", "low", "high"), [(0.05, 0.021, 1.0), (0.9, -1.0, 0.029)])
+def test_the_smallest_adjustment_is_found_where_contact_opens_or_closes_on_the_way(start, low, high):
+    """M stands still as long as the gap is open: its derivatives there say nothing, and too much where it closes."""
+    model = touching((low, high))
+    proposed = row(Predictor(model, adjust=["bl1"], shim=1.0, exact=True).judge({"P": start}), "")["said"]
+    opened, names = extended(model, adjustments(model, 1.0, 2.0, ["bl1"]))
+    tried = [(c, opened.evaluate({"P": start, names[0]: c}).measurements[0, 0]) for c in np.arange(-1, 1.001, 0.01)]
+    least = min((c for c, value in tried if low <= value <= high), key=abs)
+    assert proposed.startswith(f"locators.bl1 by {least:+.4g} mm: within all limits"), (proposed, least)
+
+
 def test_answers_learnt_beforehand_are_those_of_the_evaluation_within_what_they_say():
     """Verdicts are the same, for where the spline may err by more than what is left to a limit it is not asked."""
     x = 0.4 + 0.15 * np.clip(np.random.default_rng(3).standard_normal(60), -3, 3)
-    found = touching(1.0).process("coulomb").evaluate(x[:, None]).measurements[:, 0]
+    found = touching((-1.0, 1.0)).process("coulomb").evaluate(x[:, None]).measurements[:, 0]
     limit = float(np.sort(found)[-8]) + 1e-5  # mm: close by one of them
-    exact, learnt = (Predictor(touching(limit), exact=on) for on in (True, False))
+    exact, learnt = (Predictor(touching((-limit, limit)), exact=on) for on in (True, False))
     told = [(exact.judge({"P": one}), learnt.judge({"P": one})) for one in x]
     ways = {
         way: [(row(a, "M"), row(b, "M")) for a, b in told if row(b, "M")["way"] == way]
@@ -157,7 +168,7 @@ def test_answers_learnt_beforehand_are_those_of_the_evaluation_within_what_they_
 def test_what_the_answers_err_by_is_no_less_than_what_they_miss():
     """The kink of M lies between assemblies that were learnt from: left out of them, each is missed by as much as those
     that are asked for later, or more."""
-    model = touching(1.0)
+    model = touching((-1.0, 1.0))
     known = learn(model, "coulomb")
     assert 0 < known.off[0] and len(known.x) >= 59
     x = 0.4 + 0.15 * np.clip(np.random.default_rng(4).standard_normal((400, 1)), -3, 3)
@@ -268,6 +279,10 @@ def test_the_command_foretells_each_row_once(model, tmp_path):
     assert [one["verdict"] for one in rows if not one["measurement"]] == ["accepted", "rejected", "refused"]
     again = CliRunner().invoke(app, asked)
     assert again.exit_code == 0 and "row" not in again.output
+    asked[3] = str(tmp_path / "none.csv")
+    missing = CliRunner().invoke(app, asked)
+    assert "there is no file" in str(missing.exception) and "the folder that you are in" in str(missing.exception)
+    assert "evaluated" not in missing.output, "before anything is learnt"
     neither = CliRunner().invoke(app, asked[:2])
     assert neither.exit_code != 0 and "give either --parts" in str(neither.exception)
 

@@ -30,6 +30,13 @@ def explain(source, measured, gauge, friction, seed, law, out):
     console = Console()
     values, gauges = read_measured(measured, gauge)
     model, _ = studied(console, source)
+    strange = [name for name in values if name not in {item.name for item in model.scene.measurements}]
+    if strange:
+        names = ", ".join(item.name for item in model.scene.measurements) or "none"
+        raise SceneError(
+            f"{measured}: scene {model.scene.name!r} has no key characteristic {strange[0]!r}, it has: {names}; "
+            "correct the name, or give the file of this scene"
+        )
     asked = law_of(model, law)
     with counting(console, f"evaluations under {asked}", None) as advance:
         found = explained(model, values, gauges, asked, friction, seed_of(model.scene, seed), threads(), advance)
@@ -58,7 +65,7 @@ def read_measured(path: Path, gauge: float | None) -> tuple[dict[str, float], di
     SceneError
         Naming file, row and column.
     """
-    cells, separator = read_cells(path)
+    cells, separator = read_cells(path, "the folder that you are in")
     columns = [str(name) for name in cells.columns]
     for name in columns:
         if name not in COLUMNS:

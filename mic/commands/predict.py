@@ -38,11 +38,13 @@ def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
     if watch is not None and not watch.is_dir():
         raise SceneError(f"--watch: there is no folder {watch}; make it, or name another")
     model, _ = studied(console, source)
+    kept = Log(log, identity(model, 0)[:12])
+    if parts is not None:
+        list(read_parts(parts, model.parameters))  # before anything is learnt
     try:
         predictor = _ready(console, model, law_of(model, law), adjust or (), shim, force, error, exact)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
-    kept = Log(log, identity(model, 0)[:12])
     if parts is not None:
         _file(console, predictor, kept, parts)
         return
@@ -68,8 +70,8 @@ def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
 def _ready(console, model, law, adjust, shim, factor, error, exact) -> Predictor:
     """A predictor; what it learns beforehand is shown, and what that errs by said."""
     with Progress(TextColumn("{task.description}"), TextColumn("{task.completed:.0f}"), console=console) as progress:
-        bar = progress.add_task("assemblies evaluated beforehand", total=None, visible=not exact)
-        advance = lambda count: progress.advance(bar, count)
+        bar = progress.add_task("assemblies evaluated beforehand", total=None, visible=False)
+        advance = lambda count: progress.update(bar, advance=count, visible=True)
         predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache_folder(), advance)
     learnt = predictor.learnt
     if learnt is not None:
@@ -127,7 +129,7 @@ def read_parts(path: Path, names: list[str]) -> Iterator[tuple[int, dict[str, fl
     SceneError
         Naming file, row and column.
     """
-    cells, separator = read_cells(path)
+    cells, separator = read_cells(path, "the folder that you are in")
     strange = [str(name) for name in cells.columns if name not in names]
     if strange:
         raise SceneError(f"{path}: row 1: there is no deviation {strange[0]!r}; known: {', '.join(names)}")

@@ -138,10 +138,10 @@ def _column(location: tuple[Any, ...], row: dict[str, Any]) -> str:
     return str(location[0])
 
 
-def read_cells(path: Path) -> tuple[pd.DataFrame, str]:
+def read_cells(path: Path, beside: str = "the scene file") -> tuple[pd.DataFrame, str]:
     """The cells of a CSV file as text, its first row their columns, and what separates them.
 
-    Row i of the frame is row i + 2 of the file, empty ones included.
+    Row i of the frame is row i + 2 of the file, empty ones included. Its name is relative to what it stands beside.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def read_cells(path: Path) -> tuple[pd.DataFrame, str]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
+        raise SceneError(f"there is no file {path}; correct the name (it is relative to {beside})") from None
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read as text ({error}); save it as CSV in UTF-8") from None
     header = text.partition("\n")[0]

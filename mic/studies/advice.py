@@ -6,7 +6,7 @@ Where none suffices, the one that leaves least is told.
 
 Key characteristics of an adjusted assembly come from what was learnt (:mod:`mic.studies.learning`), and what that errs
 by is added to the intervals. Where it does not decide, they come from the derivatives and are evaluated at what is
-proposed, by which the slopes are corrected, until it is proposed again.
+proposed, which is gone by from there on, until it is proposed again.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ __all__ = ["Advisor", "Proposal"]
 
 TRIED = 20  # changes to either side, between which the smallest is looked for
 AGAIN = 8  # evaluations at most
+LOST = 1e6  # mm: in place of what cannot be computed, beyond all limits
 WORTH = 1e-3  # mm: an adjustment that helps less is none
 
 #: Key characteristics (n, k) of changes (n,) of one adjustment, and half widths (n, k) or (k,) of their intervals.
@@ -145,21 +146,33 @@ class Advisor:
         known: dict[tuple[int, float], np.ndarray] = {}
 
         def foretold(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Along the slopes, through what is known to the same side and nearest."""
-            found = y + np.outer(changes, slope[:, a])
+            """Between what is known on the same side, and along the slopes beyond."""
+            found = np.empty((len(changes), len(y)))
             for i, change in enumerate(changes):
-                near = [at for b, at in known if b == a and at * change > 0]
-                if near:
-                    at = min(near, key=lambda at: abs(at - change))
-                    found[i] += (known[a, at] - y - at * slope[:, a]) * (change / at)
+                own = {0.0: y} | {abs(at): told for (b, at), told in known.items() if b == a and at * change > 0}
+                at, way = np.array(sorted(own)), abs(change)
+                near = int(np.clip(np.searchsorted(at, way) - 1, 0, len(at) - 1))
+                before = own[at[near]]
+                if near + 1 < len(at):
+                    found[i] = before + (way - at[near]) / (at[near + 1] - at[near]) * (own[at[near + 1]] - before)
+                else:
+                    found[i] = before + (way - at[near]) * np.sign(change) * slope[:, a]
             return found, half
+
+        def evaluate(a: int, change: float) -> None:
+            answer = process.attempt(self._adjusted(x, a, np.array([change])))
+            known[a, change] = np.full(len(y), LOST) if answer.failed[0] else answer.measurements[0]
 
         for _ in range(AGAIN):
             a, change, _ = self._smallest(foretold)
-            if not change or (a, change) in known:
+            if (a, change) in known or (not change and known):
                 break
-            answer = process.attempt(self._adjusted(x, a, np.array([change])))
-            known[a, change] = np.full(len(y), np.inf) if answer.failed[0] else answer.measurements[0]
+            if change:
+                evaluate(a, change)
+            else:  # where nothing moves at first, more may
+                for b, own in enumerate(self._some):
+                    evaluate(b, own.low)
+                    evaluate(b, own.high)
         tried = [(a, change, float(self._beyond(own, half))) for (a, change), own in known.items()]
         tried = tried or [(0, 0.0, float(self._beyond(y, half)))]
         return self._least([one for one in tried if one[2] <= 0]) or min(tried, key=lambda one: one[2])

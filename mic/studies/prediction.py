@@ -94,10 +94,10 @@ class Predictor:
         self._mean = np.array([item.mean for item in scene.deviations])
         self._sigma = np.array([item.sigma for item in scene.deviations])
         self._lower, self._upper = np.array([item.bounds for item in scene.measurements]).T
+        some = adjustments(model, shim, factor, list(adjust)) if adjust else []  # refused before anything is learnt
         self.learnt = None if exact else learn(model, self.law, (), None, cache, progress)
         self._advisor: Advisor | None = None
-        if adjust:
-            some = adjustments(model, shim, factor, list(adjust))
+        if some:
             learnt = learn(model, self.law, some, self.learnt, cache, progress) if self.learnt is not None else None
             self._advisor = Advisor(model, self.law, some, learnt)
         slopes = model.sensitivities({}, self.law)
