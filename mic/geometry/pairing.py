@@ -20,9 +20,10 @@ dies away over some √(R t), and a facet of the bend that no candidate reads is
 They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
 length of the edge; at the *corners* of their borders, and where folds end on these, each reading the corner itself; at
 every place where something presses the sheets together; and over the rest, each reading a cell. Under a clamp's pad
-they are 2/3 r apart, however coarse the elements: on a single one the sheets could tilt like on a hinge. Contact begins where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a
-nugget or outside, so that no pair fights the weld that it lies at half; and within a clamp's pad or outside, so that
-what two pads press uniformly the cells between them carry uniformly, and a nominal assembly does not move.
+they are 2/3 r apart, however coarse the elements: on a single one the sheets could tilt like on a hinge. Contact begins
+where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a nugget or
+outside, so that no pair fights the weld that it lies at half; and within a clamp's pad or outside, so that what two
+pads press uniformly the cells between them carry uniformly, and a nominal assembly does not move.
 
 A pair's normal is that of the curved sheet which the triangles stand for, between the normals at their corners. Across
 a bend of a few facets those of the facets jump by more than the angle of friction, and with them what a pair carries,
