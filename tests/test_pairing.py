@@ -107,6 +107,43 @@ def test_candidates_read_the_edges_of_both_sheets_and_the_folds_where_they_end()
                 assert sum(np.abs(x[:, axis] - end).max() < 1e-9 for x in read) >= 2
 
 
+@pytest.mark.parametrize("spacing", [2.0, 5.0, 9.0])
+def test_a_candidate_stands_at_every_corner_of_a_border_and_where_a_fold_ends_on_it(spacing):
+    """Of a square above a larger one, and of an L whose foot ends at its fold."""
+    below = Side(plane(0, size=30.0, n=13), 1.0)
+    above = Side(plane(1, x0=5.0), 1.0), [(5, 0), (5, 20), (25, 0), (25, 20)]
+    foot = Side(BENT["L"], 1.0), [(0, 5), (20, 5), (0, 25), (20, 25)]
+    for sheet, corners in (above, foot):
+        for which, bodies in enumerate(((sheet, below), (below, sheet))):
+            patches = [pair.patches[which] for pair in find_pairs(zone(pairs=None, spacing=spacing), *bodies)]
+            read = [sheet.surface.at(one.triangle, one.barycentric)[:, :2] for one in patches]
+            for corner in corners:
+                assert sum(np.abs(x - corner).max() < 1e-9 for x in read) == 1
+
+
+def test_corners_nearer_than_half_a_spacing_are_one_and_those_of_the_border_come_first():
+    """A tab 1.5 mm wide; a fold 1.5 mm before the border's end gives way to it."""
+    below = Side(plane(-1, size=30.0, n=13), 1.0)
+    tab = Surface(*extrude([(10.0, 0.0), (20.0, 0.0), (21.5, 0.4)], 3.0, 1.5, 1.0)[:2])
+    found = find_pairs(zone(pairs=None, spacing=5.0, max_gap=3.0), Side(tab, 1.0), below)
+    at = [tab.at(pair.patches[0].triangle, pair.patches[0].barycentric) for pair in found]
+    points = np.array([x[0] for x in at if len(x) == 1])
+    assert len(points) == 2 and sorted(points[:, 1]) == pytest.approx([10.0, 21.5])
+
+
+def test_seven_candidates_stand_under_a_pad_however_coarse_the_elements_are():
+    """One in the middle, six about it: two sheets that one candidate alone presses together tilt on it."""
+    bodies = Side(plane(0, n=3), 1.0), Side(plane(1, n=3), 1.0)
+    centre = np.array([9.0, 10.5, 0.5])
+    pairs = find_pairs(zone(pairs=None, spacing=8.0), *bodies, pressed=[Pressed(centre, 3.5)])
+    under = [pair for pair in pairs if np.linalg.norm((pair.point - centre)[:2]) < 3.5]
+    away = np.array([np.linalg.norm((pair.point - centre)[:2]) for pair in under])
+    assert len(under) == 7 and sum(away < 0.5) == 1 and sum(away > 1.75) == 6
+    assert sum(pair.area for pair in under) == pytest.approx(np.pi * 3.5**2, rel=0.05)
+    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    assert {round(pair.apart, 6) for pair in pairs} == {8.0, round(3.5 * 2 / 3, 6)}
+
+
 def test_a_candidate_reads_where_its_cell_is_nearest():
     """Over a plate that is tilted, contact begins at the lower end of each cell."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=16, tilt=0.02), 1.0)

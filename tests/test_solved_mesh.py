@@ -18,7 +18,7 @@ from mic.process.model import ReducedModel
 SCENE = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
 
-NONE = np.zeros(0, dtype=int), np.zeros((0, 3))  # no candidates
+NONE = np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0)  # no candidates
 
 
 def lap_joint(size, **weld):
@@ -78,10 +78,13 @@ def test_elements_are_as_dense_as_the_candidates(assembly):
     part = assembly.parts[0]
     bare = assembly.scene.model_copy(update={"welds": []})
     drawn = replace(part, surface=assembly.surfaces[part.name], functionals=replace(part.functionals, patches=()))
-    contacts = assembly.contacts
-    assert resolved(drawn, bare, contacts.zone, contacts.point, [5.0]) is drawn
-    assert resolved(drawn, bare, contacts.zone, contacts.point, [None]) is drawn
-    dense = resolved(drawn, bare, contacts.zone, contacts.point, [2.5]).surface
+    zone, point = assembly.contacts.zone, assembly.contacts.point
+    assert resolved(drawn, bare, zone, point, np.full(len(zone), 5.0)) is drawn
+    assert resolved(drawn, bare, zone, point, np.full(len(zone), np.nan)) is drawn
+    few = np.full(len(zone), 5.0)
+    few[:3] = 2.5  # as under a pad
+    assert 0 < len(resolved(drawn, bare, zone, point, few).surface.points) - len(drawn.surface.points) < 60
+    dense = resolved(drawn, bare, zone, point, np.full(len(zone), 2.5)).surface
     size = np.sqrt(2 * dense.areas)
     under = (dense.corners.mean(axis=1)[:, 0] > 61) & (dense.corners.mean(axis=1)[:, 0] < 99)
     assert size[under].max() <= 3.75

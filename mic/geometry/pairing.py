@@ -18,10 +18,12 @@ in a zone with bends of radius R no farther than max(0.85 elements, 1.3 √(R t)
 dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass.
 
 They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
-length of the edge; at every place where something presses the sheets together; and over the rest, each reading a cell.
-Contact begins where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a
-nugget or outside, so that no pair fights the weld that it lies at half; and within a clamp's pad or outside, so that
-what two pads press uniformly the cells between them carry uniformly, and a nominal assembly does not move.
+length of the edge; at the *corners* of their borders, and where folds end on these, each reading the corner itself; at
+every place where something presses the sheets together; and over the rest, each reading a cell. Under a clamp's pad
+they are 2/3 r apart, however coarse the elements: on a single one the sheets could tilt like on a hinge. Contact begins
+where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a nugget or
+outside, so that no pair fights the weld that it lies at half; and within a clamp's pad or outside, so that what two
+pads press uniformly the cells between them carry uniformly, and a nominal assembly does not move.
 
 A pair's normal is that of the curved sheet which the triangles stand for, between the normals at their corners. Across
 a bend of a few facets those of the facets jump by more than the angle of friction, and with them what a pair carries,
@@ -52,12 +54,14 @@ from mic.geometry.surface import EQUAL, Patch, Surface
 __all__ = ["ContactPair", "Pressed", "Side", "candidate_spacing", "find_between", "find_pairs", "node_pairs", "pair_at"]
 
 ACROSS = 4.0  # thicknesses between two candidates: across so much a sheet hardly bends
-UNDER = 1.5  # radii of a clamp between two candidates
+UNDER = 1.5  # radii of the smallest clamp between two candidates
+PAD = 2 / 3  # radii of a clamp between two candidates under it: one in the middle, six about it
 BENDS = 1.3  # √(R t) between two candidates on bends
 FACET = 0.85  # of an element: so near to each other, each facet of a bend is read
 TIGHT = 0.05  # of a zone's area: bends that take less do not decide
 RESOLVED = 0.4  # of an element: nearer to each other, neighbouring cells read the same few freedoms
 FOLD = 10.0  # degrees: a sheet whose triangles turn by more ends a plane there
+CORNER = 30.0  # degrees: a border that turns by more has a corner there
 NEAR = 0.005  # of the thinner sheet: what is farther apart than the nearest place of a cell, by so much, is not read
 FINE = 6  # sampling points across a cell
 OPPOSITE = -0.5  # cosine of two normals beyond which they belong to different faces
@@ -110,6 +114,8 @@ class ContactPair:
         Which surface of each body faces the other (+1: along its triangle normals).
     nugget : int
         Number of the weld within whose nugget the pair lies; -1 for none.
+    apart : float
+        Of a candidate, how far from its neighbours it was to stand, mm; NaN for any other pair.
     """
 
     point: np.ndarray
@@ -121,6 +127,7 @@ class ContactPair:
     patches: tuple[Patch, Patch]
     sides: tuple[int, int]
     nugget: int = -1
+    apart: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -173,7 +180,9 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     anchors = [sampled.surface.centroid, other.surface.centroid, *landmarks]
     if zone.candidates:
         spacing = candidate_spacing(zone, first, second, pressed)
-        return _candidates(zone, sampled, other, spacing, anchors, pressed, swap)
+        pads = sorted((one for one in pressed if one.weld < 0 and one.radius), key=lambda one: one.radius)
+        finer = [(one, min(spacing, PAD * one.radius)) for one in pads]
+        return _candidates(zone, sampled, other, spacing, anchors, pressed, finer, swap)
     area = _facing(zone, sampled, other, _first_spacing(sampled.surface)).area.sum()
     count = len(zone.points or ()) or zone.pairs
     cloud = _facing(zone, sampled, other, np.sqrt(area / count) / FINE)
@@ -242,38 +251,48 @@ def _shared(cloud, face, count, tie):
     return np.repeat(np.arange(len(area)), share), np.vstack(found)
 
 
-def _candidates(zone, sampled, other, spacing, anchors, pressed, swap) -> list[ContactPair]:
-    """Candidates: along the edges of both sheets, where something presses them together, and over all the rest."""
+def _candidates(zone, sampled, other, spacing, anchors, pressed, pads, swap) -> list[ContactPair]:
+    """Candidates: along the edges of both sheets, where something presses them together, and over all the rest.
+
+    `pads` are the clamps and how far apart candidates stand under each, the smallest clamp first.
+    """
     tie = max(sampled.surface.tie, other.surface.tie)
-    cloud = _facing(zone, sampled, other, spacing / FINE)
+    cloud = _facing(zone, sampled, other, spacing / FINE, pads)
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))
-    edge = _edges(zone, sampled, other, spacing)
-    edge = edge.take(np.flatnonzero(_fused(pressed, edge, tie) < 0))
-    edge = edge.take(_ranking(edge.point, anchors, tie))
     face = _faces(cloud, sampled.surface, spacing)
-    along = _face_of(edge.point, edge.normal, cloud, face, spacing)
+    lines = []
+    for found in (_edges(zone, sampled, other, spacing), _corners(zone, sampled, other, spacing)):
+        found = found.take(np.flatnonzero(_fused(pressed, found, tie) < 0))
+        found = found.take(_ranking(found.point, anchors, tie))
+        lines.append((found, _face_of(found.point, found.normal, cloud, face, spacing)))
     pairs = []
     for one in np.unique(face):
-        of_face = cloud.take(np.flatnonzero(face == one)), edge.take(np.flatnonzero(along == one))
-        pairs += _of_face(zone, sampled, other, spacing, *of_face, pressed, swap)
+        edge, corner = (found.take(np.flatnonzero(of == one)) for found, of in lines)
+        own = cloud.take(np.flatnonzero(face == one))
+        pairs += _of_face(zone, sampled, other, spacing, own, edge, corner, pressed, pads, swap)
     _set_tangents(pairs)
     return pairs
 
 
-def _of_face(zone, sampled, other, spacing, cloud, edge, pressed, swap) -> list[ContactPair]:
+def _of_face(zone, sampled, other, spacing, cloud, edge, corner, pressed, pads, swap) -> list[ContactPair]:
     """The candidates of one face; their tangents are not set."""
     tie = max(sampled.surface.tie, other.surface.tie)
     fused = _fused(pressed, cloud, tie)
-    length, ends = edge.area.sum(), np.zeros((0, 3))
+    corner = corner.take(_thinned(corner.point, corner.area, spacing / 2 + tie))
+    corner = replace(corner, area=np.ones(len(corner.area)))
+    length, ends = edge.area.sum(), corner.point
     if len(edge.area):
-        ends = _centres(edge.point, edge.area, max(1, int(length / spacing + 0.5 + EQUAL)), tie, ends)
+        count = max(1, len(ends), int(length / spacing + 0.5 + EQUAL))
+        ends = _centres(edge.point, edge.area, count, tie, ends)
     along = _nearest(ends, edge.point, tie) if len(ends) else np.zeros(0, dtype=np.int64)
     under = _under(pressed, cloud, spacing, tie)
-    group = _grouped(pressed, cloud, fused, spacing, tie)
+    group = _grouped(pads, cloud, fused, tie)
     pairs = []
     for number in np.unique(group):
         member = np.flatnonzero(group == number)
         nugget, free = fused[member[0]], number < 0
+        pad = number - fused.max(initial=-1) - 1
+        apart = pads[pad][1] if pad >= 0 else spacing
         whole = cloud.take(member)
         own = under[cKDTree(whole.point).query(under)[0] <= tie]
         taken = whole.area.sum()
@@ -281,7 +300,7 @@ def _of_face(zone, sampled, other, spacing, cloud, edge, pressed, swap) -> list[
             own = own[cKDTree(ends).query(own)[0] > spacing / 4 + tie]
             taken -= spacing * length / 2
             own = np.vstack([ends, own])
-        rest = taken / spacing**2 - (len(own) - (len(ends) if free else 0))
+        rest = taken / apart**2 - (len(own) - (len(ends) if free else 0))
         count = min(max(1, len(own) + max(0, int(rest + 0.5 + EQUAL))), len(whole.area))
         centres = _centres(whole.point, whole.area, count, tie, own)
         cell = _nearest(centres, whole.point, tie)
@@ -289,14 +308,27 @@ def _of_face(zone, sampled, other, spacing, cloud, edge, pressed, swap) -> list[
             member = whole.take(np.flatnonzero(cell == k))
             if not len(member.area):
                 continue
-            if free and k < len(ends) and zone.patch == "tributary":
+            if free and k < len(corner.area) and zone.patch == "tributary":
+                reading = corner.take([k])
+            elif free and k < len(ends) and zone.patch == "tributary":
                 reading = edge.take(np.flatnonzero(along == k))
             else:
                 reading = _reading(zone, sampled, other, member, centre, tie)
             cut = _pair(member, member.area.sum(), sampled, other, swap)
             pair = _pair(_nearest_part(reading, sampled, other), cut.area, sampled, other, swap)
-            pairs.append(replace(pair, overlap=cut.overlap, overlapping=cut.overlapping, nugget=int(nugget)))
+            pairs.append(
+                replace(pair, overlap=cut.overlap, overlapping=cut.overlapping, nugget=int(nugget), apart=apart)
+            )
     return pairs
+
+
+def _thinned(point, rank, apart) -> np.ndarray:
+    """Indices of points no two of which lie within a distance of each other: those of higher rank first."""
+    kept: list[int] = []
+    for i in np.argsort(-rank, kind="stable"):
+        if not kept or np.linalg.norm(point[kept] - point[i], axis=1).min() > apart:
+            kept.append(int(i))
+    return np.array(kept, dtype=np.int64)
 
 
 def _faces(cloud, surface, spacing) -> np.ndarray:
@@ -395,16 +427,15 @@ def _within(one, cloud, tie) -> np.ndarray:
     return inside if one.normal is None else inside & (cloud.normal @ one.normal > 0)
 
 
-def _grouped(pressed, cloud, fused, spacing, tie) -> np.ndarray:
+def _grouped(pads, cloud, fused, tie) -> np.ndarray:
     """(n,) the disc that each point lies in, of those across whose rims no candidate reads; -1 for none.
 
     Nuggets come first, then the smaller pads; of a pad that others leave less than half a cell no rim is kept.
     """
     group, welds = fused.copy(), fused.max(initial=-1) + 1
-    pads = sorted((one for one in pressed if one.weld < 0 and one.radius), key=lambda one: one.radius)
-    for i, one in enumerate(pads):
+    for i, (one, apart) in enumerate(pads):
         left = _within(one, cloud, tie) & (group < 0)
-        if cloud.area[left].sum() >= spacing**2 / 2:
+        if cloud.area[left].sum() >= apart**2 / 2:
             group[left] = welds + i
     return group
 
@@ -412,20 +443,60 @@ def _grouped(pressed, cloud, fused, spacing, tie) -> np.ndarray:
 def _edges(zone, sampled, other, spacing):
     """Points of both bodies' edges that face the other body, as points of the sampled one; `area` is length, mm.
 
-    Edges that lie upon each other are one.
+    Edges that lie upon each other are one. On a fold a point is there once for each of the two triangles.
     """
-    angle, step = np.radians(zone.max_angle_deg), spacing / FINE
+
+    def along(surface):
+        return surface.sample_edges(*surface.edges(np.radians(FOLD)), spacing / FINE)
+
+    def shared(cloud, tie):
+        one, two = cKDTree(cloud.point).query_pairs(tie, output_type="ndarray").T
+        same = np.einsum("ij,ij->i", cloud.normal[one], cloud.normal[two]) > OPPOSITE
+        met = np.concatenate([one[same], two[same]])
+        return replace(cloud, area=cloud.area / (1 + np.bincount(met, minlength=len(cloud.area))))
+
+    return _of_both(zone, sampled, other, along, shared, spacing / 4)
+
+
+def _corners(zone, sampled, other, spacing):
+    """Corners of both bodies' borders that face the other body, as `_edges` has their edges; `area` is their rank.
+
+    Where an edge presses, it presses at its end first; and a length that is read about a corner has its middle off it.
+    """
+    return _of_both(zone, sampled, other, _corners_of, lambda cloud, tie: cloud, spacing / 4)
+
+
+def _corners_of(surface):
+    """Corners of a surface's border in each of their triangles: triangle, barycentric, and rank: 2 where the border
+    turns, 1 where a fold ends on it."""
+    triangle, opposite = surface.edges(np.radians(FOLD))
+    ends = surface.triangles[triangle[:, None], (opposite[:, None] + [1, 2]) % 3]
+    ends = np.unique(np.sort(ends, axis=1), axis=0)
+    away = surface.points[ends[:, 1]] - surface.points[ends[:, 0]]
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    total = np.zeros_like(surface.points)  # of unit vectors along its edges: of two that turn by φ it is 2 sin(φ/2)
+    np.add.at(total, ends[:, 0], away)
+    np.add.at(total, ends[:, 1], -away)
+    count = np.bincount(ends.ravel(), minlength=len(surface.points))
+    turns = (count == 2) & (np.linalg.norm(total, axis=1) > 2 * np.sin(np.radians(CORNER) / 2) + EQUAL)
+    rank = np.where(surface.border_vertices, 2.0 * turns + (count > 2), 0.0)[surface.triangles.ravel()]
+    use = np.flatnonzero(rank)
+    return use // 3, np.eye(3)[use % 3], rank[use]
+
+
+def _of_both(zone, sampled, other, found_on, weighed, near):
+    """Points found on both bodies' surfaces that face the other body, as points of the sampled one.
+
+    Of the second body's, those nearer than `near` to the first's are left out.
+    """
+    angle = np.radians(zone.max_angle_deg)
     found = []
     for body, opposite in ((sampled, other), (other, sampled)):
         if body.disc is not None:
             continue
-        at = body.surface.sample_edges(*body.surface.edges(np.radians(FOLD)), step)
-        cloud = _project(body, opposite, zone.max_gap, angle, *at)
-        if len(cloud.area):  # on a fold a point is there once for each of the two triangles
-            one, two = cKDTree(cloud.point).query_pairs(body.surface.tie, output_type="ndarray").T
-            same = np.einsum("ij,ij->i", cloud.normal[one], cloud.normal[two]) > OPPOSITE
-            met = np.concatenate([one[same], two[same]])
-            cloud = replace(cloud, area=cloud.area / (1 + np.bincount(met, minlength=len(cloud.area))))
+        cloud = _project(body, opposite, zone.max_gap, angle, *found_on(body.surface))
+        if len(cloud.area):
+            cloud = weighed(cloud, body.surface.tie)
         seen = _turned(cloud, opposite)
         if body is sampled:
             cloud = replace(cloud, normal=-seen.normal)  # an edge presses along the normal of what it presses on
@@ -433,7 +504,7 @@ def _edges(zone, sampled, other, spacing):
             cloud = seen
             if len(found[0].area):
                 away = _alike(cloud.point, cloud.normal, found[0].point, found[0].normal)
-                cloud = cloud.take(away > spacing / 4 + sampled.surface.tie)
+                cloud = cloud.take(away > near + sampled.surface.tie)
         found.append(cloud.take(_in_region(zone, cloud.point, sampled.surface.tie)))
     return _joined(found)
 
@@ -657,10 +728,17 @@ def _first_spacing(surface):
     return float(np.median(surface.edge_lengths))
 
 
-def _facing(zone, sampled, other, spacing):
+def _facing(zone, sampled, other, spacing, pads=()):
+    """Sampling points so far apart; in the triangles near pads so many times finer as candidates are there."""
     surface = sampled.surface
-    triangles = np.flatnonzero(_in_region(zone, surface.corners.mean(1), surface.reach + 2 * surface.tie))
-    triangle, barycentric, area = surface.sample(triangles, spacing)
+    middle = surface.corners.mean(1)
+    step = np.full(len(middle), spacing)
+    for one, apart in pads:
+        near = np.linalg.norm(middle - one.point, axis=1) <= surface.reach + 2 * one.radius + surface.tie
+        step[near] = np.minimum(step[near], apart / FINE)
+    step[~_in_region(zone, middle, surface.reach + 2 * surface.tie)] = 0.0
+    parts = [surface.sample(np.flatnonzero(step == one), one) for one in np.unique(step[step > 0])[::-1]]
+    triangle, barycentric, area = (np.concatenate(columns) for columns in zip(*parts))
     inside = _in_region(zone, surface.at(triangle, barycentric), surface.tie)
     cloud = _project(
         sampled,

@@ -335,9 +335,10 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         first, second = (bodies[name] for name in zone.parts)
         asked = pairs and zone.candidates
         spacing.append(candidate_spacing(zone, first, second, places) if asked else None)
+    apart = np.array([pair.apart for own in pairs for pair in own])
     return Assembly(
         scene,
-        tuple(resolved(part, scene, contacts.zone, contacts.point, spacing) for part in parts),
+        tuple(resolved(part, scene, contacts.zone, contacts.point, apart) for part in parts),
         rows.matrices(),
         rows.labels,
         contacts,

@@ -6,7 +6,7 @@ weld; divided further, or farther out, they change little more.
 
 Candidates for contact that stand much nearer to each other than the nodes do read the same few freedoms: their
 compliance is all but singular, and friction among them takes a thousand times as long to solve. Where candidates are
-denser than so, elements become as dense.
+denser than so, under clamps above all, elements become as dense.
 
 Where contact is looked for, and where everything else stands, is found on the mesh as it is drawn: dividing leaves the
 sheet where it was.
@@ -14,7 +14,6 @@ sheet where it was.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,9 +29,7 @@ NUGGET = 0.5  # of a nugget's radius: elements that it touches are no larger
 CANDIDATES = 1.5  # distances between candidates: elements about these are no larger
 
 
-def resolved(
-    part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, spacing: Sequence[float | None] = ()
-) -> Part:
+def resolved(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, apart: np.ndarray) -> Part:
     """The part, its elements divided at the nuggets of fused welds and under dense candidates; itself where they are
     small enough.
 
@@ -45,8 +42,8 @@ def resolved(
         Placed on its meshes.
     zone, point : (m,) int array, (m, 3) array
         Zone of each contact pair, and where it stands, mm.
-    spacing : sequence of float or None
-        Distance between the candidates of each zone, mm; None where a zone states its pairs.
+    apart : (m,) array
+        How far from its neighbours each was to stand, mm; NaN where a zone states its pairs.
     """
     if part.superelement is not None:
         return part
@@ -54,11 +51,11 @@ def resolved(
     places = [np.reshape([weld.point for weld in welds], (-1, 3))]
     reach = [np.array([weld.radius for weld in welds])]
     size = [NUGGET * reach[0]]
-    for i, (one, apart) in enumerate(zip(scene.zones, spacing)):
-        if apart is not None and part.name in one.parts:
-            places.append(point[zone == i])
-            reach.append(np.full(len(places[-1]), apart / 2))
-            size.append(np.full(len(places[-1]), CANDIDATES * apart))
+    touching = np.array([part.name in one.parts for one in scene.zones], dtype=bool)
+    own = np.isfinite(apart) & touching[zone]
+    places.append(point[own])
+    reach.append(apart[own] / 2)
+    size.append(CANDIDATES * apart[own])
     wanted, surface = np.concatenate(size), part.surface
     if not len(wanted):
         return part

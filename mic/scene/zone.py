@@ -69,7 +69,7 @@ class Zone(Table):
         None,
         description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
         "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii; nearer "
-        "on bends, 1.3 √(radius · thickness) and no less than 0.85 elements",
+        "on bends, 1.3 √(radius · thickness) and no less than 0.85 elements, and under a clamp, 2/3 of its radius",
     )
     pairs: Annotated[Count, Field(gt=0)] | None = Field(
         None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
