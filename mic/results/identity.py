@@ -20,7 +20,7 @@ from mic.store import fingerprint
 
 __all__ = ["FORMAT", "differences", "identity", "inputs", "program_version"]
 
-FORMAT = 2  # raised whenever the same inputs give other numbers, or blocks of another form
+FORMAT = 3  # raised whenever the same inputs give other numbers, or blocks of another form
 #: What the setting gives is filled in.
 _CAPTIONS = {"name", "description", "setting", "monte_carlo", "report", "optimise"}
 _OF_THE_PROGRAM = ("program", "format")
