@@ -34,7 +34,7 @@ def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
         ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=AFTER, elinewidth=1.4)
         ax.set_xlabel(f"change of {word} (% of the tolerance)")
         ax.set_yticks(place, own["quantity"])
-    ax.invert_yaxis()
+    ax.set_ylim(len(own) - 0.5, -0.5)
     many = table["tolerance"].notna().sum()
     text = f"The {len(own)} of {many} that change most. " if many > len(own) else ""
     text += f"Lines: intervals of {100 * LEVEL:.0f} % of the paired difference; where one reaches 0, it may be chance."
