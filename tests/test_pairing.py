@@ -1,10 +1,13 @@
 """Contact pairs on surfaces whose pairs are known."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import mic
+from mic.geometry.load import load_part
 from mic.geometry.pairing import Pressed, Side, candidate_spacing, find_between, find_pairs, node_pairs
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
@@ -70,6 +73,23 @@ BENT = {
 }
 
 
+def beside(pairs, bodies, angle, thickness, at_nodes=False):
+    """Of each pair that reads the second body farther beside the first's normal than may be: how far, mm."""
+    found = []
+    for pair in pairs:
+        first, second = (body.surface.at(p.triangle, p.barycentric) for body, p in zip(bodies, pair.patches))
+        surface, patch = bodies[0].surface, pair.patches[0]
+        normal = surface.normals[patch.triangle]
+        if at_nodes:
+            corners = surface.vertex_normals[surface.triangles[patch.triangle]]
+            normal = np.einsum("qi,qij->qj", patch.barycentric, corners)
+        along = np.einsum("ij,ij->i", second - first, normal)
+        sideways = np.linalg.norm(second - first - along[:, None] * normal, axis=1)
+        if (sideways > np.tan(np.radians(angle)) * np.abs(along) + 0.05 * thickness + 1e-5).any():
+            found.append(sideways.max())
+    return found
+
+
 @pytest.mark.parametrize("angle", [15.0, 30.0, 60.0])
 @pytest.mark.parametrize("bent_first", [False, True])
 @pytest.mark.parametrize("shape", BENT)
@@ -78,18 +98,18 @@ def test_what_faces_lies_along_the_normal_and_not_beside_it(find, shape, bent_fi
     flat, bent = Side(plane(0, size=30.0, n=13), 1.0), Side(BENT[shape], 0.8)
     bodies = (bent, flat) if bent_first else (flat, bent)
     pairs = find(zone(pairs=12, max_gap=20.0, max_angle_deg=angle), *bodies)
-    for pair in pairs:
-        first, second = (body.surface.at(p.triangle, p.barycentric) for body, p in zip(bodies, pair.patches))
-        normal = bodies[0].surface.normals[pair.patches[0].triangle]
-        if find is node_pairs:
-            normal = np.einsum(
-                "qi,qij->qj",
-                pair.patches[0].barycentric,
-                bodies[0].surface.vertex_normals[bodies[0].surface.triangles[pair.patches[0].triangle]],
-            )
-        along = np.einsum("ij,ij->i", second - first, normal)
-        sideways = np.linalg.norm(second - first - along[:, None] * normal, axis=1)
-        assert (sideways <= np.tan(np.radians(angle)) * np.abs(along) + 0.05 * 0.8 + 1e-5).all()
+    assert not beside(pairs, bodies, angle, 0.8, at_nodes=find is node_pairs)
+
+
+@pytest.mark.parametrize("find", [find_pairs, node_pairs])
+def test_no_pair_lies_beside_what_it_faces_where_two_channels_of_a_body_side_cross(find, tmp_path):
+    """Where the web of one ends, the lip of the other stands: up to 7 mm beside, it would face the web."""
+    scene = mic.load_scene(Path(__file__).resolve().parents[1] / "meshes" / "body_side" / "body_side.toml")
+    joint = next(one for one in scene.zones if one.name == "waist-a")
+    parts = [next(part for part in scene.parts if part.name == name) for name in joint.parts]
+    bodies = [Side(load_part(part, scene.folder, tmp_path).surface, part.thickness) for part in parts]
+    pairs = find(joint, *bodies)
+    assert len(pairs) > 30 and not beside(pairs, bodies, joint.max_angle_deg, min(part.thickness for part in parts))
 
 
 def test_candidates_read_the_edges_of_both_sheets_and_the_folds_where_they_end():
@@ -293,6 +313,25 @@ def test_every_node_is_every_node_of_both_sheets():
     found = np.array([pair.point[:2] for pair in pairs])
     np.testing.assert_allclose(np.unique(found.round(6), axis=0), np.unique(points.round(6), axis=0), atol=2e-6)
     assert len(found) == len(np.unique(points.round(6), axis=0))
+
+
+@pytest.mark.parametrize("within_first", [False, True])
+def test_nodes_upon_each_other_are_one_on_each_side_of_a_sheet_within_a_slot(within_first):
+    """Three equal meshes above each other, the outer two of one body: a node of the middle one faces both."""
+    leaves = [plane(z) for z in (0, 2)]
+    slot = Surface(
+        np.vstack([leaf.points for leaf in leaves]),
+        np.vstack([leaves[0].triangles, leaves[1].triangles + len(leaves[0].points)]),
+    )
+    sheet = plane(1)
+    bodies = (Side(sheet, 1.0), Side(slot, 1.0))[:: 1 if within_first else -1]
+    pairs = node_pairs(zone(), *bodies)
+    of_node = np.bincount(sheet.triangles.ravel(), np.repeat(sheet.areas / 3, 3))
+    for up in (1, -1):
+        own = [pair for pair in pairs if pair.frame[2, 0] * up > 0]
+        away = np.linalg.norm(sheet.points[:, None, :2] - np.array([pair.point[:2] for pair in own]), axis=2)
+        assert len(own) == len(of_node) and (away.min(1) < 1e-9).all()
+        np.testing.assert_allclose([own[k].area for k in away.argmin(1)], of_node)
 
 
 def test_a_round_pad_ends_at_its_circle_however_its_triangles_lie():

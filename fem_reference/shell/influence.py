@@ -57,10 +57,18 @@ def compute_influence(
         owner[name] = int(np.argmin(load))
         load[owner[name]] += 1 + len(functionals[name])
     mine = {name: parts[name]().influence(functionals[name]) for name in parts if owner[name] == comm.rank}
-    shared = {}
-    for piece in comm.allgather(mine):
-        shared.update(piece)
-    return {name: shared[name] for name in parts}
+    return {name: _shared(mine.get(name), len(functionals[name]), comm, owner[name]) for name in parts}
+
+
+def _shared(own, n, comm, owner):
+    """H and G from the process that has them, on all. As bytes they would take their memory three times over."""
+    if comm.size == 1:
+        return own
+    matrices = own or (np.empty((n, n)), np.empty((n, 6)))
+    whole = tuple(np.ascontiguousarray(matrix) for matrix in matrices)
+    for matrix in whole:
+        comm.Bcast(matrix, root=owner)
+    return whole
 
 
 def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factorisation]:
