@@ -85,8 +85,8 @@ def test_check_shows_what_is_not_modelled(cache, tmp_path):
     (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     lean = CliRunner().invoke(app, ["check", str(tmp_path), "--law", "frictionless"], env=environment).output
-    assert "only normals are modelled, 78 rows instead of 234" in lean
-    assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 78 unknowns" in lean
+    assert "only normals are modelled, 80 rows instead of 240" in lean
+    assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 80 unknowns" in lean
     assert "no field solves" in lean
 
 

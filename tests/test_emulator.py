@@ -42,7 +42,7 @@ def test_what_is_left_out_is_missed_by_as_much_as_the_others_alone_miss_it(z):
     h = np.column_stack([np.maximum(z[:, 0], 0.2), z[:, 1] ** 2])
     whole, own = Emulator(z, h), np.arange(len(z)) != 7
     missed, apart = whole.left_out()
-    alone = RBFInterpolator((z * whole._stretch)[own], h[own], smoothing=whole._damping, kernel="cubic", degree=1)
-    np.testing.assert_allclose(missed[7], h[7] - alone((z * whole._stretch)[[7]])[0], rtol=1e-8)
+    alone = RBFInterpolator((z * whole.stretch)[own], h[own], smoothing=whole.damping, kernel="cubic", degree=1)
+    np.testing.assert_allclose(missed[7], h[7] - alone((z * whole.stretch)[[7]])[0], rtol=1e-8)
     near = whole.apart(np.stack([z[7], z[7] + 0.5, z[7] + 3.0]))
     assert near[0] < near[1] < near[2] and near[0] < apart[7]

@@ -45,21 +45,28 @@ class Emulator:
         Standard normal numbers; n > p.
     h : (n, k) array
         What was found there.
+
+    Attributes
+    ----------
+    stretch : (p,) array
+        By which each number is multiplied before distances are taken.
+    damping : float
+        What the spline through the stretched numbers is smoothed with.
     """
 
     def __init__(self, z: np.ndarray, h: np.ndarray):
         size = np.where(h.std(axis=0) > 0, h.std(axis=0), 1.0)
         slope = np.linalg.lstsq(np.column_stack([np.ones(len(z)), z]), h / size, rcond=None)[0][1:]
         steep = np.sqrt((slope**2).mean(axis=1))
-        self._stretch = np.sqrt(np.maximum(steep / max(steep.max(), 1e-300), LEAST))
-        nearest = KDTree(z * self._stretch).query(z * self._stretch, 2)[0][:, 1]
-        self._known, self._answers = z * self._stretch, h
-        self._damping = DAMPED * float(np.median(nearest)) ** 3
-        self._spline = RBFInterpolator(self._known, h, smoothing=self._damping, kernel="cubic", degree=1)
+        self.stretch = np.sqrt(np.maximum(steep / max(steep.max(), 1e-300), LEAST))
+        nearest = KDTree(z * self.stretch).query(z * self.stretch, 2)[0][:, 1]
+        self._known, self._answers = z * self.stretch, h
+        self.damping = DAMPED * float(np.median(nearest)) ** 3
+        self._spline = RBFInterpolator(self._known, h, smoothing=self.damping, kernel="cubic", degree=1)
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """(m, k) at numbers (m, p)."""
-        return np.asarray(self._spline(z * self._stretch))
+        return np.asarray(self._spline(z * self.stretch))
 
     def left_out(self) -> tuple[np.ndarray, np.ndarray]:
         """(n, k) what was found at each z_i, less what the others alone would tell, and (n,) how far off these are, in
@@ -70,9 +77,9 @@ class Emulator:
 
     def apart(self, z: np.ndarray) -> np.ndarray:
         """(m,) standard deviations of the spline at numbers (m, p), but for a factor: how far off what is known is."""
-        right = self._right(z * self._stretch)
-        square = self._damping - np.einsum("ij,ij->i", right @ self._inverse, right)
-        return np.sqrt(np.maximum(square, self._damping))
+        right = self._right(z * self.stretch)
+        square = self.damping - np.einsum("ij,ij->i", right @ self._inverse, right)
+        return np.sqrt(np.maximum(square, self.damping))
 
     @cached_property
     def _inverse(self) -> np.ndarray:
@@ -80,7 +87,7 @@ class Emulator:
         equations = np.zeros((n + p + 1, n + p + 1))
         equations[:n] = self._right(self._known)
         equations[n:, :n] = equations[:n, n:].T
-        equations[:n, :n] += self._damping * np.eye(n)
+        equations[:n, :n] += self.damping * np.eye(n)
         return np.linalg.inv(equations)
 
     def _right(self, z: np.ndarray) -> np.ndarray:
