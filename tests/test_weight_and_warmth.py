@@ -121,8 +121,9 @@ def test_the_full_solve_agrees_on_the_lap_joint(kind, cache):
     item = {"gravity": {"direction": [0.6, 0, -0.8], "mean": 3.0}, "temperature": {"mean": 40.0, "part": "upper"}}[kind]
     table = lap([{"name": "D", "kind": kind, "sigma": 0.0} | item])
     table["measurements"] += [IN_PLANE]
-    table["welds"] = [weld | {"fused": False} for weld in table["welds"]]  # on the mesh as it is drawn: where elements
-    table["zones"] = [zone | {"pairs": 24} for zone in table["zones"]]  # are divided, loads are still those of whole ones
+    # On the mesh as it is drawn: where elements are divided, loads are those of whole ones.
+    table["welds"] = [weld | {"fused": False} for weld in table["welds"]]
+    table["zones"] = [zone | {"pairs": 24} for zone in table["zones"]]
     for stage in table["stages"][1:4]:
         stage |= {"path": "increments", "increments": 1}
     scene = read(table)
