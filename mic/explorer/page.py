@@ -1,8 +1,7 @@
 """The page: sliders, the assembly in space, key characteristics with their tolerances, the certificate, samples.
 
 A move is answered as soon as it comes. Where an answer takes longer than :data:`SLOW`, a preliminary one comes first
-and is called so, and the final one follows unless something was moved meanwhile; where there is a second core, both are
-begun at once. Answers are computed beside the
+and is called so, and the final one follows unless something was moved meanwhile. Answers are computed beside the
 server, so that it stays awake.
 """
 
@@ -10,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -35,7 +33,6 @@ from mic.studies.exploration import GROUPS, Answer, Exploration
 
 __all__ = ["Page", "Samples"]
 
-CORES = len(os.sched_getaffinity(0))
 SLOW = 0.05  # s: what takes longer is preceded by a preliminary answer
 FIRST = 8  # controls of a group that are seen at once
 STEPS = 200  # of a slider
@@ -232,13 +229,9 @@ class Page:
                     final.cancel()  # if it has not begun; what was asked for is out of date
                 ask = partial(self.exploration.answer, self.values(), self._state.stage)
                 final = None
-                if self._took > SLOW:
-                    early = self._asked(self._first, partial(ask, coarse=True))
-                    final = self._asked(self._final, ask) if CORES > 1 else None
-                    told = await early
-                    if final is None or not final.done():
-                        self._tell(told)
-                    if final is None and not self._moved.is_set():
+                if self._took > SLOW:  # one after the other: beside the final one the preliminary takes a fifth longer
+                    self._tell(await self._asked(self._first, partial(ask, coarse=True)))
+                    if not self._moved.is_set():
                         final = self._asked(self._final, ask)
                 else:
                     self._tell(await self._asked(self._final, ask))

@@ -1,5 +1,7 @@
 """One array of 80 MB that the first of several processes makes and all share: what each of them gets, one line each."""
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +32,8 @@ def main() -> None:
         found["array"][7] = -1.0  # what no program does: to see that there is one array
     wait(world)
     right = total == SIZE * (SIZE - 1) / 2 and found["words"] == ["as", "they", "are"] and found["few"].sum() == 3
-    print(f"{world.rank} made {made} right {right} one {found['array'][7] == -1.0} grew {private() - before:.0f}")
+    said = f"{world.rank} made {made} right {right} one {found['array'][7] == -1.0} grew {private() - before:.0f}\n"
+    os.write(sys.stdout.fileno(), said.encode())  # at once, so that no line of another process comes between
 
 
 if __name__ == "__main__":
