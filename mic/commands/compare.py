@@ -12,9 +12,9 @@ from mic.commands.call import counting, on_one_process, studied, threads
 from mic.console import plain
 from mic.process.model import ReducedModel
 from mic.results.field_changes import field_changes, write_field_changes
-from mic.results.outcome import read_outcome
+from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import COMPARISON
-from mic.scene import load_scene
+from mic.scene import Scene, load_scene
 from mic.studies.comparison import SAMPLES, need_common
 from mic.studies.comparison import compare as compared
 
@@ -27,8 +27,11 @@ def compare(before, after, samples, seed, law, out):
     from mic.report.comparison_page import sentences, write_comparison  # drawing libraries are slow to import
 
     console = Console()
-    need_common(*map(_scene, (before, after)))  # before any of them is reduced
-    sides = [_side(console, source) for source in (before, after)]
+    known = [_known(source) for source in (before, after)]
+    need_common(*map(_scene, known))  # before any of them is reduced
+    sides = [
+        studied(console, source)[0] if isinstance(one, Scene) else one for source, one in zip((before, after), known)
+    ]
     laws = [one.value for one in law or []]
     with counting(console, "evaluations", 2 * (samples or SAMPLES)) as advance:
         found = compared(*sides, laws, samples, seed, threads(), advance)
@@ -45,18 +48,18 @@ def compare(before, after, samples, seed, law, out):
     console.print(f"page: [bold]{plain(page)}[/]   table: {plain(folder / COMPARISON.place)}", soft_wrap=True)
 
 
-def _scene(source):
-    """The scene of a run, of a saved model, or of a file."""
-    if (source / "run.json").is_file():
-        return read_outcome(source).model.scene
-    return ReducedModel.load(source).scene if source.suffix == ".npz" and source.is_file() else load_scene(source)
-
-
-def _side(console, source):
-    """A run where there is one, else a reduced model."""
+def _known(source):
+    """What is there before anything is reduced: a run, a saved model or a scene."""
     if (source / "run.json").is_file():
         return read_outcome(source)
-    return studied(console, source)[0]
+    return ReducedModel.load(source) if source.suffix == ".npz" and source.is_file() else load_scene(source)
+
+
+def _scene(known):
+    """The scene of what is known."""
+    if isinstance(known, Scene):
+        return known
+    return known.model.scene if isinstance(known, Outcome) else known.scene
 
 
 def _short(name: str) -> str:
