@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_every_example_is_a_scene():
-    assert {"hat_on_plate", "lap_joint", "wheelhouse"} <= set(examples.names())
+    assert {"bracket", "hat_on_plate", "lap_joint", "wheelhouse"} <= set(examples.names())
     for name in examples.names():
         assert mic.load_scene(examples.folder(name)).name.replace("-", "_") == name
 

@@ -371,7 +371,7 @@ def test_missing_scene():
         mic.load_scene("nowhere/scene.toml")
 
 
-@pytest.mark.parametrize("name", ["wheelhouse", "lap_joint", "hat_on_plate"])
+@pytest.mark.parametrize("name", ["wheelhouse", "lap_joint", "hat_on_plate", "bracket"])
 def test_shipped_scenes_are_valid(name):
     assert mic.load_scene(LAP.parent / name).parts
 
@@ -454,7 +454,7 @@ def test_a_generated_scene_survives_being_written_and_read_again(seed, setting):
 
 
 @pytest.mark.parametrize("setting", [None, *SETTINGS])
-@pytest.mark.parametrize("name", ["wheelhouse", "wheelhouse/watched.toml", "lap_joint", "hat_on_plate"])
+@pytest.mark.parametrize("name", ["wheelhouse", "wheelhouse/watched.toml", "lap_joint", "hat_on_plate", "bracket"])
 def test_a_scene_survives_being_written_and_read_again(name, setting):
     """Parts with `mesh` and parts with `geometry` alike: the model's file holds the scene with all its defaults."""
     scene = mic.load_scene(LAP.parent / name)

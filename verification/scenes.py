@@ -9,7 +9,7 @@ __all__ = ["few", "going", "shipped"]
 
 
 #: Pairs by zone where a scene leaves them open: studies that hold one solver against another need no more.
-FEW = {"lap": 24, "left": 20, "right": 20, "stop": 7}
+FEW = {"lap": 24, "left": 20, "right": 20, "stop": 7, "foot": 24, "cover": 12, "rest": 7}
 
 
 def few(scene: Scene) -> Scene:

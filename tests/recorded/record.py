@@ -25,7 +25,7 @@ from verification.scenes import few
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
-SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
+SCENES = ("lap_joint", "hat_on_plate", "bracket", "wheelhouse")
 LAWS = tuple(laws.LAWS)
 INCREMENTS = (1, 3)
 #: What a law reads beyond a coefficient: a function of pressure, and a tangential stiffness per area.

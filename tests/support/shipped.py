@@ -30,6 +30,7 @@ SCENES = {
     "lap_joint": ("lap_joint", True),
     "lap_joint_watched": ("lap_joint", False),
     "hat_on_plate": ("hat_on_plate", True),
+    "bracket": ("bracket", True),
 }
 SHIPPED = Format("shipped compliance", 3, "make it again: PYTHONPATH=tests python -m support.shipped")
 SAME = 1e-7  # mm, and components of unit vectors: readings that are closer than this are one
