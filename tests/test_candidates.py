@@ -90,6 +90,23 @@ def test_the_nominal_lap_joint_does_not_move(model):
     assert evaluation.resolutions["release"].force[0, :, 0].sum() < 0.05 * clamps
 
 
+@pytest.mark.fem
+@pytest.mark.parametrize(
+    "path, keys", [("hat_on_plate/scene.toml", {}), ("wheelhouse/watched.toml", {"spacing": 20.0})]
+)
+def test_no_shipped_assembly_moves_that_is_nominal(path, keys, cache):
+    """On coarse meshes, the wheelhouse with candidates far apart; the lap joint's is above. Cells at any spacing do."""
+    scene = mic.load_scene(MESHES / path)
+    report = scene.report.model_copy(update={"laws": ["coulomb"], "fields": False, "slip": False})
+    parts = [part.model_copy(update={"size": "coarse"}) for part in scene.parts]
+    model = mic.reduce(with_zone(scene.model_copy(update={"parts": parts, "report": report}), **keys), cache)
+    evaluation = model.evaluate(np.zeros(len(model.parameters)))
+    assert np.abs(evaluation.measurements).max() < 2e-3
+    clamps = sum(clamp.force or 0.0 for clamp in scene.clamps)
+    assert evaluation.resolutions["clamp"].force[0, :, 0].sum() > 0.25 * clamps  # they press
+    assert evaluation.resolutions["release"].force[0, :, 0].sum() < 0.05 * clamps
+
+
 def test_watched_is_dense(model):
     """All candidates at once, none left out, one increment a step."""
     stages = [

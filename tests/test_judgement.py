@@ -110,6 +110,16 @@ def located_again(stage):
     return edit
 
 
+def late(name):
+    """A locator that engages in a second clamp stage."""
+
+    def edit(scene):
+        scene["stages"].insert(2, {"kind": "clamp", "name": "second"})
+        item(scene, f"locators.{name}")["stage"] = "second"
+
+    return edit
+
+
 def edited(name, edit) -> Scene:
     scene = copy.deepcopy(TABLES[name])
     edit(scene)
@@ -185,6 +195,14 @@ NONSENSE |= {
     "a jaw that pulls, alone": ("hat_on_plate", put("clamps.C1", direction=UP), "C1", "clamp-pulls"),
     "a stroke that lifts": ("hat_on_plate", put("clamps.C3", direction=UP), "C3", "clamp-pulls"),
     "tongs of which one jaw is gone": ("lap_joint", drop("clamps.C1-lower"), "C1-upper", "presses-one-side"),
+    "a clamp whose rest is gone": ("hat_on_plate", drop("locators.plate-A6"), "plate 33 mm from", "unbacked"),
+    "a clamp whose rest comes later": ("hat_on_plate", late("plate-A7"), "C2", "unbacked"),
+    "a clamp whose rest is aslant": (
+        "hat_on_plate",
+        put("locators.plate-A6", direction=[0, 0.8, 0.6]),
+        "C1",
+        "unbacked",
+    ),
     "tongs of two forces": ("lap_joint", put("clamps.C1-upper", force=600), "C1-upper", "tongs-askew"),
     "tongs that push one way": ("lap_joint", put("clamps.C1-lower", direction=DOWN), "C1-upper", "tongs-askew"),
     "a tangential clamp": ("lap_joint", put("clamps.C1-upper", direction=[1, 0, 0]), "C1-upper", "clamp-inclined"),
@@ -515,6 +533,14 @@ SENSIBLE = {
         "lap_joint",
         add("clamps", name="C9", part="lower", point=[5, 5, 0], direction=DOWN, force=200),
     ),
+    "a light clamp beside its rest": (
+        "hat_on_plate",
+        all_of(drop("locators.plate-A6"), put("clamps.C1", force=20)),
+    ),
+    "a jaw opposite in place of a rest": (
+        "hat_on_plate",
+        all_of(drop("locators.plate-A6"), like("clamps.C1", name="C5", part="plate", point=[50, -38, 0], direction=UP)),
+    ),
     "a stroke of half a millimetre": ("hat_on_plate", put("clamps.C3", stroke=0.5)),
     "a stroke that lifts off a little": ("hat_on_plate", put("clamps.C3", stroke=-0.5)),
     "a clamp of limited force": ("hat_on_plate", put("clamps.C3", limit=400.0)),
@@ -689,6 +715,27 @@ def bent(facets: int) -> Case:
     return Case(table, meshes, case.deviations)
 
 
+def stacked(force=100.0, **rest) -> Case:
+    """Three plates of which the lowest has locators of its own, one clamp upon them, and what is given under it."""
+    case = plates()
+    table, meshes = copy.deepcopy(case.table), {**case.meshes, "bottom": extrude([(0, -1), (40, -1)], 0, 100, 5)[:2]}
+    table["parts"].append(table["parts"][0] | {"name": "bottom", "mesh": "bottom.inp"})
+    table["locators"] += [
+        {**row, "name": f"bottom{i}", "part": "bottom", "point": (*row["point"][:2], -1.0)}
+        for i, row in enumerate(table["locators"][:6])
+    ]
+    table["clamps"] = [row | {"force": force} for row in table["clamps"] if row["part"] == "upper"]
+    table["zones"].append(table["zones"][0] | {"name": "below", "parts": ["bottom", "lower"]})
+    for key, rows in rest.items():
+        table[key] = table.get(key, []) + rows
+    return Case(table, meshes, case.deviations)
+
+
+#: Under the lowest of the three: a locator, or a pad upon which it lies.
+LOCATOR = {"name": "rest", "part": "bottom", "point": (50.0, 20.0, -1.0), "direction": (0, 0, 1), "stage": "clamp"}
+PAD = {"name": "pad", "point": (50.0, 20.0, -1.5), "normal": (0, 0, 1), "radius": 6.0}
+UPON = {"name": "upon", "parts": ["pad", "bottom"], "friction": 0.2, "pairs": 4}
+
 #: What only another geometry shows: the plates, and what is said of them.
 SHAPED = {
     "as they should be": (plates(), None, ""),
@@ -706,6 +753,10 @@ SHAPED = {
         "weld-off-zone",
         "weld W",
     ),
+    "upon each other, backed nowhere": (stacked(), "unbacked", "clamp C-upper"),
+    "upon each other and a locator": (stacked(locators=[LOCATOR]), None, ""),
+    "upon each other and a pad": (stacked(fixtures=[PAD], zones=[UPON]), None, ""),
+    "upon each other, pressed lightly": (stacked(force=15.0), None, ""),
     "bent in many facets": (bent(32), None, ""),
     "bent in few facets": (bent(12), "bend-coarse", "zone between"),
 }

@@ -25,6 +25,7 @@ GAP = 1.0  # mm under a weld
 FAR = 100.0  # mm from a weld to the next contact pair
 SHARED = 0.5  # of the smaller zone
 BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
+SUNK = 0.1  # mm under a clamp
 BODY = 3.0  # mm: no pad is thinner
 CROSSED = 0.05  # mm on either side
 SMALL = 20.0  # mm²
@@ -173,6 +174,63 @@ def presses_one_side(assembly) -> Iterator[Seen]:
             where = f"{beside:.0f} mm beside" if np.isfinite(beside) else "without"
             said = f"presses on part {pressed[0]} {where} what holds that part: it presses one side only"
             yield of("clamps", clamp), said, clamp.point
+
+
+def unbacked(assembly) -> Iterator[Seen]:
+    """Clamps with a force under which nothing holds the sheets that they press together: they sink.
+
+    How far is estimated as of a round plate on a ring through the nearest support, d away, with the force in its
+    middle: w = F d² (3 + ν) / (16 π D (1 + ν)), D the bending stiffnesses of the sheets added up.
+    """
+    sheet, fixtures = {part.name: part for part in assembly.parts}, {item.name for item in assembly.scene.fixtures}
+    for clamp in assembly.scene.clamps:
+        stack = _stack(assembly, clamp) if clamp.force else []
+        away = _support(assembly.scene, clamp, stack)
+        if len(stack) < 2 or fixtures & set(stack) or not np.isfinite(away):
+            continue  # it presses nothing, or what a pad backs, or what floats, of which another rule tells
+        stiffness = sum(sheet[n].young * sheet[n].thickness ** 3 / 12 / (1 - sheet[n].poisson ** 2) for n in stack)
+        ν = float(np.mean([sheet[name].poisson for name in stack]))
+        sunk = abs(clamp.force) * away**2 * (3 + ν) / (16 * np.pi * stiffness * (1 + ν))
+        if sunk > SUNK:
+            said = f"presses with {abs(clamp.force):.3g} N on part {stack[-1]} {away:.0f} mm from the next support"
+            said += f": nothing backs it there, the sheets sink by about {sunk:.2g} mm"
+            yield of("clamps", clamp), said, clamp.point
+
+
+def _stack(assembly, clamp) -> list[str]:
+    """The bodies that a clamp presses upon each other, in the order in which its force goes through them."""
+    contacts, zones = assembly.contacts, assembly.scene.zones
+    push = np.sign(clamp.force or 1.0) * np.array(clamp.direction)
+    distance = np.linalg.norm(contacts.point - clamp.point, axis=1)
+    near = np.flatnonzero(distance < clamp.radius + np.sqrt(contacts.area))
+    near, stack = near[np.argsort(distance[near], kind="stable")], [clamp.part]
+    for pair in itertools.chain.from_iterable(itertools.repeat(near, len(zones))):  # as deep as zones lie
+        first, second = zones[contacts.zone[pair]].parts
+        along = float(contacts.frame[pair, :, 0] @ push)  # from the first to the second
+        upper, lower = (first, second) if along > 0 else (second, first)
+        if abs(along) > INCLINED and upper == stack[-1] and lower not in stack:
+            stack.append(lower)
+    return stack
+
+
+def _support(scene, clamp, stack) -> float:
+    """How far beside a clamp the next locator, stroke, pad or opposite jaw holds its stack, mm; 0 within the pad."""
+    push, done = np.sign(clamp.force or 1.0) * np.array(clamp.direction), [str(stage.name) for stage in scene.stages]
+    closed = [item for item in scene.locators if done.index(item.stage) <= done.index(clamp.stage)]
+    closed += [item for item in scene.clamps if item.force is None and item.stage == clamp.stage]
+    jaws = [item for item in scene.clamps if item.force and item.stage == clamp.stage and item is not clamp]
+    opposite = [item for item in jaws if np.sign(item.force) * (item.direction @ push) < -INCLINED]
+    found = np.inf
+    for item in closed + opposite:
+        step = np.subtract(item.point, clamp.point)
+        apart = float(np.linalg.norm(step - (step @ push) * push))
+        if item.part not in stack or abs(item.direction @ push) < INCLINED:
+            continue
+        if apart <= clamp.radius + item.radius:
+            return 0.0
+        if item not in opposite:  # a jaw bears what its own partner presses, and nothing else
+            found = min(found, apart)
+    return found
 
 
 def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:

@@ -395,6 +395,14 @@ MESHES: tuple[Rule, ...] = (
         meshes.presses_one_side,
     ),
     Rule(
+        "unbacked",
+        f"at most {meshes.SUNK:g} mm",
+        "a jaw stands over a rest, or opposite another jaw: else the sheets bend as far as the clamp likes, and spring "
+        "back when it opens",
+        "add a locator or a fixture under it, or the jaw opposite",
+        meshes.unbacked,
+    ),
+    Rule(
         "locators-in-line",
         f"up to {meshes.AMPLIFIED:g} mm",
         "locators spread over the part hold it firmly",
