@@ -636,7 +636,9 @@ def test_there_are_thirty_of_them():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["lap_joint", "hat_on_plate", "bracket", pytest.param("wheelhouse", marks=pytest.mark.fem)])
+@pytest.mark.parametrize(
+    "name", ["lap_joint", "hat_on_plate", "bracket", pytest.param("wheelhouse", marks=pytest.mark.fem)]
+)
 def test_nothing_is_warned_of_in_the_shipped_scenes(name, cache):
     scene = mic.load_scene(MESHES_FOLDER / name)
     assert judge(scene, assemble(scene, cache)) == ()

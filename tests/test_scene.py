@@ -458,7 +458,11 @@ def test_a_generated_scene_survives_being_written_and_read_again(seed, setting):
 def test_a_scene_survives_being_written_and_read_again(name, setting):
     """Parts with `mesh` and parts with `geometry` alike: the model's file holds the scene with all its defaults."""
     scene = mic.load_scene(LAP.parent / name)
-    parts = [scene.parts[0], scene.parts[1].model_copy(update={"geometry": None, "size": None, "mesh": "x.stl"})]
+    parts = [
+        scene.parts[0],
+        scene.parts[1].model_copy(update={"geometry": None, "size": None, "mesh": "x.stl"}),
+        *scene.parts[2:],
+    ]
     for changed in (scene, scene.model_copy(update={"parts": parts})):
         changed = changed.model_copy(update={"setting": setting})
         again = mic.Scene(**changed.model_dump(mode="json"))

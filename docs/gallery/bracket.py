@@ -24,7 +24,7 @@ measured = {law: model.evaluate(deviations, law).measurements for law in ("coulo
 # What friction changes of each key characteristic, one dot an assembly.
 figure, axis = plt.subplots(figsize=(7, 3.2), layout="constrained")
 change = 1e3 * (measured["coulomb"] - measured["frictionless"])
-for k, item in enumerate(scene.measurements):
+for k in range(len(scene.measurements)):
     axis.scatter(change[:, k], np.full(len(change), k), s=24, alpha=0.7)
 axis.axvline(0, color="k", lw=0.8)
 axis.set(

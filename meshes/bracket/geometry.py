@@ -1,8 +1,8 @@
 """A bracket of three sheets: x along it, y across, z up; all lengths in mm.
 
-An angle stands with its foot on a base, and a cap lies on the foot; nominally the sheets touch. They differ in thickness,
-so that the surfaces drawn here, the middles of the sheets, lie half of two thicknesses apart. Normals of the base, of the
-foot and of the cap point along +z, those of the angle's upright along -y.
+An angle stands with its foot on a base, and a cap lies on the foot; nominally the sheets touch. They differ in
+thickness, and the surfaces drawn here, their middles, lie apart by half the sum of two. Normals of the base, the foot
+and the cap point along +z, those of the upright along -y.
 """
 
 from __future__ import annotations
