@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -121,13 +122,12 @@ def test_the_full_solve_agrees_on_the_lap_joint(kind, cache):
     item = {"gravity": {"direction": [0.6, 0, -0.8], "mean": 3.0}, "temperature": {"mean": 40.0, "part": "upper"}}[kind]
     table = lap([{"name": "D", "kind": kind, "sigma": 0.0} | item])
     table["measurements"] += [IN_PLANE]
-    # On the mesh as it is drawn: where elements are divided, loads are those of whole ones.
-    table["welds"] = [weld | {"fused": False} for weld in table["welds"]]
-    table["zones"] = [zone | {"pairs": 24} for zone in table["zones"]]
     for stage in table["stages"][1:4]:
         stage |= {"path": "increments", "increments": 1}
     scene = read(table)
     model, assembly = mic.reduce(scene, cache), assemble(scene, cache)
+    # All candidates at once, as in the full solve: watched, they come to that within 1e-6 mm.
+    model = replace(model, contacts=replace(model.contacts, watched=np.zeros(len(model.contacts), bool)))
     mean = model.deviations({})[0]
     full, reduced = FullModel(assembly).evaluate(mean), model.evaluate(mean)
     moved = np.abs(reduced.measurements - model.evaluate(0 * mean).measurements).max()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from mic import cache_folder
 from mic.commands.call import keep_studies, on_one_process, requested
@@ -421,20 +421,27 @@ def _print_accuracy(console, assembly, say):
 
 def _print_convergence(console, assembly, found):
     """Key characteristics with denser pairs beside those with the pairs as they are."""
-    table = Table(
-        "mm", "nominal", "denser", "mean", "denser", "6σ", "denser", "of 6σ", title="Key characteristics and the pairs"
-    )
+    figures = ("nominal", "mean", "6σ")
+    heads = [Column(head, overflow="fold", justify="right") for name in figures for head in (name, "change")]
+    table = Table(Column("mm", overflow="fold"), *heads, title="Key characteristics and the pairs")
     for k, item in enumerate(assembly.scene.measurements):
-        cells = [f"{value:.4f}" for one in (found.nominal, found.mean, found.six_sigma) for value in one[:, k]]
-        before, after = found.six_sigma[:, k]
-        table.add_row(item.name, *cells, f"{100 * (after / before - 1):+.1f} %" if before > 0 else "")
+        (nominal, mean, spread), (moves, more, wider) = [
+            [values[row, k] for values in (found.nominal, found.mean, found.six_sigma)] for row in (0, 1)
+        ]
+        off = f"{1e3 * (more - mean):+.1f} ± {1e3 * found.mean_half[k]:.1f} µm"
+        share = f"{100 * (wider / spread - 1):+.2f} ± {100 * found.six_sigma_half[k] / spread:.2f} %" if spread else ""
+        cells = [f"{nominal:.4f}", f"{1e3 * (moves - nominal):+.1f} µm", f"{mean:.4f}", off, f"{spread:.4f}", share]
+        table.add_row(item.name, *cells)
     console.print(table)
-    console.print(
+    lines = (
         f"{found.pairs[0]} and {found.pairs[1]} pairs; between them sheets pass through each other by up to "
         f"{found.unseen[0]:.2g} and {found.unseen[1]:.2g} mm; {found.failed} of {density.SAMPLES} samples failed",
-        highlight=False,
-        soft_wrap=True,
+        f"A change is what pairs at {density.DENSER:g} of their distance make of the same {density.SAMPLES} samples, ± "
+        "the 95 % interval that so few samples leave of it. It is no bound of what the pairs leave: still denser ones, "
+        "and other samples, may move a characteristic that did not move here.",
     )
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True)
 
 
 def _holds(folder, assembly) -> bool:

@@ -23,6 +23,7 @@ from mic.geometry.normals import CornerNormals, corner_normals
 
 __all__ = ["EQUAL", "Patch", "Projection", "Surface", "closest_barycentric"]
 
+INNER = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6  #: points of a triangle with equal weight, see Surface.whole
 EQUAL = 1e-7  #: lengths that differ by less than this share of the size of things are equal; so are cosines and ratios
 
 
@@ -444,6 +445,12 @@ class Surface:
         centroid[cut] = np.where(sense[:, None] > 0, piece, rest)
         kept = share > EQUAL
         return triangle[kept], centroid[kept], (share * area)[kept]
+
+    def whole(self) -> Patch:
+        """All of the surface: three points of each triangle, which integrate what is quadratic on it exactly."""
+        count = len(self.triangles)
+        weight = np.repeat(self.areas / (3 * self.areas.sum()), 3)
+        return Patch(np.repeat(np.arange(count), 3), np.tile(INNER, (count, 1)), weight)
 
     def sample(self, triangles, spacing: float):
         """Midpoint quadrature on congruent sub-triangles no longer than `spacing` (at most 32 per edge).

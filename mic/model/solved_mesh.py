@@ -9,7 +9,7 @@ compliance is all but singular, and friction among them takes a thousand times a
 denser than so, under clamps above all, elements become as dense.
 
 Where contact is looked for, and where everything else stands, is found on the mesh as it is drawn: dividing leaves the
-sheet where it was.
+sheet where it was. What is spread over all of a sheet, its weight, is spread over the elements that are solved.
 """
 
 from __future__ import annotations
@@ -67,6 +67,18 @@ def resolved(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, apar
     patches = tuple(Patch(*found.carried(one.triangle, one.barycentric), one.weight) for one in rows.patches)
     return replace(
         part,
-        surface=Surface(found.points, found.triangles, found.normals),
-        functionals=replace(rows, patches=patches),
+        surface=(solved := Surface(found.points, found.triangles, found.normals)),
+        functionals=replace(rows, patches=_spread(rows.patches, patches, surface, solved)),
     )
+
+
+def _spread(
+    before: tuple[Patch, ...], carried: tuple[Patch, ...], drawn: Surface, solved: Surface
+) -> tuple[Patch, ...]:
+    """The carried patches, but for those that read all of the drawn surface, as a weight does: these read all of the
+    divided one, whose every element bears its share."""
+    all_of = drawn.whole()
+    same = [
+        np.array_equal(one.triangle, all_of.triangle) and np.array_equal(one.weight, all_of.weight) for one in before
+    ]
+    return tuple(solved.whole() if everywhere else one for everywhere, one in zip(same, carried))

@@ -11,6 +11,7 @@ import numpy as np
 from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import Assembly, assemble
 from mic.process.model import ReducedModel
+from mic.results.paired import mean_change, six_sigma_change
 from mic.sampling.draw import draw
 from mic.scene import Scene
 
@@ -29,6 +30,9 @@ class Convergence:
     pairs : (2,) int array
     nominal, mean, six_sigma : (2, k) array
         Without any deviation, and over the samples that neither lost, mm.
+    mean_half, six_sigma_half : (k,) array
+        Half the 95 % interval of what changes of them, mm: the samples are the same, so that it is far narrower than
+        either figure's own.
     unseen : (2,) array
         Deepest penetration between the pairs, mm.
     failed : int
@@ -39,6 +43,8 @@ class Convergence:
     nominal: np.ndarray
     mean: np.ndarray
     six_sigma: np.ndarray
+    mean_half: np.ndarray
+    six_sigma_half: np.ndarray
     unseen: np.ndarray
     failed: int
 
@@ -85,6 +91,13 @@ def converge(assembly: Assembly, cache: Path, law: str, progress: Callable[[str]
         nominal=np.array([nominal.measurements[0] for _, nominal, _ in found]),
         mean=np.array([values.mean(axis=0) for values in kept]),
         six_sigma=np.array([6 * values.std(axis=0, ddof=1) for values in kept]),
+        mean_half=_half(mean_change, *kept),
+        six_sigma_half=_half(six_sigma_change, *kept),
         unseen=np.array([max((r.unseen.max() for r in e.resolutions.values()), default=0.0) for _, _, e in found]),
         failed=int(failed.sum()),
     )
+
+
+def _half(change, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    found = [change(a, b) for a, b in zip(before.T, after.T)]
+    return np.array([(one.high - one.low) / 2 for one in found])

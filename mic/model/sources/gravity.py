@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from mic.errors import SceneError
-from mic.geometry.surface import Patch, Surface
 from mic.model.sources.source import Source
 
 __all__ = ["Gravity"]
 
 EARTH = 9806.65  # mm/s²
 TONNES = 1e-12  # t/mm³ of a kg/m³
-#: Three points of a triangle, which integrate what is quadratic on it exactly.
-INNER = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
 
 
 class Gravity(Source):
@@ -31,7 +28,7 @@ class Gravity(Source):
                     f"{self.key} ({self.deviation.name}): part {part.name!r} needs density, kg/m³, such as 7850: add it"
                 )
             surface, thickness = rows.surfaces[part.name], part.sheet[0]
-            patch = rows.patch(part.name, _whole(surface))
+            patch = rows.patch(part.name, surface.whole())
             label = f"{self.deviation.name} of {part.name}"
             functional = rows.functional(part.name, patch, direction, label)
             weight = TONNES * part.density * thickness * float(surface.areas.sum()) * EARTH
@@ -43,10 +40,3 @@ class Gravity(Source):
     def row(self, labels, part: str) -> int:
         """Number of the clamp row that is a part's weight."""
         return labels["clamp"].index(f"{self.deviation.name} of {part}")
-
-
-def _whole(surface: Surface) -> Patch:
-    """All of a surface."""
-    count = len(surface.triangles)
-    weight = np.repeat(surface.areas / (3 * surface.areas.sum()), 3)
-    return Patch(np.repeat(np.arange(count), 3), np.tile(INNER, (count, 1)), weight)
