@@ -15,6 +15,7 @@ from typing import Any
 from mic.contact.laws import Law
 
 __all__ = [
+    "APART",
     "BATCH",
     "BUDGET",
     "INTERIOR_POINT",
@@ -32,6 +33,9 @@ MARGIN = 1e-2
 #: The patient rungs may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts
 #: and 100 s for 600.
 BUDGET = 200.0
+#: Contacts that hang together are solved, apart from the others, once their own residual is this fraction of the
+#: tolerance.
+APART = 0.1
 
 
 def _smooth(law: Law) -> bool:
@@ -118,11 +122,13 @@ PROXIMAL_POINTS = Rung(
     "proximal points",
     "Each step is a problem with a regular W + α I near the last answer, solved or rejected: slow and steady.",
     _every,
-    # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits;
-    # after a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after
-    # sweeps where the law has them, and is solved to this tolerance or rejected.
+    # First the problem itself, Newton after each of these sweeps. Then α starts here, is multiplied by `gain` after a
+    # success and by `loss` after a failure, between its limits; after a failure it falls again once so many problems
+    # are solved. Each is tried by Newton at once, then after each of so many sweeps, where the law has them, and is
+    # solved to this tolerance or rejected.
     {
-        "steps": 15,
+        "warm": (30, 60, 120, 240, 480, 960),
+        "steps": 2000,
         "start": 1e-3,
         "gain": 0.5,
         "loss": 4.0,
@@ -130,8 +136,8 @@ PROXIMAL_POINTS = Rung(
         "smallest": 1e-9,
         "largest": 10.0,
         "tol": 1e-12,
-        "sweeps": 10,
-        "rounds": 3,
+        "sweeps": (0, 500, 2000),
+        "newton": 12,
     },
 )
 
@@ -185,12 +191,6 @@ PATIENT = (
         "With De Saxcé's shift held the problem is convex and has one answer; then the shift is renewed.",
         _shifted,
         {"steps": 8},
-    ),
-    Rung(
-        "last proximal points",
-        "The same from where the interior point ended, as long as the budget lasts: jammed piles.",
-        _every,
-        dict(PROXIMAL_POINTS.settings) | {"steps": 2000},
     ),
 )
 

@@ -24,7 +24,7 @@ __all__ = ["ContactSolver", "solve"]
 #: refused.
 ASYMMETRY_WARNED, ASYMMETRY_REFUSED = 1e-10, 1e-2
 #: A negative eigenvalue beyond this share of the largest diagonal entry is an error of sign, not of rounding.
-INDEFINITE = 1e-8
+INDEFINITE = 5e-7
 #: Doubles below have fewer digits than others.
 SMALLEST = np.finfo(float).tiny / np.finfo(float).eps
 #: The search for a solution ends this far below the tolerance, so that rounding cannot undo the verdict.

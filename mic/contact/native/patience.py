@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mic.contact.ladder import INTERIOR_POINT
+from mic.contact.native import kernels
 from mic.contact.native.batch import relaxation
 from mic.contact.native.interior_point import interior_point
 from mic.contact.native.polish import polished
@@ -88,15 +89,57 @@ def proximal_points(search, rung):
     ``α`` falls while the problems are solved. One that is not is rejected: ``y`` stays and ``α`` grows, and waits there
     for some solved ones. Steps to half-solved problems stall.
     """
-    q, y, alpha, wait = search.q, search.interior, rung["start"], 0
+    q, y, alpha, wait = search.q, search.best, rung["start"], 0
+    neighbours = search.problem.neighbours if search.problem.law.frictional else None
+    if search.problem.law.gauss_seidel:
+        for sweeps in rung["warm"]:
+            y = _swept(search.problem, neighbours, q, y, sweeps)
+            z, _, steps = _landed(search.problem, rung, q, y)
+            yield z, sweeps, steps
     for _ in range(rung["steps"]):
-        z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 0.1 * rung["tol"], q - alpha * y, y)
-        if error <= rung["tol"]:
+        z, easy, *counts = _solved(search.problem.proximal(alpha), neighbours, rung, q - alpha * y, y)
+        if z is not None:
             y, wait = z, wait - 1
-            alpha = alpha if wait > 0 else max(rung["gain"] * alpha, rung["smallest"])
+            alpha = alpha if wait > 0 or not easy else max(rung["gain"] * alpha, rung["smallest"])
         else:
             alpha, wait = min(rung["loss"] * alpha, rung["largest"]), rung["wait"]
         yield y, *counts
+
+
+def _solved(problem, neighbours, rung, q, y):
+    """Newton at once, then after sweeps: the forces or None, whether at once; sweeps and steps of Newton's method."""
+    done = taken = 0
+    for sweeps in rung["sweeps"]:
+        if sweeps:
+            if not problem.law.gauss_seidel:
+                break
+            y = _swept(problem, neighbours, q, y, sweeps)
+        z, error, steps = _landed(problem, rung, q, y)
+        done, taken = done + sweeps, taken + steps
+        if error <= rung["tol"]:
+            return z, sweeps == 0, done, taken
+    return None, False, done, taken
+
+
+def _swept(problem, neighbours, q, y, sweeps):
+    y, slip = y.copy(), np.zeros(len(problem.parameters))
+    w = problem.W @ y + q
+    kernels.gauss_seidel(problem.W, *neighbours, problem.factors, problem.parameters, y, w, slip, sweeps, 1e-15)
+    return y
+
+
+def _landed(problem, rung, q, y):
+    """Newton from y: forces, error and steps."""
+    if not problem.law.frictional:
+        Y, error, done, steps = y[None].copy(), np.zeros(1), *np.zeros((2, 1), np.int64)
+        kernels.solve_frictionless(problem.W, q[None], Y, 0.1 * rung["tol"], 1, error, done, steps)
+        return Y[0], error[0], int(steps[0])
+    y, w, scale, tol = y.copy(), problem.W @ y + q, kernels.starting_scale(q), 0.1 * rung["tol"]
+    m, none = len(problem.parameters), np.empty((0, 0))
+    error, steps = kernels.newton(
+        problem.equation, problem.W, none, q, problem.parameters, y, w, 1e-13, scale, tol, rung["newton"], 0, m
+    )
+    return y, error, steps
 
 
 def _interior_polished(search, shift, held=None):
@@ -122,5 +165,4 @@ METHODS = {
     "interior point": interior,
     "fixed point": fixed_point,
     "proximal points": proximal_points,
-    "last proximal points": proximal_points,
 }
