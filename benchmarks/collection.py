@@ -2,10 +2,10 @@
 
     python benchmarks/collection.py siconos-4.4.0/numerics/src/FrictionContact/test/data --orders 2
 
-The folder is in the source package of Debian's siconos (``apt-get source siconos``).  Boxes in stacks, capsules, spheres
-and rocks in heaps, towers of planks, a rover on its wheels: rigid bodies, most with more contacts than freedoms.  Files
-of other kinds of problem (two dimensions, rolling friction, bodies not eliminated) are passed over, by name.  Time is
-that of the processor, one thread, the preparation of S included.
+The folder is in the source package of Debian's siconos (``apt-get source siconos``).  Boxes in stacks, capsules,
+spheres and rocks in heaps, towers of planks, a rover on its wheels: rigid bodies, most with more contacts than
+freedoms.  Files of other kinds of problem (two dimensions, rolling friction, bodies not eliminated) are passed over, by
+name.  Time is that of the processor, one thread, the preparation of S included.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _dense(numbers: Numbers) -> np.ndarray:
 
 
 def _by_blocks(numbers: Numbers, size: int) -> np.ndarray:
-    """Blocks row by row, each with its number before its entries, column by column; sizes are told as ends of blocks."""
+    """Blocks row by row, each with its number before its entries, column by column; sizes are told as their ends."""
     count, high, wide = numbers.integers(3)
     ends = [np.append(0, numbers.integers(n)) for n in (high, wide)]
     first, second = numbers.integers(2)

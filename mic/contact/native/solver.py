@@ -100,7 +100,7 @@ class NativeSolver:
         found = np.full(n, rungs[0].name, dtype=object)
         for rung in rungs if Q.size else ():
             unsolved = np.flatnonzero(errors > tol)
-            if not unsolved.size:
+            if not unsolved.size or not self.problem.W.any():  # where nothing moves no force helps
                 break
             if rung is not rungs[0] and len(self.problem.components) > 1:
                 self._solve_apart(b, unsolved, rungs, Y, iterations, factorisations, found)
@@ -138,15 +138,17 @@ class NativeSolver:
         if len(self.problem.components) <= 1:
             yield from self._climb(b, force)
             return
-        left = [(part.error(b[rows], force[rows]), k, rows, part) for k, (rows, _, part) in enumerate(self._parts(len(b)))]
-        for least, _, rows, part in sorted(left, reverse=True):
+        left = [(part.error(b[rows], force[rows]), rows, part) for rows, _, part in self._parts(len(b))]
+        names, furthest = ladder.rungs(self.problem.law), 0
+        for least, rows, part in sorted(left, key=lambda part: part[0], reverse=True):
             if least <= ladder.APART * self.tol:
                 continue
             best = force[rows]
             for candidate, *counts, rung in part._climb(b[rows], best):
                 whole = force.copy()
                 whole[rows] = candidate
-                yield whole, *counts, rung
+                furthest = max(furthest, names.index(rung))
+                yield whole, *counts, names[furthest]
                 error = part.error(b[rows], candidate)
                 if error < least:
                     least, best = error, candidate
@@ -161,6 +163,8 @@ class NativeSolver:
 
     def _climb(self, b, force):
         """The patient rungs, each starting from the best force so far, until the budget is spent."""
+        if not self.problem.W.any():
+            return
         search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
         m = len(self.problem.parameters)
         budget = ladder.BUDGET * (1.0 + 1000.0 / m)
