@@ -15,11 +15,10 @@ from typing import Any
 from mic.contact.laws import Law
 
 __all__ = [
+    "APART",
     "BATCH",
     "BUDGET",
-    "INTERIOR_POINT",
     "MARGIN",
-    "NEWTON",
     "PATIENT",
     "SPLITTING",
     "Rung",
@@ -31,7 +30,10 @@ __all__ = [
 MARGIN = 1e-2
 #: The patient rungs may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts
 #: and 100 s for 600.
-BUDGET = 200.0
+BUDGET = 500.0
+#: Contacts that hang together are solved, apart from the others, once their own residual is this fraction of the
+#: tolerance.
+APART = 0.1
 
 
 def _smooth(law: Law) -> bool:
@@ -48,10 +50,6 @@ def _swept(law: Law) -> bool:
 
 def _unswept(law: Law) -> bool:
     return law.frictional and not law.gauss_seidel
-
-
-def _shifted(law: Law) -> bool:
-    return law.frictional and law.shift != 0.0
 
 
 def _varying(law: Law) -> bool:
@@ -90,7 +88,7 @@ class Rung:
         return self.settings[name]
 
 
-# Rungs whose settings other rungs share.
+# Another rung shares its settings.
 SPLITTING = Rung(
     "splitting",
     "Each step is one product with an inverse formed once per S, however many contacts touch: for loads that stick.",
@@ -100,41 +98,6 @@ SPLITTING = Rung(
     # 1e-8, and each step gains that much.
     {"steps": 20, "rounds": 4, "invertible": 1e8},
 )
-NEWTON = Rung(
-    "newton",
-    "From the best force so far, other dampings and a search along the line may be all that is missing.",
-    _frictional,
-    # Damping of the derivative and halvings of the step, run by run: searching along the line, plain and damped, and
-    # whole steps.
-    {"runs": ((1e-9, 7), (1e-12, 0), (1e-6, 7), (1e-14, 7)), "tol": 1e-14, "steps": 20},
-)
-INTERIOR_POINT = Rung(
-    "interior point",
-    "It ends in the middle of the set of solutions, where redundant contacts stick inside their cones: stacks, arches.",
-    _frictional,
-    {"tol": 1e-11, "steps": 100},
-)
-PROXIMAL_POINTS = Rung(
-    "proximal points",
-    "Each step is a problem with a regular W + α I near the last answer, solved or rejected: slow and steady.",
-    _every,
-    # α starts here, is multiplied by `gain` after a success and by `loss` after a failure, between its limits;
-    # after a failure it falls again once so many problems are solved. Each gets so many rounds of Newton, after
-    # sweeps where the law has them, and is solved to this tolerance or rejected.
-    {
-        "steps": 15,
-        "start": 1e-3,
-        "gain": 0.5,
-        "loss": 4.0,
-        "wait": 4,
-        "smallest": 1e-9,
-        "largest": 10.0,
-        "tol": 1e-12,
-        "sweeps": 10,
-        "rounds": 3,
-    },
-)
-
 #: Cheap methods, for all samples together.
 BATCH = (
     Rung(
@@ -155,8 +118,7 @@ BATCH = (
         "splitting",
         "Where the problem is convex the steps converge from anywhere, so they are given time.",
         _unswept,
-        # Newton is mostly wasted after 20 steps, and what the last round leaves goes to the interior point, which takes
-        # as long as all of them.
+        # Newton is mostly wasted after 20 steps.
         dict(SPLITTING.settings) | {"steps": 50, "rounds": 5},
     ),
     Rung(
@@ -167,30 +129,37 @@ BATCH = (
     ),
 )
 
-#: Methods for one sample that the cheap ones did not solve.
+#: Methods for one sample that the cheap ones did not solve. Each of their problems is tried by so many steps of
+#: Newton's method, the derivative damped so, after each of so many more sweeps where the law has them, to a tolerance.
 PATIENT = (
-    NEWTON,
     Rung(
         "renewed friction",
         "With the coefficients of friction held the law is Coulomb's; then they are renewed from its normal forces.",
         _varying,
-        # Each Coulomb problem by sweeps and Newton, in so many rounds, to a tolerance at which Newton for the whole
-        # lands; by the interior point where that fails.
-        {"steps": 20, "sweeps": 10, "rounds": 3, "tol": 1e-8},
-    ),
-    PROXIMAL_POINTS,
-    INTERIOR_POINT,
-    Rung(
-        "fixed point",
-        "With De Saxcé's shift held the problem is convex and has one answer; then the shift is renewed.",
-        _shifted,
-        {"steps": 8},
+        # At this tolerance Newton for the whole lands.
+        {"steps": 20, "sweeps": (10, 20, 40), "newton": 15, "damping": 1e-12, "tol": 1e-8},
     ),
     Rung(
-        "last proximal points",
-        "The same from where the interior point ended, as long as the budget lasts: jammed piles.",
+        "proximal points",
+        "Each step is a problem with a regular W + α I near the last answer, solved or rejected: whatever is left.",
         _every,
-        dict(PROXIMAL_POINTS.settings) | {"steps": 2000},
+        # First the problem itself, Newton after each of these sweeps. Then α starts here, is multiplied by `gain` after
+        # a success at once and by `loss` after a failure, between its limits; after a failure it falls again once so
+        # many problems are solved.
+        {
+            "first": (30, 60, 120, 240, 480, 960),
+            "steps": 2000,
+            "start": 1e-3,
+            "gain": 0.5,
+            "loss": 4.0,
+            "wait": 4,
+            "smallest": 1e-9,
+            "largest": 10.0,
+            "sweeps": (0, 500),
+            "newton": 12,
+            "damping": 1e-13,
+            "tol": 1e-12,
+        },
     ),
 )
 

@@ -63,7 +63,7 @@ class ContactSolution:
     iterations : int or (n,) int array
         Passes over all contacts: Gauss-Seidel sweeps, Newton steps and splitting steps together; a backend's own count.
     factorisations : int or (n,) int array
-        How many of them were of Newton's method or of the interior point: each factorises a matrix over the contacts
+        How many of them were of Newton's method: each factorises a matrix over the contacts
         that touch, or over all.  What is factorised once for all samples is not counted; 0 where a backend tells none.
     rung : str or (n,) object array of str
         Which rung of the ladder found the force, a name in :mod:`mic.contact.ladder`; another backend's own name.

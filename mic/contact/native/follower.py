@@ -551,7 +551,8 @@ def _compile(digest):
     def sweep(W, P, parameters, y, w, q, slip, sweeps):
         """Gauss-Seidel's sweeps from (y, w), and ``w = W y + q`` without the rounding that they leave."""
         digest  # noqa: B018
-        gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
+        every = np.empty(0, np.int64)
+        gauss_seidel(W, every, every, P, parameters, y, w, slip, sweeps, 1e-15)
         times(W, y, w)
         w += q
 

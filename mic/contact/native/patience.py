@@ -6,12 +6,11 @@ who asks for them certifies each and stops at the first that is good enough.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from mic.contact.ladder import INTERIOR_POINT
-from mic.contact.native.batch import relaxation
-from mic.contact.native.interior_point import interior_point
-from mic.contact.native.polish import polished
+from mic.contact.native import kernels
 from mic.contact.native.problem import ScaledProblem
 
 __all__ = ["METHODS", "Search"]
@@ -26,24 +25,16 @@ class Search:
     q : (d m,) array
     best : (d m,) array
         The force that the cheap rungs left behind.
-    interior : (d m,) array
-        The last answer of the interior point; ``best`` before there is one.
     """
 
     def __init__(self, problem: ScaledProblem, q: np.ndarray, best: np.ndarray):
-        self.problem, self.q, self.best, self.interior = problem, q, best, best
+        self.problem, self.q, self.best = problem, q, best
         self.renew(best)
 
     def renew(self, y: np.ndarray) -> None:
         """Hold the friction that belongs to the forces ``y``, where it depends on them."""
         if self.problem.law.varies and np.isfinite(y).all():
             self.problem = self.problem.renewed(y)
-
-
-def newton(search, rung):
-    """Newton from the best force."""
-    for y, steps in polished(search.problem, search.q, search.best):
-        yield y, 0, steps
 
 
 def renewed_friction(search, rung):
@@ -54,32 +45,14 @@ def renewed_friction(search, rung):
     problem, q, y = search.problem, search.q, search.best
     mu, share, before = problem.friction.copy(), np.ones(len(problem.parameters)), np.zeros(len(problem.parameters))
     for _ in range(rung["steps"]):
-        y, error, sweeps, steps = _relaxed(problem.held(), rung, rung["tol"], q, y)
-        if error > rung["tol"]:
-            y, more = interior_point(problem.W, q, problem.friction, problem.law.shift, **INTERIOR_POINT.settings)
-            steps += more
-        for z, more in polished(problem, q, y):
-            yield z, sweeps, steps + more
-            sweeps = steps = 0
+        found = _solved(problem.held(), problem.neighbours, rung, q, y)
+        y = found.y
+        z, _, steps = landed(problem, rung, q, y)
+        yield z, found.sweeps, found.steps + steps
         step = problem.renewed(y).friction - mu
         share = np.where(step * before < 0.0, 0.5 * share, np.minimum(1.0, 2.0 * share))
         before, mu = step, mu + share * step
         problem = problem.holding(mu)
-
-
-def interior(search, rung):
-    """The interior point, polished."""
-    yield from _interior_polished(search, search.problem.law.shift)
-
-
-def fixed_point(search, rung):
-    """De Saxcé's fixed point: the convex problem with the shift ``s μ‖w_t‖`` held is solved, then the shift renewed."""
-    q, held = search.q, np.zeros(len(search.problem.parameters))
-    for _ in range(rung["steps"]):
-        yield from _interior_polished(search, 0.0, held)
-        problem = search.problem
-        w = problem.W @ search.interior + q
-        held = problem.law.shift * np.hypot(w[1::3], w[2::3])
 
 
 def proximal_points(search, rung):
@@ -88,39 +61,65 @@ def proximal_points(search, rung):
     ``α`` falls while the problems are solved. One that is not is rejected: ``y`` stays and ``α`` grows, and waits there
     for some solved ones. Steps to half-solved problems stall.
     """
-    q, y, alpha, wait = search.q, search.interior, rung["start"], 0
+    problem, q, y, alpha, wait = search.problem, search.q, search.best, rung["start"], 0
+    neighbours = problem.neighbours
+    for sweeps in rung["first"] if problem.law.gauss_seidel else ():
+        y = _swept(search.problem, neighbours, q, y, sweeps)
+        z, _, steps = landed(search.problem, rung, q, y)
+        yield z, sweeps, steps
     for _ in range(rung["steps"]):
-        z, error, *counts = _relaxed(search.problem.proximal(alpha), rung, 0.1 * rung["tol"], q - alpha * y, y)
-        if error <= rung["tol"]:
-            y, wait = z, wait - 1
-            alpha = alpha if wait > 0 else max(rung["gain"] * alpha, rung["smallest"])
+        found = _solved(search.problem.proximal(alpha), neighbours, rung, q - alpha * y, y)
+        if found.error <= rung["tol"]:
+            y, wait = found.y, wait - 1
+            if wait <= 0 and not found.sweeps:
+                alpha = max(rung["gain"] * alpha, rung["smallest"])
         else:
             alpha, wait = min(rung["loss"] * alpha, rung["largest"]), rung["wait"]
-        yield y, *counts
+        yield y, found.sweeps, found.steps
 
 
-def _interior_polished(search, shift, held=None):
-    problem, q = search.problem, search.q
-    search.interior, steps = interior_point(problem.W, q, problem.friction, shift, held, **INTERIOR_POINT.settings)
-    for y, more in polished(problem, q, search.interior):
-        yield y, 0, steps + more
-        steps = 0
+class _Found(NamedTuple):
+    """Forces, their error, and the sweeps and Newton's steps that they took."""
+
+    y: np.ndarray
+    error: float
+    sweeps: int
+    steps: int
 
 
-def _relaxed(problem, rung, tol, q, y):
-    """One problem by :func:`relaxation` from y: forces, error, sweeps, and steps of Newton's method."""
-    Y, errors, counts = y[None].copy(), np.zeros(1), np.zeros((2, 1), dtype=np.int64)
-    relaxation(problem, rung, tol)(q[None], Y, errors, *counts)
-    (passes,), (steps,) = counts.tolist()
-    return Y[0], errors[0], passes - steps, steps
+def _solved(problem, neighbours, rung, q, y) -> _Found:
+    """Newton at once and, where that fails, after more and more sweeps: the best forces."""
+    best, error, sweeps, steps = y, np.inf, 0, 0
+    for more in rung["sweeps"] if problem.law.gauss_seidel else (0,):
+        if more:
+            y = _swept(problem, neighbours, q, y, more)
+        z, left, taken = landed(problem, rung, q, y)
+        sweeps, steps = sweeps + more, steps + taken
+        if left < error:
+            best, error = z, left
+        if error <= rung["tol"]:
+            break
+    return _Found(best, error, sweeps, steps)
+
+
+def _swept(problem, neighbours, q, y, sweeps):
+    y, w, slip = y.copy(), problem.W @ y + q, np.zeros(len(problem.parameters))
+    kernels.gauss_seidel(problem.W, *neighbours, problem.factors, problem.parameters, y, w, slip, sweeps, 1e-15)
+    return y
+
+
+def landed(problem, rung, q, y):
+    """Newton's method from y, whole steps: the best forces, their error and the steps taken."""
+    tol, m = 0.1 * rung["tol"], len(problem.parameters)
+    if not problem.law.frictional:
+        Y, error, passes, taken = y[None].copy(), np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64)
+        kernels.solve_frictionless(problem.W, q[None], Y, tol, 1, error, passes, taken)
+        return Y[0], error[0], int(taken[0])
+    y, w = y.copy(), problem.W @ y + q
+    settings = rung["damping"], kernels.starting_scale(q), tol, rung["newton"], 0, m
+    error, steps = kernels.newton(problem.equation, problem.W, np.empty((0, 0)), q, problem.parameters, y, w, *settings)
+    return y, error, steps
 
 
 #: The method of every rung of :data:`mic.contact.ladder.PATIENT`, by its name.
-METHODS = {
-    "newton": newton,
-    "renewed friction": renewed_friction,
-    "interior point": interior,
-    "fixed point": fixed_point,
-    "proximal points": proximal_points,
-    "last proximal points": proximal_points,
-}
+METHODS = {"renewed friction": renewed_friction, "proximal points": proximal_points}

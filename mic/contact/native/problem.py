@@ -14,12 +14,18 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import eigvalsh, inv
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
+from mic.contact.certificate import contact_stiffness, measure
 from mic.contact.ladder import SPLITTING
 from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled, local_factors
 
 __all__ = ["ScaledProblem", "inverse_root"]
+
+#: Sweeps know which contacts each contact moves where it moves fewer than this share of all.
+SPARSE = 0.25
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,28 @@ class ScaledProblem:
         return self.parameters[:, 0]
 
     @cached_property
+    def components(self) -> list[np.ndarray]:
+        """Contacts that hang together, by ``W``: (m,) bool arrays, each a problem of its own."""
+        count, label = connected_components(csr_array(self._touching), directed=False)
+        return [label == own for own in range(count)]
+
+    @cached_property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which contacts each contact moves, as :func:`mic.contact.native.kernels.gauss_seidel` takes it."""
+        touching = self._touching
+        if touching.mean() > SPARSE:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        starts = np.append(0, np.cumsum(touching.sum(axis=1)))
+        return starts.astype(np.int64), np.nonzero(touching)[1].astype(np.int64)
+
+    @property
+    def _touching(self) -> np.ndarray:
+        """Whether one contact's force moves another (m, m)."""
+        m = len(self.parameters)
+        size = len(self.W) // m if m else 1
+        return (self.W.reshape(m, size, m, size) != 0.0).any(axis=(1, 3)) | np.eye(m, dtype=bool)
+
+    @cached_property
     def splitting(self) -> tuple[np.ndarray, np.ndarray, float]:
         """What the splitting needs: ``W⁻¹``, empty where it is not accurate; ``(W + ρ I)⁻¹``; and ``ρ``.
 
@@ -72,6 +100,13 @@ class ScaledProblem:
             np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))),
             rho,
         )
+
+    def error(self, q: np.ndarray, y: np.ndarray) -> float:
+        """The certificate of one scaled force, :func:`mic.contact.certificate.certify`."""
+        size = len(self.W) // len(self.parameters)
+        stiffness = contact_stiffness(self.W, self.law, size)
+        known = self.parameters, y[None], self.law, stiffness, size, np.zeros(len(q))
+        return float(measure(self.W, q[None], *known)[0].residual[0])
 
     def renewed(self, y: np.ndarray) -> ScaledProblem:
         """The same contacts, the friction held that belongs to the forces ``y``."""

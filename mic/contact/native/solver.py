@@ -100,7 +100,10 @@ class NativeSolver:
         found = np.full(n, rungs[0].name, dtype=object)
         for rung in rungs if Q.size else ():
             unsolved = np.flatnonzero(errors > tol)
-            if not unsolved.size:
+            if not unsolved.size or not self.problem.W.any():  # where nothing moves no force helps
+                break
+            if rung is not rungs[0] and len(self.problem.components) > 1:
+                self._solve_apart(b, unsolved, rungs, Y, iterations, factorisations, found)
                 break
             self._share(
                 batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations, factorisations
@@ -110,13 +113,61 @@ class NativeSolver:
         force[:, :: self._stride] = Y * self.scaling
         return force, iterations, factorisations, found
 
+    def _solve_apart(self, b, unsolved, rungs, Y, iterations, factorisations, found):
+        """The same samples, contacts that hang together by themselves: each goes down the ladder as far as it must."""
+        furthest, names = np.zeros(len(unsolved), dtype=int), [rung.name for rung in rungs]
+        for rows, own, part in self._parts(b.shape[1]):
+            force, *counts, rung = part.solve(b[np.ix_(unsolved, rows)], None)
+            Y[np.ix_(unsolved, own)] = force[:, :: self._stride] / part.scaling
+            iterations[unsolved] += counts[0]
+            factorisations[unsolved] += counts[1]
+            furthest = np.maximum(furthest, [names.index(name) for name in rung])
+        found[unsolved] = np.array(names, dtype=object)[furthest]
+
+    def _parts(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, NativeSolver]]:
+        """Rows of b, of `size` in all, and of the scaled problem, and the solver, of contacts that hang together."""
+        dimension = size // len(self.problem.parameters)
+        for own in self.problem.components:
+            yield np.flatnonzero(np.repeat(own, dimension)), np.flatnonzero(np.repeat(own, self._size)), self.take(own)
+
     def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
-        """The patient rungs, each starting from the last, until :data:`mic.contact.ladder.BUDGET` is spent.
+        """The patient rungs, contacts that hang together by themselves, those farthest from their law first.
 
         See :meth:`mic.contact.backends.Backend.attempts`.
         """
+        if len(self.problem.components) <= 1:
+            yield from self._climb(b, force)
+            return
+        left = [(part.error(b[rows], force[rows]), rows, part) for rows, _, part in self._parts(len(b))]
+        names, furthest = ladder.rungs(self.problem.law), 0
+        for least, rows, part in sorted(left, key=lambda part: part[0], reverse=True):
+            if least <= ladder.APART * self.tol:
+                continue
+            best = force[rows]
+            for candidate, *counts, rung in part._climb(b[rows], best):
+                whole = force.copy()
+                whole[rows] = candidate
+                furthest = max(furthest, names.index(rung))
+                yield whole, *counts, names[furthest]
+                error = part.error(b[rows], candidate)
+                if error < least:
+                    least, best = error, candidate
+                if least <= ladder.APART * self.tol:
+                    break
+            force = force.copy()
+            force[rows] = best
+
+    def error(self, b: np.ndarray, force: np.ndarray) -> float:
+        """How far a force is from obeying the law, as the certificate has it in scaled variables."""
+        return self.problem.error(self._scaled(b), force[:: self._stride] / self.scaling)
+
+    def _climb(self, b, force):
+        """The patient rungs, each starting from the best force so far, until the budget is spent."""
+        if not self.problem.W.any():
+            return
         search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
-        budget = ladder.BUDGET * (1.0 + 1000.0 / len(self.problem.parameters))
+        m = len(self.problem.parameters)
+        budget = ladder.BUDGET * (1.0 + 1000.0 / m)
         for rung in ladder.PATIENT:
             if not rung.applies(self.problem.law):
                 continue
@@ -125,7 +176,7 @@ class NativeSolver:
                 candidate = np.zeros_like(b)
                 candidate[:: self._stride] = y * self.scaling
                 yield candidate, sweeps + factorisations, factorisations, rung.name
-                budget -= sweeps + factorisations
+                budget -= sweeps / m + factorisations
                 if budget < 0.0:
                     return
 
