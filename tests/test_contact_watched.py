@@ -220,3 +220,35 @@ def test_columns_that_threads_ask_for_at_once_are_each_its_own():
     assert columns.found == 40
     again = pickle.loads(pickle.dumps(Columns.of(S)))
     np.testing.assert_array_equal(again.take(orders[0]), S.T[orders[0]])
+
+
+def crowd(monkeypatch):
+    """So few candidates and contacts are many from here on."""
+    monkeypatch.setattr("mic.contact.watched.CROWD", 10)
+    monkeypatch.setattr("mic.contact.watched.MANY", 5)
+
+
+@pytest.mark.parametrize("path", [Increments(1), Followed(1e-5)], ids=["at once", "followed"])
+def test_in_a_crowd_a_path_ends_where_it_does_else(problem, monkeypatch, path):
+    """Begun with candidates that touch without friction, grown by all that penetrate and their neighbours."""
+    _, _, b = problem
+    likely = np.arange(M) % 2 == 0
+    few = followed(watched(problem, start=likely), b, path)
+    crowd(monkeypatch)
+    many = followed(watched(problem, start=likely), b, path)
+    motion = np.abs(b[:, 1] - b[:, 0]).max()
+    assert many.converged.all() and many.displacement[:, ::3].min() > -2 * PENETRATION
+    apart = np.abs(many.displacement - few.displacement).max(axis=1)
+    assert apart.max() < 1e-2 * motion and np.sort(apart)[-3] < 1e-4 * motion
+    alone = followed(watched(problem, start=likely), b[[3]], path)
+    np.testing.assert_allclose(alone.displacement[0], many.displacement[3], atol=1e-9)
+
+
+def test_a_guess_about_a_crowd_is_what_presses_without_friction(problem, monkeypatch):
+    S, _, b = problem
+    crowd(monkeypatch)
+    smooth = ContactSolver(S, 0.0, "frictionless").solve(b[:, 1]).force
+    guess = watched(problem, guessing=True)
+    found = guess.solve(b[:, 1])
+    np.testing.assert_allclose(found.force, smooth, atol=1e-5 * smooth.max())
+    assert (guess.carried == (smooth[:, ::3] > 1e-9 * smooth.max()).any(axis=0)).all()

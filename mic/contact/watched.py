@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
-from mic.contact.laws import Law
+from mic.contact.laws import FRICTIONLESS, Law
 from mic.contact.path import Increments, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
@@ -38,6 +38,7 @@ PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may pen
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
 MANY = 300  # contacts that a sample may begin a path with unasked, and that are prepared for all samples together
+CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
 
 
 class WatchedSolver:
@@ -59,7 +60,8 @@ class WatchedSolver:
     law : Law
     guessing : bool
         Whether to guess who carries force, at a fraction of the cost: all samples share a working set, which loses
-        again what lets go, and each round begins where the one before ended.
+        again what lets go, and each round begins where the one before ended. Of more than `CROWD` candidates the guess
+        is without friction.
     **settings
         Of :class:`mic.contact.ContactSolver`.
 
@@ -86,6 +88,7 @@ class WatchedSolver:
         self._friction = friction if law.frictional else Friction.of(0.0, len(start))
         self._parameters = law.parameters(self._friction)
         self._start, self._allowed, self._guessing = start & allowed, allowed, guessing
+        self._crowd = law.frictional and len(start) > CROWD
         self.carried = np.zeros(len(start), dtype=bool)
         self._neighbours = cKDTree(point).query_ball_point(point, reach)
         # What joins lies mostly beside what takes part: samples that need more share this set, and its solver.
@@ -96,6 +99,7 @@ class WatchedSolver:
         self._solvers: dict[bytes, ContactSolver] = {}
         self._joined = self._beside.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
+        self._pressing: ContactSolver | None = None  # see _pressed
 
     def under(self, friction: Friction) -> WatchedSolver:
         """The same candidates under another friction; what the compliance alone decides is kept."""
@@ -156,7 +160,7 @@ class WatchedSolver:
             if self._guessing and round_ < ROUNDS // 2:
                 working = self._start | _loaded(found.force.reshape(n, m, d)[:, :, 0])
             for sample, depth in zip(todo, unseen):
-                working[sample, self._deepest(depth)] = True
+                working[sample, self._joining(depth)] = True
                 if path is None:
                     working[sample] |= self._beside
         found.converged[todo] = False
@@ -166,10 +170,13 @@ class WatchedSolver:
 
     def _touching(self, b, force, anchor) -> np.ndarray:
         """(n, m) which of the candidates that samples begin with carry force where the path begins or ends, each taken
-        at once."""
+        at once; of a crowd, where there were no friction."""
         touching = np.zeros((len(b), len(self._start)), dtype=bool)
         for k in (0, -1):
-            solution = self._solved(self._start, b[:, [k]], force, anchor, None)
+            if self._crowd:
+                solution = self._pressed(self._start, b[:, [k]], force, anchor)
+            else:
+                solution = self._solved(self._start, b[:, [k]], force, anchor, None)
             touching[:, self._start] |= _loaded(solution.force.reshape(len(b), -1, self._d)[:, :, 0])
         return touching
 
@@ -177,6 +184,8 @@ class WatchedSolver:
         """Paths of samples that share a working set (m,)."""
         if not own.any():
             return self._open(len(b), 0, path is not None and path.recorded)
+        if self._guessing and self._crowd:
+            return self._pressed(own, b, force, anchor)
         rows = np.repeat(own, self._d)
         solver = self._solver(own)
         if path is None:
@@ -185,6 +194,19 @@ class WatchedSolver:
             solution = at_once(solver, end.reshape(len(b), -1), force[:, rows])
             return replace(solution, anchor=solution.anchor + anchor[:, own])
         return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
+
+    def _pressed(self, own, b, force, anchor) -> PathSolution:
+        """As :meth:`_solved`, what presses at the last load if nothing rubs; anchors stay."""
+        rows = np.flatnonzero(own) * self._d
+        solver, first = self._pressing, (own == self._start).all()
+        if solver is None or not first:
+            settings = self._settings | {"dimension": 1, "backend": "native"}
+            solver = ContactSolver(self._S.block(rows), 0.0, law=FRICTIONLESS, **settings)
+            self._pressing = solver if first else self._pressing  # every batch begins with it
+        solution = at_once(solver, b[:, -1, rows], force[:, rows])
+        pressing = np.zeros((len(b), len(rows), self._d))
+        pressing[:, :, 0] = solution.force
+        return replace(solution, force=pressing.reshape(len(b), -1), anchor=anchor[:, own])
 
     def _prepare(self, joining: np.ndarray) -> None:
         """What is had once for all the candidates `joining` (m,), of any sample, serves every working set among them;
@@ -269,8 +291,13 @@ class WatchedSolver:
             depth = depth + (1 - self.law.shift) * self._friction.coefficient * moved
         return np.where(working | ~self._allowed, 0.0, depth)
 
-    def _deepest(self, depth) -> list[int]:
-        """The deepest candidate of each neighbourhood; the first of those that are as deep but for rounding."""
+    def _joining(self, depth) -> list[int]:
+        """The deepest candidate of each neighbourhood; the first of those that are as deep but for rounding. Of a crowd
+        all that penetrate, and the neighbours of each: a path costs what touches, and another round as much."""
+        if self._crowd and not self._guessing:
+            deep = np.flatnonzero(depth > PENETRATION)
+            near = {int(one) for candidate in deep for one in self._neighbours[candidate]}
+            return [one for one in sorted(near) if self._allowed[one]]
         chosen, left = [], np.where(depth > PENETRATION, depth, 0.0)
         while left.any():
             chosen.append(int(np.argmax(left >= (1 - EQUAL) * left.max())))

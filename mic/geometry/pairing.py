@@ -859,7 +859,10 @@ def _ranking(point, anchors, tie):
         rank = np.empty(len(point), dtype=np.int64)
         rank[order] = np.concatenate([[0], np.cumsum(np.diff(distance[order]) > tie)])
         keys.append(rank)
-    return np.lexsort(keys[::-1])
+        order = np.lexsort(keys[::-1])
+        if (np.diff(np.array(keys)[:, order]) != 0).any(axis=0).all():  # no two are equal
+            break
+    return order
 
 
 def _first(value, tie):
@@ -869,9 +872,15 @@ def _first(value, tie):
 
 def _nearest(centres, point, tie):
     """(n,) the centre nearest to each point; the first of those that are as near."""
-    count = min(len(centres), 8)
-    distance, index = (table.reshape(len(point), count) for table in cKDTree(centres).query(point, count))
-    return np.where(distance <= distance[:, :1] + tie, index, len(centres)).min(1)
+    tree, few = cKDTree(centres), min(len(centres), 2)
+    distance, index = (table.reshape(len(point), few) for table in tree.query(point, few))
+    nearest = index[:, 0]
+    tied = np.flatnonzero((distance[:, 1:] <= distance[:, :1] + tie).any(axis=1))
+    if len(tied):
+        count = min(len(centres), 8)
+        distance, index = (table.reshape(len(tied), count) for table in tree.query(point[tied], count))
+        nearest[tied] = np.where(distance <= distance[:, :1] + tie, index, len(centres)).min(1)
+    return nearest
 
 
 def _centres(point, weight, count, tie, fixed):

@@ -16,6 +16,7 @@ hole's rim does not become rounder.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -111,10 +112,16 @@ class Division:
     of: np.ndarray
     corners: np.ndarray
 
+    @cached_property
+    def _pieces(self) -> tuple[np.ndarray, np.ndarray]:
+        """The pieces, those of one triangle after the other, and the triangle that each is of."""
+        order = np.argsort(self.of, kind="stable")
+        return order, self.of[order]
+
     def carried(self, triangle: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The piece (q,) that holds each point of the given triangles, and its barycentric coordinates there (q, 3)."""
-        order = np.argsort(self.of, kind="stable")
-        first, last = (np.searchsorted(self.of[order], triangle, side) for side in ("left", "right"))
+        order, of = self._pieces
+        first, last = (np.searchsorted(of, triangle, side) for side in ("left", "right"))
         owner = np.repeat(np.arange(len(triangle)), last - first)
         start = np.repeat(np.cumsum(last - first) - (last - first), last - first)
         piece = order[np.repeat(first, last - first) + np.arange(len(owner)) - start]

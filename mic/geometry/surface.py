@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -305,8 +306,7 @@ class Surface:
         near = self._tree.query_ball_point(
             other._centroids[one], other.reach[one] + reach + self.reach.max() * (1 + 1e-9) + self.tie
         )
-        owner = np.repeat(np.arange(len(one)), [len(found) for found in near])
-        found = np.concatenate([np.asarray(own, dtype=np.int64) for own in near]) if len(one) else owner
+        owner, found = _listed(near)
         kept = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
         owner, found = owner[kept], found[kept]
         step = self.corners[found] - other._centroids[one[owner]][:, None]
@@ -323,19 +323,12 @@ class Surface:
         """
         # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
         cosine = np.cos(max_angle)
-        if side is not None:
-            bound = np.full(len(x), reach)
-        elif normal is None:
-            bound = self._tree.query(x)[0]
-        else:
-            bound = self._nearest_aligned(x, normal, cosine, reach)
-        bound = np.where(np.isfinite(bound), np.minimum(bound, reach), -np.inf)
+        bound = np.full(len(x), reach) if side is not None else self._near(x, normal, cosine, reach)
         search = np.where(bound >= 0, bound + self.reach.max() * (1 + 1e-9) + self.tie, 0.0)
-        candidates = self._tree.query_ball_point(x, search)
-        owner = np.repeat(np.arange(len(x)), [len(c) for c in candidates])
-        triangle = (
-            np.concatenate([np.asarray(c, dtype=np.int64) for c in candidates]) if len(x) else np.zeros(0, np.int64)
-        )
+        owner, triangle = _listed(self._tree.query_ball_point(x, search))
+        away = np.linalg.norm(self._centroids[triangle] - x[owner], axis=1)
+        near = away <= bound[owner] + self.reach[triangle] * (1 + 1e-9) + self.tie
+        owner, triangle = owner[near], triangle[near]
         if normal is not None:
             keep = self._aligned(triangle, normal[owner], cosine)
             owner, triangle = owner[keep], triangle[keep]
@@ -351,12 +344,22 @@ class Surface:
     def _aligned(self, triangle, normal, cosine):
         return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine - EQUAL)  # NaN passes
 
-    def _nearest_aligned(self, x, normal, cosine, reach):
-        """(n,) distance of each point to the nearest centroid whose triangle passes the normal filter.
+    def _near(self, x, normal, cosine, reach) -> np.ndarray:
+        """(n,) upper bounds of each point's distance to the triangles that pass the filter: that to the one whose
+        centroid is nearest, or `reach`; -inf where none passes that could hold a point within reach."""
+        triangle = self._tree.query(x)[1] if normal is None else self._nearest_aligned(x, normal, cosine, reach)
+        bound, found = np.full(len(x), -np.inf), np.flatnonzero(triangle >= 0)
+        corners = self.corners[triangle[found]]
+        foot = np.einsum("qi,qij->qj", closest_barycentric(corners, x[found]), corners)
+        bound[found] = np.minimum(np.linalg.norm(foot - x[found], axis=1) + self.tie, reach)
+        return bound
 
-        Infinite where there is none that could hold a point within reach.
+    def _nearest_aligned(self, x, normal, cosine, reach) -> np.ndarray:
+        """(n,) the triangle that passes the normal filter whose centroid is nearest to each point.
+
+        -1 where there is none that could hold a point within reach.
         """
-        bound, todo, count = np.full(len(x), np.inf), np.arange(len(x)), 4
+        nearest, todo, count = np.full(len(x), -1), np.arange(len(x)), 4
         farthest = reach + self.reach.max() * (1 + 1e-9) + self.tie
         while len(todo):
             count = min(count, len(self.triangles))
@@ -365,10 +368,10 @@ class Surface:
                 triangle.shape
             )
             found, first = aligned.any(1), aligned.argmax(1)
-            bound[todo[found]] = distance[found, first[found]]
+            nearest[todo[found]] = triangle[found, first[found]]
             todo = todo[~found & (distance[:, -1] <= farthest)] if count < len(self.triangles) else todo[:0]
             count *= 8
-        return bound
+        return nearest
 
     def patch(self, center, radius: float, normal=None) -> Patch:
         """The disc of the surface within `radius` of the projection of `center`, with equal weight per area.
@@ -525,6 +528,12 @@ class Surface:
         incidence = coo_matrix((np.ones(len(owner)), (owner, local)), shape=(len(triangles), len(vertex))).tocsr()
         label = connected_components(incidence @ incidence.T, directed=False)[1]
         return label == label[np.flatnonzero(triangles == seed)[0]]
+
+
+def _listed(found) -> tuple[np.ndarray, np.ndarray]:
+    """Whose each number is, and the numbers, of an array of lists of numbers."""
+    count = np.fromiter(map(len, found), np.int64, len(found))
+    return np.repeat(np.arange(len(count)), count), np.fromiter(chain.from_iterable(found), np.int64, count.sum())
 
 
 def _least(value, owner, tie):

@@ -78,6 +78,8 @@ SAFETY, GROWTH = 0.8, 4.0
 ROUNDING = 1e-12
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
+#: Rows of a matrix that LAPACK inverts.
+LARGE = 450
 #: Contacts that open or break loose within one prediction before it is cut short, and changes of sliders after each.
 EVENTS, PASSES = 32, 32
 #: Of the share of a step after which a contact breaks loose.
@@ -304,13 +306,25 @@ def _record(
 
 
 @jit(MATRIX(MATRIX))
+def _inverted_by_lapack(matrix):
+    """As :func:`_inverted`, of a large one."""
+    try:
+        return np.linalg.inv(matrix.T).T  # the inverse comes column by column
+    except Exception:
+        return np.zeros_like(matrix)
+
+
+@jit(MATRIX(MATRIX))
 def _inverted(matrix):
     """Inverse X by Gauss and Jordan's method with pivots, four rows at a time; zeros if it is singular.
 
-    For the 10 to 100 rows of the contacts that touch it takes two thirds of the time of LAPACK's.  On the transpose,
+    For the 10 to 100 rows of contacts that touch it takes two thirds of the time of LAPACK's, which has more than
+    :data:`LARGE`.  On the transpose,
     because it leaves a small residual ``X M - I``, and ``M X - I`` is what a solution needs.
     """
     n = len(matrix)
+    if n > LARGE:
+        return _inverted_by_lapack(matrix)
     rows, width = (n + 3) // 4 * 4, (n + 7) // 8 * 8
     M, pivot, factor, place = np.zeros((rows, width)), np.empty(width), np.zeros(rows), np.empty(n, np.int64)
     for i in range(n):
