@@ -45,6 +45,8 @@ from mic.product import product
 
 __all__ = ["Certificate", "certify", "contact_stiffness", "in_units", "residual", "series_compliance"]
 
+EPS = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -189,23 +191,20 @@ def residual(S, b, parameters, force, law, stiffness, dimension, displacement=No
     if not law.frictional:
         u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
 
-    def natural_map(f, u, mu):
-        value = f - law.projection(f - stiffness[:, None] * law.complementary(u, mu), mu)
-        # Free contacts are exact solutions of every law; say so without rounding.
-        free = (f == 0.0).all(-1) & (law.opening(u, mu) >= 0.0)
-        return np.where(free[..., None], 0.0, value)
-
-    def energy_norm(f):
-        return np.sqrt(np.einsum("nki,nki,k->n", f, f, 1.0 / stiffness))
-
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        size = energy_norm(f)
+        # F of the force and of none, at once: few contacts take no longer than one.
+        both, moved, μ = np.concatenate([f, np.zeros_like(f)]), np.concatenate([u, u0]), np.concatenate([mu, mu0])
+        value = both - law.projection(both - stiffness[:, None] * law.complementary(moved, μ), μ)
+        # Free contacts are exact solutions of every law; say so without rounding.
+        free = (both == 0.0).all(-1) & (law.opening(moved, μ) >= 0.0)
+        own = np.concatenate([np.where(free[..., None], 0.0, value), f])
+        norm = np.sqrt(np.einsum("nki,nki,k->n", own, own, 1.0 / stiffness))
+        error, least, size = norm[:n], norm[n : 2 * n], norm[2 * n :]
         # Beside forces so large that rounding swallows ρ û, the map would vanish whatever the displacements are.
-        error = np.maximum(energy_norm(natural_map(f, u, mu)), np.finfo(float).eps * size)
+        error = np.maximum(error, EPS * size)
         # Redundant contacts may carry large forces that store nothing: keep their rounding out of the energy.
-        energy = np.einsum("ni,ni->n", force, displacement - b)
-        energy -= 4.0 * S.shape[0] * np.finfo(float).eps * size**2
-        scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), energy_norm(natural_map(np.zeros_like(f), u0, mu0)))
+        energy = np.einsum("ni,ni->n", force, displacement - b) - 4.0 * S.shape[0] * EPS * size**2
+        scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), least)
         found = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)
         found[~np.isfinite(found)] = np.inf
     return found

@@ -21,7 +21,7 @@ from mic.process.freedom import check_resting
 from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
-from mic.process.values import columns
+from mic.process.values import Values
 from mic.product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
@@ -436,8 +436,7 @@ class Process:
         take no part: their values have no effect, and may contradict the others.
         """
         model, n = self.model, len(deviations)
-        reaction = columns(n, [state.reaction[row] for row in last.plan.bilateral])
-        value = columns(n, [state.value[row] for row in last.plan.bilateral])
+        reaction, value = (Values.of(one, n).take(last.plan.bilateral) for one in (state.reaction, state.value))
         push = np.zeros((n, model.rows["clamp"].shape[0]))
         for i, force in state.push.items():
             push[:, i] = force

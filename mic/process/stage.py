@@ -503,7 +503,7 @@ class PreparedStage:
             iterations=whole.iterations,
             status=whole.status,
             rung=whole.rung,
-            reaction=columns(n, [end.reaction[row] for row in self.plan.bilateral]),
+            reaction=Values.of(end.reaction, n).take(self.plan.bilateral),
             unseen=unseen,
             unseen_at=at,
             pushed=columns(n, [force for force, _ in pushed]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,10 @@ class Values(Mapping[Any, np.ndarray]):
 
     def __getitem__(self, name: Hashable) -> np.ndarray:
         return self.table[:, self.names.place[name]]
+
+    def take(self, names: Iterable[Hashable]) -> np.ndarray:
+        """(n, k) values of some of the names."""
+        return self.table[:, [self.names.place[name] for name in names]]
 
     def __contains__(self, name: object) -> bool:
         return name in self.names.place
