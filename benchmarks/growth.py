@@ -108,7 +108,8 @@ def rows(evaluation: Evaluation, number: np.ndarray) -> Evaluation:
         stage: replace(chosen(resolution), trace=chosen(resolution.trace))
         for stage, resolution in evaluation.resolutions.items()
     }
-    return replace(chosen(evaluation), resolutions=resolutions)
+    equilibrium = lambda: (evaluation.functional_force[number], evaluation.motion[number])
+    return replace(chosen(evaluation), resolutions=resolutions, equilibrium=equilibrium)
 
 
 def read(folder: Path) -> dict:

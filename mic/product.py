@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from threading import local
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -25,10 +26,19 @@ def one_thread(function: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> T:
-        with _threadpools().limit(limits=1, user_api="blas"):
+        if getattr(_within, "one", False):  # asking the libraries takes as long as a small product
             return function(*args, **kwargs)
+        with _threadpools().limit(limits=1, user_api="blas"):
+            _within.one = True
+            try:
+                return function(*args, **kwargs)
+            finally:
+                _within.one = False
 
     return alone
+
+
+_within = local()  # of each thread: whether it is in such a function
 
 
 @functools.cache
@@ -53,7 +63,9 @@ def product(samples: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """
     found = np.zeros((len(samples), matrix.shape[1]))
     if samples.size and matrix.size:
-        _compiled()(np.ascontiguousarray(samples), np.ascontiguousarray(matrix), found)
+        samples = samples if samples.flags.c_contiguous else np.ascontiguousarray(samples)
+        matrix = matrix if matrix.flags.c_contiguous else np.ascontiguousarray(matrix)
+        _compiled()(samples, matrix, found)
     return found
 
 

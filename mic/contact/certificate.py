@@ -43,7 +43,9 @@ from mic.contact.laws import Law, find
 from mic.contact.units import beyond, unit
 from mic.product import product
 
-__all__ = ["Certificate", "certify", "contact_stiffness", "in_units", "series_compliance"]
+__all__ = ["Certificate", "certify", "contact_stiffness", "in_units", "residual", "series_compliance"]
+
+EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -159,6 +161,29 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
     Returns the certificate and the contacts' own displacement (n, d m), without ``series``.
     """
     displacement = product(force, S) + b
+    found = residual(S, b, parameters, force, law, stiffness, dimension, displacement)
+    n, m = len(b), len(S) // dimension
+    f, u = (_as_contacts(a, n, m, dimension) for a in (force, displacement))
+    if not law.frictional:
+        u = u * [1.0, 0.0, 0.0]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        slip = np.hypot(u[..., 1], u[..., 2])
+        traction = np.hypot(f[..., 1], f[..., 2])
+        bound = law.coefficient(parameters, f[..., 0]) * f[..., 0]
+        work = bound * slip + f[..., 1] * u[..., 1] + f[..., 2] * u[..., 2]
+        certificate = Certificate(
+            residual=found,
+            penetration=np.max(np.maximum(0.0, -u[..., 0]), axis=1, initial=0.0),
+            cone_violation=np.max(traction - bound, axis=1, initial=0.0),
+            complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
+            slip_error=np.max(np.abs(work), axis=1, initial=0.0),
+        )
+    return certificate, displacement - force * series if series.any() else displacement
+
+
+def residual(S, b, parameters, force, law, stiffness, dimension, displacement=None) -> np.ndarray:
+    """(n,) the first number of :func:`measure` alone; ``displacement`` (n, d m) is ``S f + b``, where it is known."""
+    displacement = product(force, S) + b if displacement is None else displacement
     n, m = len(b), len(S) // dimension
     f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
     # The coefficients that belong to the force, and those of the zero force.
@@ -166,36 +191,23 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
     if not law.frictional:
         u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
 
-    def natural_map(f, u, mu):
-        value = f - law.projection(f - stiffness[:, None] * law.complementary(u, mu), mu)
-        # Free contacts are exact solutions of every law; say so without rounding.
-        free = (f == 0.0).all(-1) & (law.opening(u, mu) >= 0.0)
-        return np.where(free[..., None], 0.0, value)
-
-    def energy_norm(f):
-        return np.sqrt(np.einsum("nki,nki,k->n", f, f, 1.0 / stiffness))
-
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        # F of the force and of none, at once: few contacts take no longer than one.
+        both, moved, μ = np.concatenate([f, np.zeros_like(f)]), np.concatenate([u, u0]), np.concatenate([mu, mu0])
+        value = both - law.projection(both - stiffness[:, None] * law.complementary(moved, μ), μ)
+        # Free contacts are exact solutions of every law; say so without rounding.
+        free = (both == 0.0).all(-1) & (law.opening(moved, μ) >= 0.0)
+        own = np.concatenate([np.where(free[..., None], 0.0, value), f])
+        norm = np.sqrt(np.einsum("nki,nki,k->n", own, own, 1.0 / stiffness))
+        error, least, size = norm[:n], norm[n : 2 * n], norm[2 * n :]
         # Beside forces so large that rounding swallows ρ û, the map would vanish whatever the displacements are.
-        error = np.maximum(energy_norm(natural_map(f, u, mu)), np.finfo(float).eps * energy_norm(f))
+        error = np.maximum(error, EPS * size)
         # Redundant contacts may carry large forces that store nothing: keep their rounding out of the energy.
-        energy = np.einsum("ni,ni->n", force, displacement - b)
-        energy -= 4.0 * S.shape[0] * np.finfo(float).eps * energy_norm(f) ** 2
-        scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), energy_norm(natural_map(np.zeros_like(f), u0, mu0)))
-        residual = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)
-        residual[~np.isfinite(residual)] = np.inf
-        slip = np.hypot(u[..., 1], u[..., 2])
-        traction = np.hypot(f[..., 1], f[..., 2])
-        bound = mu * f[..., 0]
-        work = bound * slip + f[..., 1] * u[..., 1] + f[..., 2] * u[..., 2]
-        certificate = Certificate(
-            residual=residual,
-            penetration=np.max(np.maximum(0.0, -u[..., 0]), axis=1, initial=0.0),
-            cone_violation=np.max(traction - bound, axis=1, initial=0.0),
-            complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
-            slip_error=np.max(np.abs(work), axis=1, initial=0.0),
-        )
-    return certificate, displacement - force * series if series.any() else displacement
+        energy = np.einsum("ni,ni->n", force, displacement - b) - 4.0 * S.shape[0] * EPS * size**2
+        scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), least)
+        found = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)
+        found[~np.isfinite(found)] = np.inf
+    return found
 
 
 def _as_contacts(a: np.ndarray, n: int, m: int, dimension: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class Increments:
     count: int = 1
     recorded: bool = False
 
-    @property
+    @cached_property
     def ends(self) -> np.ndarray:
         """(count,) where the steps end."""
         return np.sin(0.5 * np.pi * np.arange(1, self.count + 1) / self.count) ** 2

@@ -155,6 +155,8 @@ class PathSolution:
         A sample has the rung of its last path, unless that was followed and one before had to be rescued.
         """
         last = pieces[-1]
+        if len(pieces) == 1:
+            return last
         rung = last.rung.copy()
         for piece in pieces:
             rescued = (piece.rung != "followed") & (rung == "followed")
@@ -234,8 +236,7 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     plain = isinstance(path, Increments)
     leg = solver.backend.follow(b0, b1, force, anchor, path)
     name = "increments" if plain else "followed"
-    counts = leg.factorisations, leg.factorisations
-    solution = solver.certified(leg.b, leg.force, *counts, np.full(n, name, dtype=object))
+    residual, converged, status = solver.judged(leg.b, leg.force)
     trace = Trace(
         leg.slip,
         leg.length,
@@ -250,14 +251,14 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
         displacement=product(leg.force, solver.S) + b1,
         anchor=leg.anchor,
         trace=trace,
-        residual=solution.residual,
-        converged=solution.converged,
+        residual=residual,
+        converged=converged,
         iterations=leg.factorisations,
-        status=solution.status,
-        rung=solution.rung,
+        status=status,
+        rung=np.full(n, name, dtype=object),
         trail=leg.trail,
     )
-    lost = np.flatnonzero(~solution.converged | leg.given_up)
+    lost = np.flatnonzero(~converged | leg.given_up)
     if not lost.size:
         return found
     rescue = path if isinstance(path, Increments) else Increments(RESCUE, path.recorded)

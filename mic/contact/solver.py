@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mic.contact.backends import BACKENDS
-from mic.contact.certificate import contact_stiffness, in_units, measure, series_compliance
+from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
 from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
@@ -273,6 +273,16 @@ class ContactSolver:
             rung=rung,
             **vars(certificate),
         )
+
+    @one_thread
+    def judged(self, b: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals (n,) of forces (n, d m) under right-hand sides likewise, which of them converged, and the word
+        for it."""
+        found = residual(self._sliding, b, self._parameters, force, self.law, self._stiffness, self.dimension)
+        converged = found <= self.tol
+        status = np.empty(len(b), dtype=object)
+        status[:] = [Status.CONVERGED if solved else Status.NOT_CONVERGED for solved in converged.tolist()]
+        return found, converged, status
 
     @one_thread
     def follow(

@@ -15,6 +15,7 @@ LOADED = 1e-9
 #: and the tangential force of one that slips is exact to the solver's tolerance, which some backends reach to 1e-7
 #: only.
 ON_CONE = 1e-6
+TINY = float(np.finfo(float).tiny)
 
 
 class ContactState(IntEnum):
@@ -53,7 +54,7 @@ def classify(force: np.ndarray, bound: np.ndarray | float) -> np.ndarray:
         Values of :class:`ContactState`.
     """
     normal = force[..., 0]
-    loaded = normal > LOADED * np.maximum(normal.max(axis=1, keepdims=True, initial=0.0), np.finfo(float).tiny)
+    loaded = normal > LOADED * np.maximum(normal.max(axis=1, keepdims=True, initial=0.0), TINY)
     if force.shape[2] == 1:
         return np.where(loaded, SLIP, OPEN).astype(np.int8)
     slips = np.hypot(force[..., 1], force[..., 2]) >= (1.0 - ON_CONE) * bound

@@ -19,7 +19,7 @@ import numpy as np
 from mic.model.sources import sources
 from mic.process.actions import Joints
 
-__all__ = ["Drive", "drive"]
+__all__ = ["Asks", "Drive", "drive"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,41 @@ class Drive:
         return len(self.push)
 
 
-def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray]) -> Drive:
+@dataclass(frozen=True)
+class Asks:
+    """What deviations ask beside shapes, whatever their values.
+
+    Attributes
+    ----------
+    stroke : (k,) array
+        Of the clamps.
+    force : (c,) array
+        Of the clamp rows: those of the clamps, and behind them the parts' weights.
+    target : tuple of (str, int, int, float)
+        Kind and number of a row, number of a deviation, and how far its unit moves the row's target.
+    push : tuple of (int, int, float)
+        Number of a clamp row, number of a deviation, and how much its unit adds to the force.
+    """
+
+    stroke: np.ndarray
+    force: np.ndarray
+    target: tuple[tuple[str, int, int, float], ...]
+    push: tuple[tuple[int, int, float], ...]
+
+    @classmethod
+    def of(cls, assembly) -> Asks:
+        """Of a :class:`mic.model.assembly.Assembly` or :class:`mic.model.reduction.Reduction`."""
+        scene, labels = assembly.scene, assembly.labels
+        stroke = np.array([clamp.stroke or 0.0 for clamp in scene.clamps])
+        force = np.zeros(len(labels["clamp"]))
+        force[: len(stroke)] = [clamp.force or 0.0 for clamp in scene.clamps]
+        every = list(enumerate(sources(scene)))
+        target = ((*row, j, share) for j, source in every for row, share in source.target(labels).items())
+        push = ((row, j, share) for j, source in every for (_, row), share in source.push(labels).items())
+        return cls(stroke, force, tuple(target), tuple(push))
+
+
+def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], asks: Asks | None = None) -> Drive:
     """What the deviations ask of an assembly.
 
     Parameters
@@ -63,18 +97,17 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray]) -> 
     shape : mapping of str to (n, r) array
         What the rows of each kind, and rest rows (:class:`mic.model.resting.RestRows`), read of the parts' stress-free
         shapes, mm.
+    asks : Asks, optional
+        Of the assembly, where they are known.
     """
-    scene, labels = assembly.scene, assembly.labels
+    asks = asks or Asks.of(assembly)
     target = {kind: -shape[kind] for kind in ("locator", "clamp", "rest") if kind in shape}
-    clamps = range(len(scene.clamps))  # behind them lie the parts' weights
-    push = np.zeros((len(deviations), len(labels["clamp"])))
-    push[:, clamps] = [clamp.force or 0.0 for clamp in scene.clamps]
-    target["clamp"][:, clamps] += np.array([clamp.stroke or 0.0 for clamp in scene.clamps])
-    for amplitude, source in zip(deviations.T, sources(scene)):
-        for (kind, row), share in source.target(labels).items():
-            target[kind][:, row] += share * amplitude
-        for (_, row), share in source.push(labels).items():
-            push[:, row] += share * amplitude
+    target["clamp"][:, : len(asks.stroke)] += asks.stroke
+    push = np.tile(asks.force, (len(deviations), 1))
+    for kind, row, j, share in asks.target:
+        target[kind][:, row] += share * deviations[:, j]
+    for row, j, share in asks.push:
+        push[:, row] += share * deviations[:, j]
     contacts, joints = assembly.contacts, Joints(tuple(assembly.weld_size))
     return Drive(
         target,

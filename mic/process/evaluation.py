@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -100,10 +101,8 @@ class Evaluation:
         The readings that they are made of (`mic.model.characteristics`), mm; empty likewise.
     failed : (n,) bool array
         Samples whose contact missed its tolerance in some stage.
-    functional_force : (n, F) array
-        All forces on the retained functionals in the last stage, those that made the parts' shapes included.
-    motion : (n, 6P) array
-        Rigid-body motions of the parts in the last stage, shape deviation included.
+    equilibrium : function
+        Finds :attr:`functional_force` and :attr:`motion`, when either is first asked for.
     """
 
     law: str
@@ -112,8 +111,22 @@ class Evaluation:
     measurements: np.ndarray
     readings: np.ndarray
     failed: np.ndarray
-    functional_force: np.ndarray
-    motion: np.ndarray
+    equilibrium: Callable[[], tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def functional_force(self) -> np.ndarray:
+        """(n, F) all forces on the retained functionals in the last stage, those that made the parts' shapes
+        included, N."""
+        return self._equilibrium[0]
+
+    @property
+    def motion(self) -> np.ndarray:
+        """(n, 6P) rigid-body motions of the parts in the last stage, shape deviation included, mm and rad."""
+        return self._equilibrium[1]
+
+    @cached_property
+    def _equilibrium(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.equilibrium()
 
     @property
     def built(self) -> np.ndarray:
@@ -126,7 +139,11 @@ class Evaluation:
         """Evaluations of one law, put one after the other."""
         stages = pieces[0].resolutions
         resolutions = {stage: Resolution.join([piece.resolutions[stage] for piece in pieces]) for stage in stages}
-        return cls(law=pieces[0].law, resolutions=resolutions, **_stacked(pieces, cls))
+
+        def equilibrium():
+            return tuple(np.concatenate(each) for each in zip(*(piece._equilibrium for piece in pieces)))
+
+        return cls(law=pieces[0].law, resolutions=resolutions, equilibrium=equilibrium, **_stacked(pieces, cls))
 
 
 def _stacked(pieces, cls) -> dict[str, np.ndarray]:

@@ -15,12 +15,13 @@ from mic.contact.path import Increments, Path, Trace
 from mic.contact.watched import WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
-from mic.process.drive import Drive, drive
+from mic.process.drive import Asks, Drive, drive
 from mic.process.evaluation import Evaluation, Resolution
 from mic.process.freedom import check_resting
 from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
+from mic.process.values import Values
 from mic.product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
@@ -257,9 +258,9 @@ class Process:
             if stage.plan.reads:
                 readings = state.reading["measurement"] + asked.measured
             if i == told:
-                force, motion = self._equilibrium(stage, state, deviations)
+                equilibrium = partial(self._equilibrium, stage, state, deviations.copy())
         read = self.model.characteristics.values(readings) if readings.size else readings
-        found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, force, motion)
+        found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, equilibrium)
         short = np.flatnonzero(~found.built)
         if short.size:
             self._tell_needs(found, short)
@@ -267,8 +268,9 @@ class Process:
 
     def asked(self, deviations: np.ndarray) -> Drive:
         """What deviations (n, p) ask of the assembly, affine in them."""
-        shapes = {kind: product(deviations, unit.T) for kind, unit in self._unit_shapes.items()}
-        return drive(self.model, deviations, shapes)
+        every, own = self._unit_shapes
+        shapes = product(deviations, every)
+        return drive(self.model, deviations, {kind: shapes[:, rows] for kind, rows in own.items()}, self._asks)
 
     def start(self, n: int) -> ProcessState:
         """The state of n assemblies before anything happens."""
@@ -311,7 +313,7 @@ class Process:
             process._changed_by = amplitudes
             vars(process)["_unit_motions"] = self._unit_motions
             if how["like"] is not None:
-                vars(process).update({name: getattr(self, name) for name in ("_held", "_unit_shapes")})
+                vars(process).update({name: getattr(self, name) for name in ("_held", "_unit_shapes", "_asks")})
             if len(self._varied) >= (KEPT if model.compliance is self.model.compliance else 1):  # compliance is large
                 self._varied.clear()
             self._varied[key] = process
@@ -380,6 +382,7 @@ class Process:
             for stage in self.stages
             if stage.resolves
         }
+        force, motion = nan(model.compliance.size), nan(6 * len(model.compliance))
         return Evaluation(
             law=self.law,
             deviations=deviations,
@@ -387,15 +390,20 @@ class Process:
             measurements=nan(len(model.scene.measurements) if self.stages[-1].plan.reads else 0),
             readings=nan(model.rows["measurement"].shape[0] if self.stages[-1].plan.reads else 0),
             failed=np.ones(n, bool),
-            functional_force=nan(model.compliance.size),
-            motion=nan(6 * len(model.compliance)),
+            equilibrium=lambda: (force, motion),
         )
 
     @cached_property
-    def _unit_shapes(self) -> dict[str, np.ndarray]:
-        """By kind, what the rows read of the shape that each unit deviation gives, (r, p)."""
+    def _unit_shapes(self) -> tuple[np.ndarray, dict[str, slice]]:
+        """What all rows read of the shape that each unit deviation gives (p, R), and which of them are of each kind."""
         rows = {**self.model.rows, "rest": self.model.rest.rows}
-        return {kind: own @ self.model.shape for kind, own in rows.items()}
+        edges = np.cumsum([0, *(own.shape[0] for own in rows.values())])
+        every = np.concatenate([own @ self.model.shape for own in rows.values()])
+        return np.ascontiguousarray(every.T), {kind: slice(a, b) for kind, a, b in zip(rows, edges, edges[1:])}
+
+    @cached_property
+    def _asks(self) -> Asks:
+        return Asks.of(self.model)
 
     @cached_property
     def _unit_motions(self) -> np.ndarray:
@@ -419,6 +427,7 @@ class Process:
             self._held[name] = own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
         return self._held[name]
 
+    @one_thread
     def _equilibrium(self, last: PreparedStage, state: ProcessState, deviations):
         """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end of a stage, the shape deviation
         included.
@@ -427,8 +436,7 @@ class Process:
         take no part: their values have no effect, and may contradict the others.
         """
         model, n = self.model, len(deviations)
-        reaction = np.column_stack([np.zeros((n, 0)), *(state.reaction[row] for row in last.plan.bilateral)])
-        value = np.column_stack([np.zeros((n, 0)), *(state.value[row] for row in last.plan.bilateral)])
+        reaction, value = (Values.of(one, n).take(last.plan.bilateral) for one in (state.reaction, state.value))
         push = np.zeros((n, model.rows["clamp"].shape[0]))
         for i, force in state.push.items():
             push[:, i] = force

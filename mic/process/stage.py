@@ -39,11 +39,13 @@ from mic.model.resting import put_down
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.freedom import free
+from mic.process.handover import Handover, held
 from mic.process.path import Ramp
 from mic.process.plan import Limit, StagePlan, Step, yielding
 from mic.process.rest import Leg, Rest
 from mic.process.state import ProcessState
 from mic.process.stops import Stops
+from mic.process.values import Values, columns
 from mic.product import product
 
 __all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
@@ -51,6 +53,7 @@ __all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "elimin
 #: mm: a step's error is a share of this at least. By the usual tolerance forty steps that err alike leave the 2 µm that
 #: a coordinate measuring machine tells; a tighter one leaves less, however little the contacts move.
 LEAST_MOTION = 0.2
+KEPT = 8  # ways of coming to a step that are kept, on the average
 ROUNDING = 1e-9  # mm: a way left that is none
 #: kinds of rows that are read at the end of a stage
 OUTPUTS = ("locator", "clamp", "weld", "measurement", "between", "position")
@@ -202,12 +205,21 @@ class PreparedStage:
         solver: Callable[[EliminatedStep], ContactSolver | WatchedSolver],
         path: Path,
     ):
-        self.plan, self.steps, self.path, self.solver = plan, steps, path, solver
+        self.plan, self.steps, self.path, self._solver_of = plan, steps, path, solver
+        self._solvers: dict[int, tuple[EliminatedStep, ContactSolver | WatchedSolver]] = {}
+        self._handovers: dict[tuple[int, ...], Handover] = {}
         self._contacts, self._between, self._weld_first = model.contacts, model.between, model.joints.first
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
         edges = np.concatenate([[0], np.cumsum(count)])
         self.output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
+
+    def solver(self, eliminated: EliminatedStep) -> ContactSolver | WatchedSolver:
+        """Of a step of the stage."""
+        kept = self._solvers.get(id(eliminated))
+        if kept is None or kept[0] is not eliminated:
+            kept = self._solvers[id(eliminated)] = eliminated, self._solver_of(eliminated)
+        return kept[1]
 
     def stops(self, eliminated: EliminatedStep) -> Stops:
         return stops_of(self._contacts, eliminated.step)
@@ -268,7 +280,7 @@ class PreparedStage:
 
     def _bound(self, eliminated: EliminatedStep, force: np.ndarray) -> np.ndarray:
         """(n, m) largest tangential forces under the contact forces (n, m, d)."""
-        normal = np.column_stack([force[..., 0], np.zeros((len(force), self.stops(eliminated).count))])
+        normal = _beside(force[..., 0], np.zeros((len(force), self.stops(eliminated).count)))
         return self.solver(eliminated).bound(normal)[:, : force.shape[1]]
 
     @cached_property
@@ -342,12 +354,13 @@ class PreparedStage:
             None where no contact was resolved.
         """
         step, response = eliminated.step, eliminated.response
+        handed = self._handover(step, state, drive)
         v, p = ramp.at(1.0)
-        v = np.column_stack([v, place])
+        v = _beside(v, place)
         if converged is None and step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
             left = (product(v, response.T.T) + product(p, response.L.T)).reshape(left.shape)
             anchor = left[:, :, 1:]
-        reading, reaction = self._outcome(response, v, p, np.column_stack([force.reshape(len(force), -1), stop]))
+        reading, reaction = self._outcome(response, v, p, _beside(force.reshape(len(force), -1), stop))
         return ProcessState(
             reading=reading,
             force=force,
@@ -355,50 +368,38 @@ class PreparedStage:
             anchor=anchor,
             failed=state.failed if converged is None else state.failed | ~converged,
             path_error=state.path_error,
-            value={row: v[:, j] for j, row in enumerate(step.bilateral)},
-            reaction={row: reaction[:, j] for j, row in enumerate(step.bilateral)},
-            push={i: drive.push[:, i] for i in step.loads},
-            stop={limit.row: stop[:, j] for j, limit in enumerate(step.stops)},
-            frozen=self.make_welds(step, state, drive),
+            value=Values(handed.rows, v),
+            reaction=Values(handed.rows, reaction),
+            push=Values(handed.loads, drive.push[:, step.loads]),
+            stop=Values(handed.stops, stop),
+            frozen=handed.keeps(state, drive),
         )
-
-    def make_welds(self, step, state, drive) -> Mapping[int, np.ndarray]:
-        """What every weld row keeps: rows made here freeze what they find, unless the weld closes its gap first."""
-        frozen = dict(state.frozen) | {row: state.reading["weld"][:, row].copy() for row in step.made}
-        return frozen | {int(self._weld_first[weld]): -drive.weld_gap[:, weld] for weld in step.closing}
 
     def ramp(self, step: Step, state: ProcessState, drive: Drive) -> Ramp:
         """From what the rows read, and the forces that act, to what the step asks for."""
-        n, frozen = len(drive), self.make_welds(step, state, drive)
-        none = np.zeros(n)
+        return self._handover(step, state, drive).ramp(state, drive)
 
-        def columns(arrays):
-            return np.column_stack([np.zeros((n, 0)), *arrays])
-
-        start = [state.value.get(row, state.reading[row[0]][:, row[1]]) for row in step.bilateral]
-        end = [frozen[i] if kind == "weld" else drive.target[kind][:, i] for kind, i in step.bilateral]
-        before = [state.push.get(i, none) for i in step.loads + step.dropped_loads]
-        before += [none + limit.load * (limit.row in state.stop) for limit in step.stops]
-        before += [limit.load - limit.sign * state.stop[limit.row] for limit in step.dropped_limits]
-        after = [drive.push[:, i] for i in step.loads] + [none] * len(step.dropped_loads)
-        after += [none + limit.load for limit in step.stops] + [none] * len(step.dropped_limits + step.released)
-        return Ramp(
-            columns(start),
-            columns(end),
-            columns(before + [state.reaction[row] for row in step.released]),
-            columns(after),
-        )
+    def _handover(self, step: Step, state: ProcessState, drive: Drive) -> Handover:
+        """From states like this to the step; made once, as long as the steps are the stage's own."""
+        known = tuple(one.names for one in held(state))
+        key = (id(step), *map(id, known))
+        found = self._handovers.get(key)
+        if found is None or found.step is not step or found.known != known:
+            if len(self._handovers) >= KEPT * len(self.steps):
+                self._handovers.clear()
+            found = self._handovers[key] = Handover.of(step, state, drive, self._weld_first)
+        return found
 
     def stopped(self, step: Step, state: ProcessState) -> np.ndarray:
         """(n, s) forces of a step's stops before it; none of those that are new."""
         none = np.zeros(len(state.failed))
-        return np.column_stack([np.zeros((len(none), 0)), *(state.stop.get(stop.row, none) for stop in step.stops)])
+        return columns(len(none), [state.stop.get(stop.row, none) for stop in step.stops])
 
     def unloaded(self, eliminated: EliminatedStep, drive: Drive, ramp: Ramp, place: np.ndarray, s: float) -> np.ndarray:
         """(n, d m + s) b of contacts and stops, at s of the ramp, linear."""
         response, contacts = eliminated.response, len(self._contacts) * self._dimension
         v, p = ramp.at(s)
-        b = product(np.column_stack([v, place]), response.T.T) + product(p, response.L.T)
+        b = product(_beside(v, place), response.T.T) + product(p, response.L.T)
         b[:, : contacts : self._dimension] += drive.gap
         for j, limit in enumerate(eliminated.step.stops):
             b[:, contacts + j] += limit.sign * self._position(limit, drive)
@@ -425,7 +426,7 @@ class PreparedStage:
         the resting parts are (n, k), which begin at `place`."""
         response, rest, step, n = eliminated.response, eliminated.rest, eliminated.step, len(drive)
         stops, contacts, anchor = self.stops(eliminated), state.left[0].size, state.anchor
-        force = np.column_stack([state.force.reshape(n, -1), self.stopped(step, state)])
+        force = _beside(state.force.reshape(n, -1), self.stopped(step, state))
 
         def unloaded(s, place):
             return self.unloaded(eliminated, drive, ramp, place, s)
@@ -438,6 +439,9 @@ class PreparedStage:
 
         def follow(b0, b1, force, anchor, path) -> tuple[PathSolution, np.ndarray]:
             way = np.stack([stops.spread(b0), stops.spread(b1)], axis=1)
+            if not stops.count:
+                solution = solver.follow(way, force, anchor, path)
+                return solution, solution.force
             none = np.zeros((len(b0), stops.count, self._dimension - 1))
             found = solver.follow(way, stops.spread(force), np.concatenate([anchor, none], axis=1), path)
             solution, stopped = stops.split(found)
@@ -487,7 +491,6 @@ class PreparedStage:
         resolving = next(each for each in reversed(self.steps) if self.solved(each))
         bound = self._bound(resolving, end.force)
         unseen, at = self._unseen(end, drive)
-        none = np.zeros((n, 0))
         return Resolution(
             stage=self.plan.name,
             force=end.force.copy(),
@@ -500,22 +503,26 @@ class PreparedStage:
             iterations=whole.iterations,
             status=whole.status,
             rung=whole.rung,
-            reaction=np.column_stack([none, *(end.reaction[row] for row in self.plan.bilateral)]),
+            reaction=Values.of(end.reaction, n).take(self.plan.bilateral),
             unseen=unseen,
             unseen_at=at,
-            pushed=np.column_stack([none, *(force for force, _ in pushed)]),
-            left=np.column_stack([none, *(way for _, way in pushed)]),
+            pushed=columns(n, [force for force, _ in pushed]),
+            left=columns(n, [way for _, way in pushed]),
             needed=np.full((n, len(pushed)), np.nan),
         )
 
     def _unseen(self, end, drive) -> tuple[np.ndarray, np.ndarray]:
         """Deepest penetration (n,) between the pairs, and at which point (n,); what welds have fused does not count."""
-        last = self.steps[-1].step
-        fused = np.isin(self._between.nugget, last.welds) | np.isin(self._between.zone, last.away)
-        depth = np.where(fused, 0.0, -(drive.between + end.reading["between"]))
-        depth = np.column_stack([np.zeros(len(depth)), depth])
+        depth = np.where(self._fused, 0.0, -(drive.between + end.reading["between"]))
+        depth = np.concatenate([np.zeros((len(depth), 1)), depth], axis=1)
         at = depth.argmax(axis=1)
         return depth[np.arange(len(depth)), at], at - 1
+
+    @cached_property
+    def _fused(self) -> np.ndarray:
+        """Which points between the pairs do not count at the end: those within welds, and of bodies that are away."""
+        last = self.steps[-1].step
+        return np.isin(self._between.nugget, last.welds) | np.isin(self._between.zone, last.away)
 
     def _outcome(self, response, v, p, force):
         """What the output rows read, by kind, and the reactions (n, b) of the bilateral rows, under the forces
@@ -524,6 +531,11 @@ class PreparedStage:
         reaction = product(v, response.reaction_T.T) + product(p, response.reaction_L.T)
         reaction += product(force, response.reaction_S.T)
         return {kind: reading[:, own] for kind, own in self.output.items()}, reaction
+
+
+def _beside(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(n, j + k) two arrays side by side, of which the second is mostly empty."""
+    return np.concatenate([first, second], axis=1) if second.shape[1] else first
 
 
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:

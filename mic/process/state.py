@@ -12,8 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mic.process.actions import Row
+from mic.process.values import Names, Values
 
 __all__ = ["ProcessState"]
+
+NONE = Names(())  # of rows, before anything happens
 
 
 @dataclass(frozen=True)
@@ -64,4 +67,5 @@ class ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and so many rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
         none = np.zeros((n, m, d))
-        return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n))
+        empty = dict.fromkeys(("value", "reaction", "push", "stop", "frozen"), Values(NONE, np.zeros((n, 0))))
+        return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n), **empty)

@@ -1,0 +1,147 @@
+"""What several processes gain: processor time of each, what one does alone, memory, and how far it goes.
+
+    python benchmarks/ranks.py                              # 20 000 samples of the lap joint on two processes
+    python benchmarks/ranks.py --samples 4000 --ranks 4 --scene meshes/hat_on_plate
+
+Whole runs under ``mpirun``, statistics and fields included, one thread a process; seconds of processor time, which
+other work on the machine changes little. A short run, of 50 samples a process, tells what is done once. What processes
+spend beyond it grows with the samples: t_s for each that is evaluated and written, t_r for each that the statistics
+read. One process would take ``t_0 + n (t_s + t_r)``; that, as a share of p times what the busiest of p took, is the
+efficiency. An idle process, which has loaded the same program and done nothing, tells the memory of Python and its
+libraries. The last table goes on to more samples and processes by ``t_0 + n t_s / p + n t_r``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+import mic
+from mic.sampling.montecarlo import BLOCK
+from mic.sampling.ranks import communicator, leave
+
+ROOT = Path(__file__).resolve().parents[1]
+LAW = "coulomb"
+SAMPLES, PROCESSES = (20_000, 10**6, 10**8), (1, 2, 16, 64)  # of the last table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", type=Path, default=ROOT / "meshes" / "lap_joint")
+    parser.add_argument("--samples", type=int, default=20_000)
+    parser.add_argument("--ranks", type=int, default=2)
+    parser.add_argument("--folder", type=Path, help="where the results are made and left")
+    parser.add_argument("--work", choices=WORK, help=argparse.SUPPRESS)  # this program as one of the processes
+    arguments = parser.parse_args()
+    if arguments.work:
+        WORK[arguments.work](arguments)
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        place = arguments.folder or Path(temporary)
+        place.mkdir(parents=True, exist_ok=True)
+        (idle,) = processes(arguments, 1, "idle", BLOCK, place / "idle")
+        short, long = BLOCK * arguments.ranks, arguments.samples
+        few = processes(arguments, arguments.ranks, "run", short, place / "few")
+        few = processes(arguments, arguments.ranks, "run", short, place / "short")  # caches are full
+        many = processes(arguments, arguments.ranks, "run", long, place / "many")
+        read = [processes(arguments, 1, "read", BLOCK, place / name)[0]["cpu"] for name in ("short", "many")]
+        files = {path: path.stat().st_size for path in (place / "many").rglob("*") if path.is_file()}
+    t_r = (read[1] - read[0]) / (long - short)
+    spent = [b["cpu"] - a["cpu"] for a, b in zip(few, many)]
+    t_s = (sum(spent) - t_r * (long - short)) / (long - short)
+    t_0 = few[0]["cpu"] - BLOCK * t_s
+    alone = t_0 + long * (t_s + t_r)
+    busiest = max(one["cpu"] for one in many)
+    shown = Table("process", "s, short run", "s, long run", "peak MB", "above an idle one", title=f"{long} samples")
+    for rank, (a, b) in enumerate(zip(few, many)):
+        above = b["peak"] - idle["peak"]
+        shown.add_row(f"{rank}", f"{a['cpu']:.1f}", f"{b['cpu']:.1f}", f"{b['peak']:.0f}", f"{above:.0f}")
+    console = Console()
+    console.print(shown)
+    console.print(
+        f"t_0 = {t_0:.1f} s, t_s = {1e3 * t_s:.2f} ms, t_r = {1e3 * t_r:.3f} ms; one process alone {alone:.0f} s, "
+        f"of which {(t_0 + long * t_r) / alone:.1%} are done by one; efficiency {alone / (len(many) * busiest):.1%}; "
+        f"{len(files)} files, {sum(files.values()) / 1e6:.0f} MB",
+        soft_wrap=True,
+    )
+    console.print(further(t_0, t_s, t_r))
+
+
+def further(t_0: float, t_s: float, t_r: float) -> Table:
+    """What the terms say of more samples and processes."""
+    shown = Table("samples", *(f"{p}" for p in PROCESSES), *(f"efficiency on {p}" for p in PROCESSES[1:]))
+    for n in SAMPLES:
+        took = [t_0 + n * t_s / p + n * t_r for p in PROCESSES]
+        gained = [f"{took[0] / (p * one):.0%}" for p, one in zip(PROCESSES[1:], took[1:])]
+        shown.add_row(f"{n:.0e}", *(f"{one:.0f} s" for one in took), *gained)
+    return shown
+
+
+def processes(arguments, count: int, work: str, samples: int, folder: Path) -> list[dict[str, float]]:
+    """This program on so many processes: what each says of itself, the first first."""
+    own = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
+    launch = ["mpirun", "--oversubscribe", "-n", str(count)] if count > 1 else []
+    asked = ["--scene", arguments.scene, "--samples", samples, "--folder", folder, "--work", work]
+    command = [*launch, sys.executable, __file__, *map(str, asked)]
+    subprocess.run(command, check=True, env=os.environ | own, stdout=subprocess.DEVNULL)
+    return [json.loads((folder.parent / f"{folder.name}-{rank}.json").read_text()) for rank in range(count)]
+
+
+def run(arguments) -> None:
+    """A whole run, by one of its processes."""
+    from mic.runs import run as run_scene
+
+    world = communicator()
+    scene = mic.load_scene(arguments.scene)
+    report = scene.report.model_copy(update={"laws": [LAW]})
+    number = scene.monte_carlo.model_copy(update={"samples": arguments.samples})
+    scene = scene.model_copy(update={"report": report, "monte_carlo": number})
+    run_scene(scene, arguments.folder, mic.cache_folder())
+    tell(arguments.folder, world.rank if world else 0)
+    leave(world, 0)
+
+
+def idle(arguments) -> None:
+    """Nothing, with all that a run loads."""
+    import mpi4py.MPI  # noqa: F401
+
+    import mic.runs  # noqa: F401
+    from mic.compliance import provider
+    from mic.contact.laws import LAWS
+    from mic.contact.native.follower import follower
+    from mic.contact.native.kernels import compiled
+
+    provider.installed()
+    follower()
+    compiled(LAWS[LAW].equation)
+    tell(arguments.folder, 0)
+
+
+def read(arguments) -> None:
+    """Statistics and fields of a folder once more, by one process."""
+    from mic.runs import conclude
+
+    conclude(arguments.folder)
+    tell(arguments.folder, 0)
+
+
+def tell(folder: Path, rank: int) -> None:
+    """Processor seconds and peak memory, MB, of this process."""
+    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:")]
+    found = {"cpu": time.process_time(), "peak": int(line.split()[1]) / 1e3}
+    (folder.parent / f"{folder.name}-{rank}.json").write_text(json.dumps(found))
+
+
+WORK = {"run": run, "idle": idle, "read": read}
+
+if __name__ == "__main__":
+    main()
