@@ -7,26 +7,30 @@ K (SPD, the pinned part) bordered by n retained functionals L,
 
 on its last n rows. A multifrontal solver that is told to stop before those rows (MUMPS: ICNTL(19)) has it in the front
 that remains, while the factors of K serve further solves. The pivots are those of K alone, so Cholesky applies though
-the bordered matrix is indefinite.
+the bordered matrix is indefinite. So is the order of elimination: K alone is dissected, and the border comes last.
 """
 
 from __future__ import annotations
 
-import ctypes
-from functools import cache
-
 import numpy as np
 from petsc4py import PETSc
-from scipy.sparse import bmat, csr_matrix, dia_matrix
+from scipy.sparse import csr_matrix, tril
 from threadpoolctl import threadpool_limits
 
+from fem_reference.shell.mumps import Instance, MumpsFailure, Unavailable
+from fem_reference.shell.ordering import nested_dissection
 from mic.errors import MicError
 
-__all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", "OutOfMemory"]
+__all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", "OutOfMemory", "lower_triangle"]
 
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
 
 # MUMPS's numbers of what this module sets or reads (MUMPS 5.5 users' guide, sections 5 and 6)
+_SPD = 1  # SYM
+_ANALYSIS, _FACTORISATION, _SOLUTION = 1, 2, 3  # JOB
+_ICNTL_ORDERING, _GIVEN = 7, 1
+_ICNTL_SCHUR, _BY_ROWS = 19, 1
+_ICNTL_RIGHT_SIDES, _DENSE, _SPARSE = 20, 0, 1
 _ICNTL_SCHUR_SOLVE = 26  # 0: solve with K only, as if there were no border
 _ICNTL_RHS_BLOCK = 27  # columns handled at once in a solve
 _INFOG_STATUS = 1  # negative: failure
@@ -47,7 +51,7 @@ class OutOfMemory(FactorisationError):
 
 
 class NoSchurComplement(FactorisationError):
-    """This PETSc gives no Schur complements; it can still factorise and solve."""
+    """MUMPS cannot be called directly, hence no Schur complements; through PETSc it can still factorise and solve."""
 
 
 class Factorisation:
@@ -56,7 +60,7 @@ class Factorisation:
     Parameters
     ----------
     K : csr_matrix (m, m)
-        Symmetric positive definite.
+        Symmetric positive definite; what stands above the diagonal is not read.
     L : csr_matrix (n, m), optional
         Rows of which `influence` is wanted.
 
@@ -72,20 +76,142 @@ class Factorisation:
     OutOfMemory
         If the memory does not suffice.
     NoSchurComplement
-        If L is given and this PETSc cannot compute its Schur complement.
+        If L is given and MUMPS cannot be called directly.
     FactorisationError
         If K is not positive definite.
     """
 
     @_one_thread
     def __init__(self, K: csr_matrix, L: csr_matrix | None = None):
-        self.size = m = K.shape[0]
-        n = 0 if L is None else L.shape[0]
-        matrix = K
+        self.size = K.shape[0]
+        K = lower_triangle(K)
+        L = csr_matrix((0, self.size)) if L is None else L
+        self.influence: np.ndarray | None = None
+        self._factors: _Factors | _PetscFactors
+        try:
+            self._factors = _Factors(K, L)
+            self.influence = self._factors.influence
+        except Unavailable as problem:
+            if L.shape[0]:
+                raise NoSchurComplement(f"no Schur complements: {problem}") from problem
+            self._factors = _PetscFactors(K)
+        except MumpsFailure as problem:
+            raise _failure(problem) from problem
+        if self._factors.negative_pivots:
+            raise FactorisationError(
+                "the stiffness is not positive definite: the part holds a mechanism, or is too thin for its size"
+            )
+        self.memory = self._factors.memory
+
+    @_one_thread
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """K⁻¹ B for dense columns B (m, r)."""
+        solution = np.empty((self.size, right.shape[1]))
+        for first in range(0, right.shape[1], BLOCK):
+            columns = slice(first, first + BLOCK)
+            solution[:, columns] = self._factors.solve(right[:, columns])
+        return solution
+
+    @_one_thread
+    def solve_sparse(self, right: csr_matrix) -> np.ndarray:
+        """K⁻¹ Bᵀ for the sparse rows B (r, m): one sweep, so keep r near `BLOCK`."""
+        return self._factors.solve_sparse(right)
+
+
+def lower_triangle(K: csr_matrix) -> csr_matrix:
+    """What stands on and below the diagonal of K (m, m); K itself if that is all it has."""
+    row = np.repeat(np.arange(K.shape[0], dtype=K.indices.dtype), np.diff(K.indptr))
+    kept = K.indices <= row
+    if kept.all():
+        return K
+    starts = np.zeros(K.shape[0] + 1, dtype=K.indptr.dtype)
+    np.cumsum(np.bincount(row[kept], minlength=K.shape[0]), out=starts[1:])
+    return csr_matrix((K.data[kept], K.indices[kept], starts), shape=K.shape)
+
+
+class _Factors:
+    """K's factors and L K⁻¹ Lᵀ by MUMPS itself; K (m, m) below and on the diagonal, L (n, m) with any n."""
+
+    def __init__(self, K: csr_matrix, L: csr_matrix):
+        self._mumps = mumps = Instance(_SPD)
+        self.influence: np.ndarray | None = None
+        m, n = K.shape[0], L.shape[0]
+        self._rows = m, m + n
+        row, column, value = _triples(K, L)
+        mumps.set(n=m + n, nnz=len(value))
+        mumps.give(irn=row, jcn=column, a=value)
+        places = nested_dissection(K)
+        if places is not None:
+            mumps.control(_ICNTL_ORDERING, _GIVEN)
+            mumps.give(perm_in=np.concatenate([places, np.arange(m, m + n, dtype=np.int32)]) + np.int32(1))
         if n:
-            corner = dia_matrix((np.zeros((1, n)), [0]), shape=(n, n)).tocsr()
-            matrix = bmat([[K, L.T], [L, corner]], format="csr")
-        self._matrix = _petsc_matrix(matrix)
+            schur = np.empty((n, n))
+            mumps.control(_ICNTL_SCHUR, _BY_ROWS)
+            mumps.set(size_schur=n)
+            mumps.give(listvar_schur=np.arange(m + 1, m + n + 1, dtype=np.int32), schur=schur)
+        try:
+            mumps.run(_ANALYSIS)
+            mumps.run(_FACTORISATION)
+        except MumpsFailure:
+            mumps.close()
+            raise
+        mumps.take_back("irn", "jcn", "a", "perm_in", "schur")
+        self.negative_pivots = mumps.information(_INFOG_NEGATIVE_PIVOTS)
+        self.memory = float(mumps.information(_INFOG_MEMORY))
+        if n:  # of a symmetric matrix MUMPS fills the lower triangle alone
+            self.influence = -(np.tril(schur) + np.tril(schur, -1).T)
+            mumps.control(_ICNTL_SCHUR_SOLVE, 0)
+        mumps.control(_ICNTL_RHS_BLOCK, 64)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        m, rows = self._rows
+        solution = np.zeros((rows, right.shape[1]), order="F")
+        solution[:m] = right
+        self._mumps.control(_ICNTL_RIGHT_SIDES, _DENSE)
+        return self._solved(solution)
+
+    def solve_sparse(self, right: csr_matrix) -> np.ndarray:
+        solution = np.zeros((self._rows[1], right.shape[0]), order="F")
+        self._mumps.control(_ICNTL_RIGHT_SIDES, _SPARSE)
+        self._mumps.set(nz_rhs=right.nnz)
+        self._mumps.give(
+            rhs_sparse=np.asarray(right.data, dtype=float),
+            irhs_sparse=right.indices.astype(np.int32) + np.int32(1),
+            irhs_ptr=right.indptr.astype(np.int32) + np.int32(1),
+        )
+        return self._solved(solution)
+
+    def _solved(self, solution):
+        """The solution takes the place of dense right-hand sides."""
+        m, rows = self._rows
+        self._mumps.set(nrhs=solution.shape[1], lrhs=rows)
+        self._mumps.give(rhs=solution)
+        try:
+            self._mumps.run(_SOLUTION)
+        except MumpsFailure as problem:
+            raise _failure(problem) from problem
+        finally:
+            self._mumps.take_back("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr")
+        return solution[:m]
+
+
+def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows and columns, from 1, and values of [[K, ·], [L, 0]] on and below the diagonal."""
+    row, column, value = (np.empty(K.nnz + L.nnz, dtype) for dtype in (np.int32, np.int32, float))
+    for matrix, first, entries in ((K, 0, slice(0, K.nnz)), (L, K.shape[0], slice(K.nnz, None))):
+        ends = first + 1 + np.arange(matrix.shape[0], dtype=np.int32)
+        row[entries] = np.repeat(ends, np.diff(matrix.indptr))
+        np.add(matrix.indices, 1, out=column[entries], casting="same_kind")
+        value[entries] = matrix.data
+    return row, column, value
+
+
+class _PetscFactors:
+    """K's factors by MUMPS through PETSc, in whatever order MUMPS finds; K (m, m) below and on the diagonal."""
+
+    def __init__(self, K: csr_matrix):
+        whole = K + tril(K, -1).T
+        self._matrix = _petsc_matrix(whole.tocsr())
         self._matrix.setOption(PETSc.Mat.Option.SPD, True)
         self._pc = PETSc.PC().create(PETSc.COMM_SELF)
         self._pc.setOperators(self._matrix)
@@ -94,45 +220,26 @@ class Factorisation:
         self._pc.setFactorSetUpSolverType()
         self._factor = self._pc.getFactorMatrix()
         self._factor.setMumpsIcntl(_ICNTL_RHS_BLOCK, 64)
-        if n:
-            _set_schur_rows(self._factor, np.arange(m, m + n))
         self._pc.setUp()
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
-            raise _failure(status, self._factor.getMumpsInfog(2))
-        if self._factor.getMumpsInfog(_INFOG_NEGATIVE_PIVOTS) > 0:
-            raise FactorisationError(
-                "the stiffness is not positive definite: the part holds a mechanism, or is too thin for its size"
-            )
+            raise MumpsFailure(status, self._factor.getMumpsInfog(2))
+        self.negative_pivots = self._factor.getMumpsInfog(_INFOG_NEGATIVE_PIVOTS)
         self.memory = float(self._factor.getMumpsInfog(_INFOG_MEMORY))
-        self.influence = None
-        if n:
-            schur = _schur_complement(self._factor, n)
-            self.influence = -(np.tril(schur) + np.tril(schur, -1).T)
-            self._factor.setMumpsIcntl(_ICNTL_SCHUR_SOLVE, 0)
 
     def __del__(self):  # left to itself, petsc4py keeps the factors, hundreds of MB each, to the end of the process
         for held in ("_factor", "_pc", "_matrix"):
             if hasattr(self, held):
                 getattr(self, held).destroy()
 
-    @_one_thread
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """K⁻¹ B for dense columns B (m, r)."""
-        solution = np.empty((self.size, right.shape[1]))
-        for first in range(0, right.shape[1], BLOCK):
-            columns = right[:, first : first + BLOCK]
-            padded = np.zeros((self._matrix.size[0], columns.shape[1]), order="F")
-            padded[: self.size] = columns
-            B = PETSc.Mat().createDense(padded.shape, array=padded, comm=PETSc.COMM_SELF)
-            solution[:, first : first + BLOCK] = self._sweep(B, columns.shape[1])
-            B.destroy()
+        columns = np.asfortranarray(right, dtype=float)
+        B = PETSc.Mat().createDense(columns.shape, array=columns, comm=PETSc.COMM_SELF)
+        solution = self._sweep(B, columns.shape[1])
+        B.destroy()
         return solution
 
-    @_one_thread
     def solve_sparse(self, right: csr_matrix) -> np.ndarray:
-        """K⁻¹ Bᵀ for the sparse rows B (r, m): one sweep, so keep r near `BLOCK`."""
-        right = csr_matrix((right.data, right.indices, right.indptr), shape=(right.shape[0], self._matrix.size[0]))
         rows = _petsc_matrix(right)
         B = PETSc.Mat().createTranspose(rows)
         solution = self._sweep(B, right.shape[0])
@@ -145,7 +252,7 @@ class Factorisation:
         X.setUp()
         X.assemble()
         self._factor.matSolve(B, X)
-        solution = X.getDenseArray()[: self.size].copy()  # the view does not keep X alive
+        solution = X.getDenseArray().copy()  # the view does not keep X alive
         X.destroy()
         return solution
 
@@ -156,51 +263,14 @@ def _petsc_matrix(matrix: csr_matrix) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF)
 
 
-def _failure(status: int, detail: int) -> FactorisationError:
-    """The error that MUMPS's INFOG(1) = `status` stands for."""
+def _failure(problem: MumpsFailure) -> FactorisationError:
+    """The error that MUMPS's status stands for."""
     kind = FactorisationError
-    if status == -10:
+    if problem.status in (-10, -40):
         reason = "the matrix is singular: the part is not in one piece, or its triangles hold a mechanism"
-    elif status in (-8, -9, -11, -13, -14, -15, -17, -19, -20):
+    elif problem.status in (-8, -9, -11, -13, -14, -15, -17, -19, -20):
         kind = OutOfMemory
         reason = "memory ran out: use fewer functionals at once, a coarser mesh or more memory"
     else:
         reason = "see the MUMPS users' guide"
-    return kind(f"MUMPS reports INFOG(1) = {status}, INFOG(2) = {detail}: {reason}")
-
-
-@cache
-def _petsc() -> ctypes.CDLL:
-    """The very library that petsc4py has loaded, for the C calls that petsc4py does not wrap in every version."""
-    pointer, integer = ctypes.c_void_p, ctypes.c_int
-    try:
-        library = ctypes.CDLL(PETSc.__file__)  # symbols are looked up in its dependencies as well
-        library.MatFactorSetSchurIS.argtypes = [pointer, pointer]
-        library.MatFactorCreateSchurComplement.argtypes = [pointer, ctypes.POINTER(pointer), ctypes.POINTER(integer)]
-        library.MatDenseGetArrayRead.argtypes = [pointer, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))]
-        library.MatDenseRestoreArrayRead.argtypes = library.MatDenseGetArrayRead.argtypes
-        library.MatDestroy.argtypes = [ctypes.POINTER(pointer)]
-    except (OSError, AttributeError) as problem:  # pragma: no cover - no such PETSc build is known
-        raise NoSchurComplement(f"no Schur complements from this PETSc ({problem})") from problem
-    return library
-
-
-def _checked(code: int) -> None:
-    if code:
-        raise FactorisationError(f"PETSc returned error {code} from its Schur complement interface")
-
-
-def _set_schur_rows(factor: PETSc.Mat, rows: np.ndarray) -> None:
-    index_set = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    _checked(_petsc().MatFactorSetSchurIS(factor.handle, index_set.handle))
-
-
-def _schur_complement(factor: PETSc.Mat, n: int) -> np.ndarray:
-    petsc, schur, status = _petsc(), ctypes.c_void_p(), ctypes.c_int()
-    _checked(petsc.MatFactorCreateSchurComplement(factor.handle, ctypes.byref(schur), ctypes.byref(status)))
-    values = ctypes.POINTER(ctypes.c_double)()
-    _checked(petsc.MatDenseGetArrayRead(schur, ctypes.byref(values)))
-    matrix = np.ctypeslib.as_array(values, (n, n)).T.copy()  # PETSc stores columns
-    _checked(petsc.MatDenseRestoreArrayRead(schur, ctypes.byref(values)))
-    _checked(petsc.MatDestroy(ctypes.byref(schur)))
-    return matrix
+    return kind(f"{problem}: {reason}")

@@ -16,6 +16,7 @@ from fem_reference.shell.factorisation import (
     FactorisationError,
     NoSchurComplement,
     OutOfMemory,
+    lower_triangle,
 )
 from mic.compliance.functional import Functionals
 
@@ -74,15 +75,16 @@ def _shared(own, n, comm, owner):
 def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factorisation]:
     """H = L K⁻¹ Lᵀ (n, n) for sparse SPD K (m, m) and sparse L (n, m), with the factorisation that gave it.
 
-    By the Schur complement; where that cannot be had, for want of memory or of a PETSc that gives it, by sweeps of
-    sparse right-hand sides. A few columns are solved once more, and their residuals formed with K itself.
+    By the Schur complement; where that cannot be had, for want of memory or of a MUMPS that can be called, by sweeps of
+    sparse right-hand sides. A few columns are solved once more, and their residuals formed with K itself. What stands
+    above K's diagonal is not read.
 
     Raises
     ------
     FactorisationError
         If the factorisation fails or H does not pass that check.
     """
-    n = L.shape[0]
+    n, K = L.shape[0], lower_triangle(K)
     factorisation = None
     if n:
         try:
@@ -101,7 +103,10 @@ def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factoris
 
 
 def _check(H, K, L, factorisation, columns: int = 3) -> None:
-    """Raise unless a few columns of H agree with solves whose residual is small in the sense of Rigal and Gaches."""
+    """Raise unless a few columns of H agree with solves whose residual is small in the sense of Rigal and Gaches.
+
+    K stands on and below its diagonal alone.
+    """
     # a functional that reads pinned freedoms alone has an empty row and H = 0
     loaded = np.flatnonzero(np.diff(L.indptr))
     if not len(loaded):
@@ -109,8 +114,11 @@ def _check(H, K, L, factorisation, columns: int = 3) -> None:
     chosen = loaded[np.unique(np.linspace(0, len(loaded) - 1, columns).astype(int))]
     B = L[chosen].T.toarray()
     X = factorisation.solve_sparse(L[chosen])
-    norm_K = abs(K).sum(axis=1).max()
-    backward = abs(K @ X - B).max(axis=0) / (norm_K * abs(X).max(axis=0) + abs(B).max(axis=0))
+    diagonal, size = K.diagonal(), csr_matrix((abs(K.data), K.indices, K.indptr), K.shape)
+    ones = np.ones(K.shape[0])
+    norm_K = (size @ ones + size.T @ ones - abs(diagonal)).max()
+    residual = K @ X + K.T @ X - diagonal[:, None] * X - B
+    backward = abs(residual).max(axis=0) / (norm_K * abs(X).max(axis=0) + abs(B).max(axis=0))
     difference = abs(L @ X - H[:, chosen]).max() / abs(H).max()
     if not (np.all(backward < 1e-11) and difference < 1e-8):
         raise FactorisationError(

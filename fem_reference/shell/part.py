@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat
 from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
-from fem_reference.shell.factorisation import Factorisation, FactorisationError
+from fem_reference.shell.factorisation import Factorisation, FactorisationError, lower_triangle
 from fem_reference.shell.influence import influence_matrix
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
@@ -218,11 +218,7 @@ class ShellPart:
         return matrix
 
     def stiffness_csr(self) -> csr_matrix:
-        """K as a scipy matrix, whole on each process; symmetric to rounding. The caller may change it."""
-        return self._stiffness_csr.copy()
-
-    @cached_property
-    def _stiffness_csr(self) -> csr_matrix:
+        """K as a scipy matrix, assembled anew, whole on each process; symmetric to rounding."""
         matrix = self._assemble()
         pieces = self.comm.allgather(matrix.getValuesCSR())  # consecutive rows from each process
         matrix.destroy()  # petsc4py would keep it to the end of the process
@@ -338,8 +334,14 @@ class ShellPart:
         return np.setdiff1d(np.arange(self.ndof), self.pins)
 
     @cached_property
+    def _pinned(self) -> tuple[csr_matrix, csr_matrix]:
+        """K_ff on and below its diagonal, and K_fp, of free freedoms f and pins p: half of K is all that a part keeps."""
+        rows = self.stiffness_csr()[self._free]
+        return lower_triangle(rows[:, self._free]), rows[:, self.pins]
+
+    @cached_property
     def _factorisation(self) -> Factorisation:
-        factorisation = Factorisation(self._stiffness_csr[self._free][:, self._free])
+        factorisation = Factorisation(self._pinned[0])
         self._check_conditioning(factorisation)
         return factorisation
 
@@ -355,7 +357,7 @@ class ShellPart:
         worst, and a part that holds a mechanism does not follow at all.
         """
         exact = self.rigid_modes[self._free]
-        followed = factorisation.solve(-self._stiffness_csr[self._free][:, self.pins] @ self.rigid_modes[self.pins])
+        followed = factorisation.solve(-self._pinned[1] @ self.rigid_modes[self.pins])
         error = (abs(followed - exact).max(axis=0) / abs(exact).max(axis=0)).max()
         if not error < RIGID_MOTION_TOLERANCE:
             raise FactorisationError(
@@ -380,7 +382,7 @@ class ShellPart:
         Forces f (n,) on the functionals move them by H f + G q, q (6,) being the rigid motion, once Gᵀ f = 0.
         """
         L = self.functional_matrix(functionals)
-        H, self._factorisation = influence_matrix(self._stiffness_csr[self._free][:, self._free], L[:, self._free])
+        H, self._factorisation = influence_matrix(self._pinned[0], L[:, self._free])
         self._check_conditioning(self._factorisation)
         return H, L @ self.rigid_modes
 
