@@ -1,17 +1,21 @@
 """A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
 and 6σ.
 
-The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second
-call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
+The folder holds ``production/`` (the Monte Carlo, as `mic run` leaves it), ``reduced/`` (the same on one increment a step,
+where the scene's path is followed), ``full/`` and ``budget/`` (one file per full solve and per source of error; a second
+call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv``, ``budget.csv`` and
+``report.html``.
 """
 
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import json
 import math
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +33,15 @@ from mic.runs import sample_into
 from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
+from verification.budget import SOURCES, Case, Item, bounded, estimate
+from verification.budget_page import (
+    budget_figure,
+    budget_rows,
+    budget_sentences,
+    by_quantity,
+    printed,
+    quantity_rows,
+)
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
 from verification.report import number, table_cells
@@ -95,7 +108,16 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
     return [Choice(int(numbers[i]), kind) for i, kind in zip(picked, kinds)]
 
 
-def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: bool, team: Team, say=print) -> dict:
+def verify_scene(
+    scene: Scene,
+    folder: Path,
+    cache: Path,
+    count: int,
+    deviated: bool,
+    team: Team,
+    say=print,
+    sources: Collection[str] = tuple(SOURCES),
+) -> dict:
     """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
 
     Stages whose path is followed take one increment a step here, in the reduced model and in the full solves: what the
@@ -115,6 +137,8 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         Ranks that share the samples.
     say : callable
         Called on the first rank with one line of text at a time.
+    sources : collection of str
+        Sources of error that are estimated beside the full solves, of :data:`verification.budget.SOURCES`.
 
     Raises
     ------
@@ -123,7 +147,8 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     """
     folder = Path(folder)
     tell = say if team.rank == 0 else lambda line: None
-    scene = _on_increments(_with_truth(scene))
+    law, asked = scene.report.laws[0], _with_truth(scene)
+    scene = _on_increments(asked)
     truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
     samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
     start = time.perf_counter()
@@ -133,6 +158,11 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         prepared = time.perf_counter()
         sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
         evaluated = time.perf_counter()
+        production = folder / "reduced"
+        if scene != asked:
+            tell(f"{samples} samples as the scene has its path, under {law} …")
+            production = folder / "production"
+            sample_into(production, dataclasses.replace(model, scene=asked), [law], samples, seed)
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         base = cheap.get(truth, next(iter(cheap.values())))
@@ -150,6 +180,10 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         full = team.map(
             lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen
         )
+        tell("error budget: " + ", ".join(sources) + " …")
+        case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache)
+        mark = f"{_model_key(case.model)} {seed} {versions()['mic-contact']}"
+        items = estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
         return {}
     solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
@@ -158,6 +192,10 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     )
     table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
     laws = len(scene.report.laws)
+    printing = outcome if production.name == "reduced" else read_outcome(production)
+    items = [_algebra(printing, law), *items, *_by_full_solves(cheap.get(truth), model, solved, deviated)]
+    items.append(_sampling(printed(printing, law)))
+    budget = by_quantity(printed(printing, law), items)
     summary = {
         "scene": scene.name,
         "samples": samples,
@@ -172,6 +210,12 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
             "reduced_sample": (evaluated - prepared) * team.size / (samples * laws),
             "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None,
         },
+        "law": law,
+        "budget": {
+            "sentences": budget_sentences(scene.name, budget, items),
+            "quantities": budget.rename_axis("quantity").reset_index().to_dict("records"),
+            "sources": [_record(item) for item in items],
+        },
         "per_sample": per_sample.to_dict("records"),
         "statistics": table.to_dict("records"),
         "versions": versions(),
@@ -181,8 +225,53 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     per_sample.to_csv(folder / "samples.csv", index=False)
     table.to_csv(folder / "statistics.csv", index=False)
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    _write(folder / "report.html", _page(summary, per_sample, table, truth))
+    budget.to_csv(folder / "budget.csv", index_label="quantity")
+    _write(folder / "report.html", _page(summary, per_sample, table, truth, budget, items))
     return summary
+
+
+def _algebra(outcome, law) -> Item:
+    """What the solver's residual leaves, as far as each quantity comes from zero."""
+    residual, reach = outcome.worst_residual(law), _quantities(outcome, law).abs().max()
+    how = f"bound: the largest certificate residual, {residual:.1g}, times the largest value; every run tells it"
+    return Item("algebra", how, 0.0, bounded(residual * reach, residual * reach))
+
+
+def _sampling(figures) -> Item:
+    how = f"half the 95 % interval of {int(figures['samples'].max())} samples; every run tells it"
+    return Item("sampling", how, 0.0, bounded(figures["mean_half"], figures["six_sigma_half"]))
+
+
+def _by_full_solves(cheap, model, solved, deviated) -> list[Item]:
+    """What only full solves tell, by the two-level estimate: nothing is extrapolated."""
+    rows, places = {}, []
+    dear = {choice.sample: _of_full(model, result) for choice, result in solved}
+    if cheap is not None:
+        dear = {sample: found for sample, found in dear.items() if sample in cheap.index}
+        places = [cheap.index.get_loc(sample) for sample in dear]
+    for name in cheap.columns if dear else ():
+        found = two_level(cheap[name].to_numpy(), places, [one[name] for one in dear.values()])
+        rows[name] = {
+            f"{figure}{end}": size
+            for figure, off in (("mean", found.mean_error), ("six_sigma", found.six_sigma_error))
+            for end, size in (("", off.value), ("_half", off.high - off.value))
+        }
+    seconds = float(sum(result["seconds"] for _, result in solved))
+    table = pd.DataFrame.from_dict(rows, orient="index") if rows else None
+    meshes = "meshes that carry each sample's shape" if deviated else "nominal meshes"
+    how = f"{len(dear)} samples by full finite elements on {meshes}, one increment a step (two levels)"
+    how = how if dear else "not estimated: no full solve succeeded"
+    if len(dear) in (1, 2):
+        how += "; three at least would tell how sure that is"
+    if deviated:
+        return [Item("nominal stiffness", how, seconds, table)]
+    other = "not estimated: with --nominal the full solves keep the nominal meshes"
+    return [Item("reduction", how, seconds, table), Item("nominal stiffness", other, 0.0, None)]
+
+
+def _record(item) -> dict:
+    table = [] if item.table is None else item.table.rename_axis("quantity").reset_index().to_dict("records")
+    return {"source": item.source, "how": item.how, "seconds": item.seconds, "counts": item.counts, "errors": table}
 
 
 def _on_increments(scene):
@@ -370,7 +459,7 @@ def _figure(table, truth):
     return figure
 
 
-def _page(summary, per_sample, table, truth) -> str:
+def _page(summary, per_sample, table, truth, budget, items) -> str:
     image = None
     if len(table) and "corrected mean" in table:
         image = base64.b64encode(svg(_figure(table, truth))).decode()
@@ -381,6 +470,9 @@ def _page(summary, per_sample, table, truth) -> str:
     return environment.get_template("own_scene.html").render(
         summary=summary,
         image=image,
+        bars=base64.b64encode(svg(budget_figure([(summary["scene"], budget, items)]))).decode(),
+        sources=table_cells(budget_rows(items, budget)),
+        quantities=table_cells(quantity_rows(budget)),
         level=statistics.LEVEL,
         worst=worst(table),
         leading=LEADING,

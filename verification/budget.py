@@ -1,0 +1,333 @@
+"""The error budget of a scene: what each source of error leaves in its figures, by the cheapest honest estimate.
+
+A figure θ is a mean or a 6σ, of a key characteristic or of a zone's slip; its error δ is what production prints less what
+it would print without the source, so that a positive δ is a figure that is printed too large. Where a source can be
+made smaller, the same n samples are taken a second time with less of it, and with y in production and x better
+
+    d = θ(y) − θ(x),        δ = f d,        |δ − f d| ≤ [(f t s)² + (g d)²]^½
+
+s is the jackknife's standard error of d (:mod:`mic.results.paired`), t Student's. f extrapolates to a source that is
+gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may be
+wrong, as :data:`REFINED` says. What cannot be repeated with less of it is bounded, |δ| ≤ U: then δ is 0 with U about it.
+
+The sum adds the δ with their signs, and what is unsure of them in squares, as independent (ASME V&V 20, section 7).
+
+Costs are CPU seconds of the process that worked, the first use of compiled code among them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from mpi4py import MPI
+
+from mic.compliance.cache import influence_coefficients
+from mic.contact.laws import LAWS
+from mic.contact.path import Increments
+from mic.errors import MicError
+from mic.model.accuracy import on_halved_meshes
+from mic.model.assembly import Assembly
+from mic.process.evaluation import Evaluation
+from mic.process.model import ReducedModel
+from mic.results.paired import mean_change, six_sigma_change
+from mic.results.path_study import tighter
+from mic.sampling.draw import draw
+from mic.studies.density import denser
+from mic.studies.order import orders
+from verification.comparison import reduced_and_assembly, zone_slip
+from verification.study import Team
+
+__all__ = [
+    "FIGURES",
+    "REFINED",
+    "SOURCES",
+    "Case",
+    "Item",
+    "bounded",
+    "estimate",
+    "paired",
+    "total",
+    "values",
+]
+
+SAMPLES = 30  # that each source is estimated on: the same for all
+HALF = 0.5  # of the distance between pairs; 0.7 was seen to tell too little where candidates stand on bends
+FIGURES = ("mean", "six_sigma")
+
+
+@dataclass(frozen=True)
+class Refined:
+    """How a difference from better samples becomes an error.
+
+    Attributes
+    ----------
+    factor, doubt : float
+        f and g.
+    why : str
+    """
+
+    factor: float
+    doubt: float
+    why: str
+
+
+REFINED = {
+    # Estimates of this kind were 0.8 to 1.4 times the true error of shells whose solution is known.
+    "mesh": Refined(4 / 3, 4 / 3 * (1 - 1 / 1.4), "second order: times 4/3; the error is 0.7 to 1.25 times that"),
+    # Sums over patches are of second order; where pressure begins is known to the distance of the pairs, of first.
+    "pairs": Refined(5 / 3, 1 / 3, "between first and second order: times 4/3 to 2"),
+    "path": Refined(6 / 5, 1 / 5, "a tolerance of a sixteenth leaves about a sixth: times 6/5"),
+    "increments": Refined(4 / 3, 1 / 3, "first order, four times the increments: times 4/3"),
+    "law": Refined(1.0, 0.0, ""),
+}
+
+
+@dataclass(frozen=True)
+class Item:
+    """What one source leaves.
+
+    Attributes
+    ----------
+    source : str
+    how : str
+        How it was estimated, or why nothing is known.
+    seconds : float
+        CPU time.
+    table : DataFrame or None
+        By quantity: ``mean, mean_half, six_sigma, six_sigma_half``, mm, errors and half their 95 % intervals; NaN where
+        not known. None where nothing is.
+    counts : bool
+        Whether it is an error of what the program prints, so that the sum contains it.
+    """
+
+    source: str
+    how: str
+    seconds: float
+    table: pd.DataFrame | None
+    counts: bool = True
+
+
+def values(model: ReducedModel, evaluation: Evaluation) -> pd.DataFrame:
+    """Zones' slips and key characteristics of samples, one column each, mm; NaN in samples that failed."""
+    scene, columns = model.scene, {}
+    for stage, resolution in evaluation.resolutions.items():
+        if model.contacts.dimension == 3:
+            slip = zone_slip(resolution.displacement, model.contacts, len(scene.zones))
+            columns |= {f"slip:{stage}:{zone.name}": slip[:, z] for z, zone in enumerate(scene.zones)}
+    if evaluation.measurements.size:
+        columns |= {f"measurement:{item.name}": x for item, x in zip(scene.measurements, evaluation.measurements.T)}
+    frame = pd.DataFrame(columns, index=range(len(evaluation.failed)))
+    frame[evaluation.failed] = np.nan
+    return frame
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, and the samples that every source is estimated on.
+
+    Attributes
+    ----------
+    assembly : Assembly
+    model : ReducedModel
+        With the scene's own path.
+    law : str
+        What production prints.
+    cache : Path
+    samples : int
+    """
+
+    assembly: Assembly
+    model: ReducedModel
+    law: str
+    cache: Path
+    samples: int = SAMPLES
+
+    @cached_property
+    def deviations(self) -> np.ndarray:
+        """(n, p)"""
+        return draw(self.model.scene, self.model.scene.monte_carlo.seed, 0, self.samples)
+
+    @cached_property
+    def production(self) -> pd.DataFrame:
+        """What production makes of them."""
+        return self.of(self.model)
+
+    def of(self, model: ReducedModel, law: str | None = None, path: Callable | None = None) -> pd.DataFrame:
+        """What another model, law or path makes of them."""
+        process = model.process(law or self.law)
+        if path is not None:
+            for stage in process.stages:
+                stage.path = path(stage.path)
+        return values(model, process.attempt(self.deviations))
+
+
+def paired(production: pd.DataFrame, better: pd.DataFrame, refined: Refined) -> pd.DataFrame:
+    """Errors of production from the same samples done better, as :class:`Item` has them.
+
+    Parameters
+    ----------
+    production, better : (n, k) DataFrame
+        With the same columns; samples with NaN in either are left out.
+    refined : Refined
+    """
+    rows = {}
+    for name in production.columns:
+        x, y, row = better[name].to_numpy(), production[name].to_numpy(), {}
+        for figure, change in zip(FIGURES, (mean_change, six_sigma_change)):
+            d = change(x, y)
+            row[figure] = refined.factor * d.value
+            row[f"{figure}_half"] = np.hypot(refined.factor * (d.high - d.value), refined.doubt * d.value)
+        rows[name] = row
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def bounded(mean: pd.Series, six_sigma: pd.Series) -> pd.DataFrame:
+    """Errors of which no more is known than that they are at most so large."""
+    zero = 0.0 * mean
+    return pd.DataFrame(
+        {"mean": zero, "mean_half": mean.abs(), "six_sigma": 0.0 * six_sigma, "six_sigma_half": six_sigma.abs()}
+    )
+
+
+def total(items: list[Item]) -> pd.DataFrame:
+    """The sum of all sources that count and of which something is known, as :class:`Item` has its table."""
+    known = [item.table for item in items if item.counts and item.table is not None]
+    if not known:
+        return pd.DataFrame(columns=[name for figure in FIGURES for name in (figure, f"{figure}_half")])
+    names = list(dict.fromkeys(name for table in known for name in table.index))
+    stacked = [table.reindex(names) for table in known]
+    columns = {}
+    for figure in FIGURES:
+        columns[figure] = sum(table[figure].fillna(0.0) for table in stacked)
+        columns[f"{figure}_half"] = np.sqrt(sum(table[f"{figure}_half"].fillna(0.0) ** 2 for table in stacked))
+    return pd.DataFrame(columns)
+
+
+# --- the sources that the reduced model alone can tell of
+# ------------------------------------------------------------------------------------------------------
+
+
+def _law(case: Case) -> tuple[str, pd.DataFrame]:
+    if case.law == "coulomb" or not LAWS[case.law].frictional and not case.model.contacts.frictional:
+        return "the scene asks for Coulomb's law", 0 * paired(case.production, case.production, REFINED["law"])
+    return (
+        f"the same {case.samples} samples under Coulomb's law in place of {case.law}",
+        paired(case.production, case.of(case.model, law="coulomb"), REFINED["law"]),
+    )
+
+
+def _path(case: Case) -> tuple[str, pd.DataFrame]:
+    if not LAWS[case.law].frictional or not case.model.contacts.frictional:
+        none = paired(case.production, case.production, REFINED["path"])
+        return "without friction nothing remembers the way", 0 * none
+    steps = [stage.path for stage in case.model.process(case.law).stages if stage.resolves]
+    refined = REFINED["increments" if any(isinstance(path, Increments) for path in steps) else "path"]
+    better = case.of(case.model, path=tighter)
+    return f"the same {case.samples} samples on a tighter path; {refined.why}", paired(case.production, better, refined)
+
+
+def _pairs(case: Case) -> tuple[str, pd.DataFrame]:
+    if not len(case.assembly.contacts):
+        return "the scene has no contact pairs", 0 * paired(case.production, case.production, REFINED["pairs"])
+    model, assembly = reduced_and_assembly(denser(case.assembly, HALF), case.cache)
+    return (
+        f"the same {case.samples} samples with {len(assembly.contacts)} pairs in place of "
+        f"{len(case.assembly.contacts)}, at half the distance; {REFINED['pairs'].why}",
+        paired(case.production, case.of(model), REFINED["pairs"]),
+    )
+
+
+def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
+    finer = on_halved_meshes(case.assembly)
+    if all(part.superelement is not None for part in finer.parts):
+        return "superelements have no mesh", 0 * paired(case.production, case.production, REFINED["mesh"])
+    model = ReducedModel.build(finer, influence_coefficients(finer, case.cache, comm=MPI.COMM_SELF)[0])
+    before, after = (sum(len(p.surface.points) for p in one.parts) for one in (case.assembly, finer))
+    return (
+        f"the same {case.samples} samples on meshes of half the size, {after} nodes in place of {before}, pairs at the "
+        f"same points; {REFINED['mesh'].why}. What the element's own theory leaves out is not seen",
+        paired(case.production, case.of(model), REFINED["mesh"]),
+    )
+
+
+def _order(case: Case) -> tuple[str, pd.DataFrame]:
+    others = orders(case.model.scene)
+    if len(others) == 1:
+        return "there is one order only", 0 * paired(case.production, case.production, REFINED["law"])
+    most = None
+    for other in others[1:]:
+        again = case.of(replace(case.model, scene=other.scene))
+        change = paired(case.production, again, REFINED["law"])[list(FIGURES)].abs()
+        most = change if most is None else most.combine(change, np.fmax)
+    return (
+        f"the most that {len(others) - 1} other orders change on the same {case.samples} samples",
+        bounded(most["mean"], most["six_sigma"]),
+    )
+
+
+#: How each source is estimated: what was done, and errors by quantity.
+SOURCES: dict[str, Callable[[Case], tuple[str, pd.DataFrame]]] = {
+    "law": _law,
+    "path": _path,
+    "order of the process": _order,
+    "pairs": _pairs,
+    "mesh and element": _mesh,
+}
+
+
+def stated_order(scene) -> bool:
+    """Whether the scene itself says in which order things close or open."""
+    return any(stage.order is not None or stage.sequence for stage in scene.stages)
+
+
+def estimate(case: Case, folder: Path, key: str, team: Team, sources, say=print) -> list[Item]:
+    """What each of the sources leaves, shared out over the ranks; what the folder holds already is read.
+
+    Parameters
+    ----------
+    case : Case
+    folder : Path
+        Gets one file for each source.
+    key : str
+        Names the scene, its meshes and its samples.
+    team : Team
+    sources : collection of str
+        Of :data:`SOURCES`.
+    say : callable
+        Called with one line of text for each source that was estimated.
+    """
+    case.production  # noqa: B018  code is compiled before clocks start, and all ranks need it
+    return team.map(lambda source: _kept(case, source, folder, key, say), list(sources))
+
+
+def _kept(case: Case, source: str, folder: Path, key: str, say) -> Item:
+    mark = hashlib.sha256(f"{key} {case.law} {case.samples} {source}".encode()).hexdigest()[:16]
+    path = folder / f"{source.replace(' ', '-')}-{mark}.json"
+    counts = source != "order of the process" or not stated_order(case.model.scene)
+    if path.is_file():
+        found = json.loads(path.read_text())
+        return Item(source, found["how"], found["seconds"], pd.DataFrame(**found["table"]).astype(float), counts)
+    start = time.process_time()
+    try:
+        how, table = SOURCES[source](case)
+    except (MicError, MemoryError) as problem:
+        say(f"  {source}: not estimated: {problem}")
+        return Item(source, f"not estimated: {problem}", time.process_time() - start, None, counts)
+    if not counts:
+        how += "; the scene states its own order, so that this is no error of it, and the sum does not contain it"
+    seconds = time.process_time() - start
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}")
+    cells = json.loads(table.to_json(orient="split", double_precision=15))
+    temporary.write_text(json.dumps({"how": how, "seconds": seconds, "table": cells}, indent=1))
+    temporary.replace(path)
+    say(f"  {source}: {seconds:.1f} s")
+    return Item(source, how, seconds, table, counts)
