@@ -1,14 +1,15 @@
 """The error budget of a scene: what each source of error leaves in its figures, by the cheapest honest estimate.
 
-A figure θ is a mean or a 6σ, of a key characteristic or of a zone's slip; its error δ is what production prints less what
-it would print without the source, so that a positive δ is a figure that is printed too large. Where a source can be
-made smaller, the same n samples are taken a second time with less of it, and with y in production and x better
+A figure θ is a mean or a 6σ, of a key characteristic or of a zone's slip; its error δ is what production prints less
+what it would print without the source, so that a positive δ is a figure that is printed too large. Where a source can
+be made smaller, the same n samples are taken a second time with less of it, and with y in production and x better
 
     d = θ(y) − θ(x),        δ = f d,        |δ − f d| ≤ [(f t s)² + (g d)²]^½
 
 s is the jackknife's standard error of d (:mod:`mic.results.paired`), t Student's. f extrapolates to a source that is
-gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may be
-wrong, as :data:`REFINED` says. What cannot be repeated with less of it is bounded, |δ| ≤ U: then δ is 0 with U about it.
+gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may
+be wrong, as :data:`REFINED` says. What cannot be repeated with less of it is bounded, |δ| ≤ U: then δ is 0 with U about
+it.
 
 The sum adds the δ with their signs, and what is unsure of them in squares, as independent (ASME V&V 20, section 7).
 
@@ -22,7 +23,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -43,22 +44,30 @@ from mic.sampling.draw import draw
 from mic.studies.density import denser
 from mic.studies.order import orders
 from verification.comparison import reduced_and_assembly, zone_slip
+from verification.stiffness import DeviatedStiffness
 from verification.study import Team
+from verification.two_level import two_level
 
 __all__ = [
+    "EVERY",
     "FIGURES",
     "REFINED",
     "SOURCES",
+    "STIFFNESS",
     "Case",
     "Item",
     "bounded",
     "estimate",
+    "largest_difference",
     "paired",
+    "two_levels",
     "total",
     "values",
 ]
 
 SAMPLES = 30  # that each source is estimated on: the same for all
+DEVIATED = 10  # of these, that are given the stiffness of their own shape: each takes influence coefficients of its own
+ORDER, STIFFNESS = "order of the process", "nominal stiffness"
 HALF = 0.5  # of the distance between pairs; 0.7 was seen to tell too little where candidates stand on bends
 FIGURES = ("mean", "six_sigma")
 
@@ -189,6 +198,40 @@ def paired(production: pd.DataFrame, better: pd.DataFrame, refined: Refined) -> 
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
+def two_levels(cheap: pd.DataFrame, dear: pd.DataFrame) -> pd.DataFrame:
+    """Errors of production where only some of its samples were done better (:mod:`verification.two_level`).
+
+    Parameters
+    ----------
+    cheap : (N, k) DataFrame
+        By sample.
+    dear : (n, k) DataFrame
+        Some of these samples; those with NaN in either are left out.
+    """
+    rows = {}
+    for name in cheap.columns:
+        y = cheap[name].dropna()
+        x = dear[name].dropna()
+        x = x[x.index.isin(y.index)]
+        if not len(x) or len(y) < 2:
+            rows[name] = dict.fromkeys(("mean", "mean_half", "six_sigma", "six_sigma_half"), np.nan)
+            continue
+        found = two_level(y.to_numpy(), [y.index.get_loc(sample) for sample in x.index], x.to_numpy())
+        rows[name] = {
+            f"{figure}{end}": size
+            for figure, off in zip(FIGURES, (found.mean_error, found.six_sigma_error))
+            for end, size in (("", off.value), ("_half", off.high - off.value))
+        }
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def largest_difference(mine: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
+    """Errors of samples that differ from others by so much at most: δ of their mean is no more than that, of 6σ six
+    times."""
+    most = (mine - truth).abs().max()
+    return bounded(most, 6 * most)
+
+
 def bounded(mean: pd.Series, six_sigma: pd.Series) -> pd.DataFrame:
     """Errors of which no more is known than that they are at most so large."""
     zero = 0.0 * mean
@@ -216,6 +259,10 @@ def total(items: list[Item]) -> pd.DataFrame:
 
 
 def _law(case: Case) -> tuple[str, pd.DataFrame]:
+    if LAWS[case.law].reads:
+        return "the scene gives what its law reads, and means it", 0 * paired(
+            case.production, case.production, REFINED["law"]
+        )
     if case.law == "coulomb" or not LAWS[case.law].frictional and not case.model.contacts.frictional:
         return "the scene asks for Coulomb's law", 0 * paired(case.production, case.production, REFINED["law"])
     return (
@@ -277,10 +324,14 @@ def _order(case: Case) -> tuple[str, pd.DataFrame]:
 SOURCES: dict[str, Callable[[Case], tuple[str, pd.DataFrame]]] = {
     "law": _law,
     "path": _path,
-    "order of the process": _order,
+    ORDER: _order,
     "pairs": _pairs,
     "mesh and element": _mesh,
 }
+
+
+#: All that :func:`estimate` knows.
+EVERY = (*SOURCES, STIFFNESS)
 
 
 def stated_order(scene) -> bool:
@@ -300,34 +351,82 @@ def estimate(case: Case, folder: Path, key: str, team: Team, sources, say=print)
         Names the scene, its meshes and its samples.
     team : Team
     sources : collection of str
-        Of :data:`SOURCES`.
+        Of :data:`SOURCES`, and :data:`STIFFNESS`.
     say : callable
         Called with one line of text for each source that was estimated.
     """
     case.production  # noqa: B018  code is compiled before clocks start, and all ranks need it
-    return team.map(lambda source: _kept(case, source, folder, key, say), list(sources))
+    keep = partial(_kept, case, folder=folder, key=key, say=say)
+    found = team.map(keep, [source for source in sources if source in SOURCES])
+    return found + ([_stiffness(case, folder, key, team, say)] if STIFFNESS in sources else [])
+
+
+def _stiffness(case: Case, folder: Path, key: str, team: Team, say) -> Item:
+    """What the stiffness of the nominal shape leaves: the first samples with those of their own shapes."""
+    try:
+        stiffness = DeviatedStiffness(case.assembly, case.model)
+    except MicError as problem:
+        return Item(STIFFNESS, f"not estimated: {problem}", 0.0, None)
+
+    def solve(sample: int) -> dict:
+        model, deviations = stiffness.at(case.deviations[sample]), case.deviations[[sample]]
+        return values(model, model.process(case.law).attempt(deviations)).iloc[0].to_dict()
+
+    def once(sample: int) -> dict:
+        path = folder / f"{_mark(case, f'{STIFFNESS} {sample}', key)}.json"
+        return _stored(path, lambda: _timed(lambda: {"values": solve(sample)}))
+
+    found = team.map(once, range(min(DEVIATED, case.samples)))
+    seconds = sum(one["seconds"] for one in found)
+    if team.rank == 0:
+        say(f"  {STIFFNESS}: {seconds:.1f} s")
+    how = (
+        f"{len(found)} samples again, each with the stiffness of its own deviated shape, beside {case.samples} with "
+        "that of the nominal one (two levels)"
+    )
+    dear = pd.DataFrame([one["values"] for one in found], dtype=float)
+    return Item(STIFFNESS, how, seconds, two_levels(case.production, dear))
+
+
+def _mark(case: Case, what: str, key: str) -> str:
+    digest = hashlib.sha256(f"{key} {case.law} {case.samples} {what}".encode()).hexdigest()[:16]
+    return f"{what.replace(' ', '-')}-{digest}"
+
+
+def _timed(work: Callable[[], dict]) -> dict:
+    start = time.process_time()
+    return work() | {"seconds": time.process_time() - start}
+
+
+def _stored(path: Path, work: Callable[[], dict]) -> dict:
+    """What the file holds, or what `work` finds, which it then holds."""
+    if path.is_file():
+        return json.loads(path.read_text())
+    found = work()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(json.dumps(found, indent=1))
+    temporary.replace(path)
+    return found
 
 
 def _kept(case: Case, source: str, folder: Path, key: str, say) -> Item:
-    mark = hashlib.sha256(f"{key} {case.law} {case.samples} {source}".encode()).hexdigest()[:16]
-    path = folder / f"{source.replace(' ', '-')}-{mark}.json"
-    counts = source != "order of the process" or not stated_order(case.model.scene)
-    if path.is_file():
-        found = json.loads(path.read_text())
-        return Item(source, found["how"], found["seconds"], pd.DataFrame(**found["table"]).astype(float), counts)
-    start = time.process_time()
-    try:
+    counts = source != ORDER or not stated_order(case.model.scene)
+    path = folder / f"{_mark(case, source, key)}.json"
+
+    def solve() -> dict:
         how, table = SOURCES[source](case)
+        return {"how": how, "table": json.loads(table.to_json(orient="split", double_precision=15))}
+
+    known = path.is_file()
+    try:
+        found = _stored(path, lambda: _timed(solve))
     except (MicError, MemoryError) as problem:
         say(f"  {source}: not estimated: {problem}")
-        return Item(source, f"not estimated: {problem}", time.process_time() - start, None, counts)
+        return Item(source, f"not estimated: {problem}", 0.0, None, counts)
+    if not known:
+        say(f"  {source}: {found['seconds']:.1f} s")
+    how = found["how"]
     if not counts:
         how += "; the scene states its own order, so that this is no error of it, and the sum does not contain it"
-    seconds = time.process_time() - start
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    cells = json.loads(table.to_json(orient="split", double_precision=15))
-    temporary.write_text(json.dumps({"how": how, "seconds": seconds, "table": cells}, indent=1))
-    temporary.replace(path)
-    say(f"  {source}: {seconds:.1f} s")
-    return Item(source, how, seconds, table, counts)
+    return Item(source, how, found["seconds"], pd.DataFrame(**found["table"]).astype(float), counts)

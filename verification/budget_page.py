@@ -12,7 +12,7 @@ from mic.results.outcome import Outcome
 from verification.budget import FIGURES, Item, total
 from verification.plots import STYLE, plt
 
-__all__ = ["budget_figure", "budget_rows", "budget_sentences", "by_quantity", "printed", "quantity_rows"]
+__all__ = ["budget_figure", "budget_rows", "budget_sentences", "by_quantity", "items_of", "printed", "quantity_rows"]
 
 WORDS = {"mean": "mean", "six_sigma": "6σ"}
 MICRO = 1e3  # µm in a mm
@@ -43,6 +43,15 @@ def _figures(row, suffix) -> dict[str, float]:
     for figure in FIGURES:
         found[figure] = row[f"{figure}{suffix}"]
         found[f"{figure}_half"] = (row[f"{figure}{suffix}_high"] - row[f"{figure}{suffix}_low"]) / 2
+    return found
+
+
+def items_of(records: list[dict]) -> list[Item]:
+    """The sources as ``summary.json`` has them."""
+    found = []
+    for record in records:
+        table = pd.DataFrame(record["errors"]).set_index("quantity").astype(float) if record["errors"] else None
+        found.append(Item(record["source"], record["how"], record["seconds"], table, record["counts"]))
     return found
 
 
@@ -100,32 +109,32 @@ def _worst(table: pd.DataFrame) -> str:
     return str(table.index[0])
 
 
-def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> list[str]:
+def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> dict[str, str]:
     """How far off the figures of a scene are, which source dominates, and what is not known, for a first page."""
-    found, kinds = [], table.index.str.split(":").str[0]
+    found, kinds = {}, table.index.str.split(":").str[0]
     characteristics, slips = table[kinds == "measurement"], table[kinds == "slip"]
     if len(characteristics):
         parts = [_farthest(characteristics, figure, "of its tolerance") for figure in FIGURES]
-        found.append(f"{scene}: {parts[0]}; {parts[1]}.")
+        found["figures"] = f"{scene}: {parts[0]}; {parts[1]}."
         cpk = characteristics[characteristics["cpk error"].notna()]
         if len(cpk):
             row = cpk.loc[(cpk["cpk error"].abs() + cpk["cpk error ±"]).idxmax()]
-            found.append(
-                f"A Cpk is printed {_signed(row['cpk error'], 1, 3)} ± {row['cpk error ±']:.2g} off at most: "
-                f"{_name(row.name)}, {row['cpk']:.3g} as printed."
+            found["cpk"] = (
+                f"{scene}: the Cpk that may be farthest off is that of {_name(row.name)}, by "
+                f"{_signed(row['cpk error'])} ± {_plain(row['cpk error ±'])}; it is printed as {row['cpk']:.2f}."
             )
     moving = slips[slips["six_sigma"] > 0]
     if len(moving):
         parts = [_farthest(moving, figure, "of its own 6σ") for figure in FIGURES]
-        found.append(f"Of the zones' slips {parts[0]}; {parts[1]}.")
+        found["slips"] = f"{scene}: of the zones' slips {parts[0]}; {parts[1]}."
     first = table.loc[_worst(table)]
-    found.append(
-        f"The source that may leave most is {first['dominating'] or 'not known'}, in the {WORDS[first['figure']]} of "
-        f"{_name(first.name)}."
+    found["dominating"] = (
+        f"{scene}: the source that may leave most is {first['dominating'] or 'not known'}, in the "
+        f"{WORDS[first['figure']]} of {_name(first.name)}."
     )
     unknown = [item.source for item in items if item.table is None]
     if unknown:
-        found.append(f"Not estimated, and not in the sum: {', '.join(unknown)}.")
+        found["unknown"] = f"{scene}: not estimated, and not in the sum: {', '.join(unknown)}."
     return found
 
 
@@ -134,13 +143,19 @@ def _farthest(table: pd.DataFrame, figure: str, whole: str) -> str:
     name = ((error.abs() + half) / table["scale"]).idxmax()
     share = 100 / table.at[name, "scale"]
     return (
-        f"the {WORDS[figure]} that is farthest off is that of {_name(name)}, by {_signed(error[name], MICRO)} ± "
-        f"{MICRO * half[name]:.2g} µm, {_signed(error[name], share)} ± {half[name] * share:.2g} % {whole}"
+        f"the {WORDS[figure]} that may be farthest off is that of {_name(name)}, by {_signed(MICRO * error[name])} ± "
+        f"{_plain(MICRO * half[name])} µm, {_signed(share * error[name])} ± {_plain(share * half[name])} % {whole}"
     )
 
 
-def _signed(value: float, factor: float, digits: int = 2) -> str:
-    return f"{factor * value:+.{digits}g}".replace("-", "−")
+def _plain(value: float) -> str:
+    """Two figures, without an exponent; 0 for less than a thousandth."""
+    return f"{float(f'{value:.2g}'):g}" if abs(value) >= 1e-3 else "0"
+
+
+def _signed(value: float) -> str:
+    text = _plain(value).replace("-", "−")
+    return text if value < 0 or text == "0" else f"+{text}"
 
 
 def _name(quantity: str) -> str:
@@ -232,7 +247,7 @@ def quantity_rows(table: pd.DataFrame) -> pd.DataFrame:
 def _around(value: float, half: float) -> str:
     if not np.isfinite(value):
         return "–"
-    return f"{_signed(value, MICRO)} ± {MICRO * half:.2g}" if np.isfinite(half) else _signed(value, MICRO)
+    return f"{_signed(MICRO * value)} ± {_plain(MICRO * half)}" if np.isfinite(half) else _signed(MICRO * value)
 
 
 def _largest(item: Item, table: pd.DataFrame, kind: str) -> float:

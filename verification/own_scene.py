@@ -1,10 +1,10 @@
 """A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
 and 6σ.
 
-The folder holds ``production/`` (the Monte Carlo, as `mic run` leaves it), ``reduced/`` (the same on one increment a step,
-where the scene's path is followed), ``full/`` and ``budget/`` (one file per full solve and per source of error; a second
-call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv``, ``budget.csv`` and
-``report.html``.
+The folder holds ``production/`` (the Monte Carlo, as `mic run` leaves it), ``reduced/`` (the same on one increment a
+step, where the scene's path is followed), ``full/`` and ``budget/`` (one file per full solve and per source of error; a
+second call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv``,
+``budget.csv`` and ``report.html``.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from mpi4py import MPI
 from threadpoolctl import threadpool_limits
 
 from fem_reference.full.model import ContactFailure, FullModel
+from mic.errors import SceneError
 from mic.results import statistics
 from mic.results.folder import versions
 from mic.results.outcome import read_outcome
@@ -33,7 +34,7 @@ from mic.runs import sample_into
 from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
-from verification.budget import SOURCES, Case, Item, bounded, estimate
+from verification.budget import EVERY, Case, Item, bounded, estimate, largest_difference, values
 from verification.budget_page import (
     budget_figure,
     budget_rows,
@@ -45,6 +46,7 @@ from verification.budget_page import (
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
 from verification.report import number, table_cells
+from verification.stiffness import DeviatedStiffness
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
@@ -116,7 +118,7 @@ def verify_scene(
     deviated: bool,
     team: Team,
     say=print,
-    sources: Collection[str] = tuple(SOURCES),
+    sources: Collection[str] = EVERY,
 ) -> dict:
     """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
 
@@ -138,7 +140,8 @@ def verify_scene(
     say : callable
         Called on the first rank with one line of text at a time.
     sources : collection of str
-        Sources of error that are estimated beside the full solves, of :data:`verification.budget.SOURCES`.
+        Sources of error that are estimated beside the full solves, of :data:`verification.budget.EVERY`;
+        with none of them there is no budget.
 
     Raises
     ------
@@ -180,10 +183,13 @@ def verify_scene(
         full = team.map(
             lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen
         )
-        tell("error budget: " + ", ".join(sources) + " …")
-        case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache)
-        mark = f"{_model_key(case.model)} {seed} {versions()['mic-contact']}"
-        items = estimate(case, folder / "budget", mark, team, sources, say)
+        items = []
+        if sources:
+            tell("error budget: " + ", ".join(sources) + " …")
+            case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache)
+            items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
+            mark = f"{_model_key(case.model)} {seed} {versions()['mic-contact']}"
+            items += estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
         return {}
     solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
@@ -192,10 +198,13 @@ def verify_scene(
     )
     table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
     laws = len(scene.report.laws)
-    printing = outcome if production.name == "reduced" else read_outcome(production)
-    items = [_algebra(printing, law), *items, *_by_full_solves(cheap.get(truth), model, solved, deviated)]
-    items.append(_sampling(printed(printing, law)))
-    budget = by_quantity(printed(printing, law), items)
+    budget = None
+    if sources:
+        printing = outcome if production.name == "reduced" else read_outcome(production)
+        figures = printed(printing, law)
+        items = [_algebra(printing, law), *items, _sampling(figures)]
+        budget = by_quantity(figures, items)
+        budget.to_csv(folder / "budget.csv", index_label="quantity")
     summary = {
         "scene": scene.name,
         "samples": samples,
@@ -211,11 +220,7 @@ def verify_scene(
             "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None,
         },
         "law": law,
-        "budget": {
-            "sentences": budget_sentences(scene.name, budget, items),
-            "quantities": budget.rename_axis("quantity").reset_index().to_dict("records"),
-            "sources": [_record(item) for item in items],
-        },
+        "budget": None if budget is None else _budget_record(scene.name, budget, items),
         "per_sample": per_sample.to_dict("records"),
         "statistics": table.to_dict("records"),
         "versions": versions(),
@@ -225,7 +230,6 @@ def verify_scene(
     per_sample.to_csv(folder / "samples.csv", index=False)
     table.to_csv(folder / "statistics.csv", index=False)
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    budget.to_csv(folder / "budget.csv", index_label="quantity")
     _write(folder / "report.html", _page(summary, per_sample, table, truth, budget, items))
     return summary
 
@@ -242,36 +246,44 @@ def _sampling(figures) -> Item:
     return Item("sampling", how, 0.0, bounded(figures["mean_half"], figures["six_sigma_half"]))
 
 
-def _by_full_solves(cheap, model, solved, deviated) -> list[Item]:
-    """What only full solves tell, by the two-level estimate: nothing is extrapolated."""
-    rows, places = {}, []
-    dear = {choice.sample: _of_full(model, result) for choice, result in solved}
-    if cheap is not None:
-        dear = {sample: found for sample, found in dear.items() if sample in cheap.index}
-        places = [cheap.index.get_loc(sample) for sample in dear]
-    for name in cheap.columns if dear else ():
-        found = two_level(cheap[name].to_numpy(), places, [one[name] for one in dear.values()])
-        rows[name] = {
-            f"{figure}{end}": size
-            for figure, off in (("mean", found.mean_error), ("six_sigma", found.six_sigma_error))
-            for end, size in (("", off.value), ("_half", off.high - off.value))
-        }
-    seconds = float(sum(result["seconds"] for _, result in solved))
-    table = pd.DataFrame.from_dict(rows, orient="index") if rows else None
+def _reduction(case, model, truth, deviated, solved, team) -> Item:
+    """What the reduction leaves on the same meshes, as full solves see it."""
+    solved = [(choice, result) for choice, result in solved if "failure" not in result]
     meshes = "meshes that carry each sample's shape" if deviated else "nominal meshes"
-    how = f"{len(dear)} samples by full finite elements on {meshes}, one increment a step (two levels)"
-    how = how if dear else "not estimated: no full solve succeeded"
-    if len(dear) in (1, 2):
-        how += "; three at least would tell how sure that is"
-    if deviated:
-        return [Item("nominal stiffness", how, seconds, table)]
-    other = "not estimated: with --nominal the full solves keep the nominal meshes"
-    return [Item("reduction", how, seconds, table), Item("nominal stiffness", other, 0.0, None)]
+    how = f"bound: {len(solved)} picked samples by full finite elements on {meshes}, one increment a step"
+    seconds = float(sum(result["seconds"] for _, result in solved))
+    if not solved:
+        return Item("reduction", "not estimated: no full solve succeeded", seconds, None)
+
+    def again(pair) -> pd.Series:
+        sample = draw(model.scene, model.scene.monte_carlo.seed, pair[0].sample, 1)
+        own = DeviatedStiffness(case.assembly, model).at(sample[0]) if deviated else model
+        return values(own, own.process(truth).attempt(sample)).iloc[0]
+
+    try:
+        mine = team.map(again, solved)
+    except SceneError as problem:
+        return Item("reduction", f"not estimated: {problem}", seconds, None)
+    full = pd.DataFrame([_of_full(model, result) for _, result in solved])
+    return Item("reduction", how, seconds, largest_difference(pd.DataFrame(mine).reset_index(drop=True), full))
 
 
-def _record(item) -> dict:
-    table = [] if item.table is None else item.table.rename_axis("quantity").reset_index().to_dict("records")
-    return {"source": item.source, "how": item.how, "seconds": item.seconds, "counts": item.counts, "errors": table}
+def _budget_record(name, budget, items) -> dict:
+    sources = [
+        {
+            "source": item.source,
+            "how": item.how,
+            "seconds": item.seconds,
+            "counts": item.counts,
+            "errors": [] if item.table is None else item.table.rename_axis("quantity").reset_index().to_dict("records"),
+        }
+        for item in items
+    ]
+    return {
+        "sentences": budget_sentences(name, budget, items),
+        "quantities": budget.rename_axis("quantity").reset_index().to_dict("records"),
+        "sources": sources,
+    }
 
 
 def _on_increments(scene):
@@ -345,9 +357,9 @@ def _quantities(outcome, law) -> pd.DataFrame:
 def _of_full(model, result) -> dict[str, float]:
     """The same quantities of one full solve."""
     scene, found = model.scene, {}
-    for name, values in result.items():
+    for name, moved in result.items():
         if name.startswith("displacement:") and model.contacts.dimension == 3:
-            slip = zone_slip(values, model.contacts, len(scene.zones))
+            slip = zone_slip(moved, model.contacts, len(scene.zones))
             found |= {
                 f"slip:{name.removeprefix('displacement:')}:{zone.name}": float(s) for zone, s in zip(scene.zones, slip)
             }
@@ -463,6 +475,11 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
     image = None
     if len(table) and "corrected mean" in table:
         image = base64.b64encode(svg(_figure(table, truth))).decode()
+    drawn = {}
+    if budget is not None:
+        drawn["bars"] = base64.b64encode(svg(budget_figure([(summary["scene"], budget, items)]))).decode()
+        drawn["sources"] = table_cells(budget_rows(items, budget))
+        drawn["quantities"] = table_cells(quantity_rows(budget))
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -470,9 +487,7 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
     return environment.get_template("own_scene.html").render(
         summary=summary,
         image=image,
-        bars=base64.b64encode(svg(budget_figure([(summary["scene"], budget, items)]))).decode(),
-        sources=table_cells(budget_rows(items, budget)),
-        quantities=table_cells(quantity_rows(budget)),
+        **drawn,
         level=statistics.LEVEL,
         worst=worst(table),
         leading=LEADING,
