@@ -52,6 +52,7 @@ __all__ = [
     "EVERY",
     "FIGURES",
     "REFINED",
+    "SAMPLING",
     "SOURCES",
     "STIFFNESS",
     "Case",
@@ -67,9 +68,10 @@ __all__ = [
 
 SAMPLES = 30  # that each source is estimated on: the same for all
 DEVIATED = 10  # of these, that are given the stiffness of their own shape: each takes influence coefficients of its own
-ORDER, STIFFNESS = "order of the process", "nominal stiffness"
+ORDER, STIFFNESS, SAMPLING = "order of the process", "nominal stiffness", "sampling"
 HALF = 0.5  # of the distance between pairs; 0.7 was seen to tell too little where candidates stand on bends
 FIGURES = ("mean", "six_sigma")
+CODE = ("budget.py", "stiffness.py", "two_level.py")  # what is kept was made by these
 
 
 @dataclass(frozen=True)
@@ -389,7 +391,8 @@ def _stiffness(case: Case, folder: Path, key: str, team: Team, say) -> Item:
 
 
 def _mark(case: Case, what: str, key: str) -> str:
-    digest = hashlib.sha256(f"{key} {case.law} {case.samples} {what}".encode()).hexdigest()[:16]
+    code = b"".join(Path(__file__).with_name(name).read_bytes() for name in CODE)
+    digest = hashlib.sha256(f"{key} {case.law} {case.samples} {what}".encode() + code).hexdigest()[:16]
     return f"{what.replace(' ', '-')}-{digest}"
 
 

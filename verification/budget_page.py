@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mic.results.outcome import Outcome
-from verification.budget import FIGURES, Item, total
+from verification.budget import FIGURES, SAMPLING, Item, total
 from verification.plots import STYLE, plt
 
 __all__ = ["budget_figure", "budget_rows", "budget_sentences", "by_quantity", "items_of", "printed", "quantity_rows"]
@@ -114,23 +114,23 @@ def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> dict
     found, kinds = {}, table.index.str.split(":").str[0]
     characteristics, slips = table[kinds == "measurement"], table[kinds == "slip"]
     if len(characteristics):
-        parts = [_farthest(characteristics, figure, "of its tolerance") for figure in FIGURES]
-        found["figures"] = f"{scene}: {parts[0]}; {parts[1]}."
+        mean, six_sigma = (_farthest(characteristics, figure, "of its tolerance") for figure in FIGURES)
+        found["figures"] = f"{scene}: a mean may be off by {mean}; a 6σ by {six_sigma}."
         cpk = characteristics[characteristics["cpk error"].notna()]
         if len(cpk):
             row = cpk.loc[(cpk["cpk error"].abs() + cpk["cpk error ±"]).idxmax()]
             found["cpk"] = (
-                f"{scene}: the Cpk that may be farthest off is that of {_name(row.name)}, by "
-                f"{_signed(row['cpk error'])} ± {_plain(row['cpk error ±'])}; it is printed as {row['cpk']:.2f}."
+                f"{scene}: a Cpk may be off by {_signed(row['cpk error'])} ± {_plain(row['cpk error ±'])} "
+                f"({_name(row.name)}, printed as {row['cpk']:.2f})."
             )
     moving = slips[slips["six_sigma"] > 0]
     if len(moving):
-        parts = [_farthest(moving, figure, "of its own 6σ") for figure in FIGURES]
-        found["slips"] = f"{scene}: of the zones' slips {parts[0]}; {parts[1]}."
+        mean, six_sigma = (_farthest(moving, figure, "of its own 6σ") for figure in FIGURES)
+        found["slips"] = f"{scene}: the mean of a zone's slip may be off by {mean}; its 6σ by {six_sigma}."
     first = table.loc[_worst(table)]
     found["dominating"] = (
         f"{scene}: the source that may leave most is {first['dominating'] or 'not known'}, in the "
-        f"{WORDS[first['figure']]} of {_name(first.name)}."
+        f"{WORDS[first['figure']]} of {_name(first.name)}; {_without_samples(items, first)}"
     )
     unknown = [item.source for item in items if item.table is None]
     if unknown:
@@ -138,13 +138,21 @@ def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> dict
     return found
 
 
+def _without_samples(items: list[Item], first: pd.Series) -> str:
+    """Which of the others leaves most, where it is the number of samples that does."""
+    if first["dominating"] != SAMPLING:
+        return "more samples would not mend it."
+    other = _dominating([item for item in items if item.source != SAMPLING], str(first.name), first["figure"])
+    return f"more samples mend it, and leave {other}." if other else "more samples mend it."
+
+
 def _farthest(table: pd.DataFrame, figure: str, whole: str) -> str:
     error, half = table[f"error {figure}"], table[f"error {figure} ±"]
     name = ((error.abs() + half) / table["scale"]).idxmax()
     share = 100 / table.at[name, "scale"]
     return (
-        f"the {WORDS[figure]} that may be farthest off is that of {_name(name)}, by {_signed(MICRO * error[name])} ± "
-        f"{_plain(MICRO * half[name])} µm, {_signed(share * error[name])} ± {_plain(share * half[name])} % {whole}"
+        f"{_signed(MICRO * error[name])} ± {_plain(MICRO * half[name])} µm ({_name(name)}, "
+        f"{_signed(share * error[name])} ± {_plain(share * half[name])} % {whole})"
     )
 
 

@@ -19,7 +19,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 import numpy as np
 import pandas as pd
 from mpi4py import MPI
@@ -34,7 +33,7 @@ from mic.runs import sample_into
 from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
-from verification.budget import EVERY, Case, Item, bounded, estimate, largest_difference, values
+from verification.budget import EVERY, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
 from verification.budget_page import (
     budget_figure,
     budget_rows,
@@ -45,9 +44,9 @@ from verification.budget_page import (
 )
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
-from verification.report import number, table_cells
+from verification.report import environment, table_cells
 from verification.stiffness import DeviatedStiffness
-from verification.study import FOLDER, Team
+from verification.study import Team
 from verification.two_level import two_level
 
 __all__ = ["Choice", "choose", "verify_scene"]
@@ -243,7 +242,7 @@ def _algebra(outcome, law) -> Item:
 
 def _sampling(figures) -> Item:
     how = f"half the 95 % interval of {int(figures['samples'].max())} samples; every run tells it"
-    return Item("sampling", how, 0.0, bounded(figures["mean_half"], figures["six_sigma_half"]))
+    return Item(SAMPLING, how, 0.0, bounded(figures["mean_half"], figures["six_sigma_half"]))
 
 
 def _reduction(case, model, truth, deviated, solved, team) -> Item:
@@ -480,19 +479,19 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
         drawn["bars"] = base64.b64encode(svg(budget_figure([(summary["scene"], budget, items)]))).decode()
         drawn["sources"] = table_cells(budget_rows(items, budget))
         drawn["quantities"] = table_cells(quantity_rows(budget))
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["number"] = number
-    return environment.get_template("own_scene.html").render(
-        summary=summary,
-        image=image,
-        **drawn,
-        level=statistics.LEVEL,
-        worst=worst(table),
-        leading=LEADING,
-        per_sample=table_cells(per_sample),
-        statistics=table_cells(table),
+    return (
+        environment()
+        .get_template("own_scene.html")
+        .render(
+            summary=summary,
+            image=image,
+            **drawn,
+            level=statistics.LEVEL,
+            worst=worst(table),
+            leading=LEADING,
+            per_sample=table_cells(per_sample),
+            statistics=table_cells(table),
+        )
     )
 
 

@@ -200,8 +200,8 @@ def estimate_accuracy(
 
 
 def on_halved_meshes(assembly: Assembly) -> Assembly:
-    """The assembly on meshes of half the size: each triangle divided into four on the curved surface, and the same rows,
-    with their patches and pairs at the same points.
+    """The assembly on meshes of half the size: each triangle divided into four on the curved surface, and the same
+    rows, their patches and pairs at the same points.
 
     Superelements stay what they are.
     """

@@ -11,7 +11,7 @@ from mic.compliance.cache import influence_coefficients
 from mic.model.accuracy import on_halved_meshes
 from mic.process.model import ReducedModel
 from mic.scene import load_scene
-from verification.budget import FIGURES, REFINED, Case, paired
+from verification.budget import FIGURES, REFINED, SAMPLING, Case, paired
 from verification.budget_page import budget_figure, budget_rows, by_quantity, items_of
 from verification.comparison import reduced_and_assembly
 from verification.own_scene import verify_scene
@@ -90,13 +90,16 @@ def findings(summaries, coverage) -> list[Finding]:
     held = coverage["held"].mean()
     return [
         Finding("mean", worst["mean"], note.get("figures", ""), budget_figure(drawn), _first_columns(rows)),
-        Finding("six-sigma", worst["six-sigma"], " ".join(note.get(key, "") for key in ("dominating", "unknown"))),
+        Finding(
+            "six-sigma", worst["six-sigma"], " ".join(note[key] for key in ("dominating", "unknown") if key in note)
+        ),
         Finding("cpk", worst["cpk"], note.get("cpk", "")),
         Finding("slip", worst["slip"], note.get("slips", "")),
         Finding(
             "force",
             worst["force"],
-            f"Of {FULL_SOLVES} samples a scene: a typical, an extreme and a random one.",
+            f"A contact force is off by up to {worst['force']:.1%} of the largest, in {FULL_SOLVES} samples of each "
+            "scene: a typical, an extreme and a random one.",
         ),
         Finding(
             "coverage",
@@ -115,7 +118,7 @@ def _first_columns(rows) -> pd.DataFrame:
 
 def method_errors(table, items) -> dict[str, float]:
     """The largest possible errors of the sum without the samples, whose number is the user's choice."""
-    rest = [item for item in items if item.source != "sampling"]
+    rest = [item for item in items if item.source != SAMPLING]
     printed = table[["mean", "mean_half", "six_sigma", "six_sigma_half", "lower", "upper", "samples"]]
     again = by_quantity(printed, rest)
     most = {
