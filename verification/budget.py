@@ -4,12 +4,13 @@ A figure θ is a mean or a 6σ, of a key characteristic or of a zone's slip; its
 what it would print without the source, so that a positive δ is a figure that is printed too large. Where a source can
 be made smaller, the same n samples are taken a second time with less of it, and with y in production and x better
 
-    d = θ(y) − θ(x),        δ = f d,        |δ − f d| ≤ [(f t s)² + (g d)²]^½
+    d = θ(y) − θ(x),        δ = f d,        |δ − f d| ≤ (f + g) t s + g |d|
 
 s is the jackknife's standard error of d (:mod:`mic.results.paired`), t Student's. f extrapolates to a source that is
 gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may
-be wrong, as :data:`REFINED` says. What cannot be repeated with less of it is bounded, |δ| ≤ U: then δ is 0 with U about
-it.
+be wrong, as :data:`REFINED` says, and 3/n of f for what n samples do not show. Doubts of the kind that repeats itself
+add to those of chance, not in squares. What cannot be repeated with less of it is bounded, |δ| ≤ U: then δ is 0 with U
+about it.
 
 The sum adds the δ with their signs, and what is unsure of them in squares, as independent (ASME V&V 20, section 7).
 
@@ -38,7 +39,7 @@ from mic.model.accuracy import on_halved_meshes
 from mic.model.assembly import Assembly
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
-from mic.results.paired import mean_change, six_sigma_change
+from mic.results.paired import jackknife, mean_change, six_sigma_change
 from mic.results.path_study import tighter
 from mic.sampling.draw import draw
 from mic.studies.density import denser
@@ -70,6 +71,9 @@ SAMPLES = 30  # that each source is estimated on: the same for all
 DEVIATED = 10  # of these, that are given the stiffness of their own shape: each takes influence coefficients of its own
 ORDER, STIFFNESS, SAMPLING = "order of the process", "nominal stiffness", "sampling"
 HALF = 0.5  # of the distance between pairs; 0.7 was seen to tell too little where candidates stand on bends
+UNSEEN = (
+    3.0  # over n: what happens to a smaller share of all assemblies is likely to happen to none of n (rule of three)
+)
 FIGURES = ("mean", "six_sigma")
 CODE = ("budget.py", "stiffness.py", "two_level.py")  # what is kept was made by these
 
@@ -152,6 +156,8 @@ class Case:
     law : str
         What production prints.
     cache : Path
+    six_sigma : Series or None
+        6σ that production prints, by quantity, mm; None: that of these samples.
     samples : int
     """
 
@@ -159,6 +165,7 @@ class Case:
     model: ReducedModel
     law: str
     cache: Path
+    six_sigma: pd.Series | None = None
     samples: int = SAMPLES
 
     @cached_property
@@ -171,6 +178,15 @@ class Case:
         """What production makes of them."""
         return self.of(self.model)
 
+    def beside(self, better: pd.DataFrame, source: str) -> pd.DataFrame:
+        """Errors of production, from its samples done better."""
+        return paired(self.production, better, REFINED[source], self.six_sigma)
+
+    def none(self) -> pd.DataFrame:
+        """A source that is not there."""
+        zero = pd.Series(0.0, self.production.columns)
+        return bounded(zero, zero)
+
     def of(self, model: ReducedModel, law: str | None = None, path: Callable | None = None) -> pd.DataFrame:
         """What another model, law or path makes of them."""
         process = model.process(law or self.law)
@@ -180,24 +196,42 @@ class Case:
         return values(model, process.attempt(self.deviations))
 
 
-def paired(production: pd.DataFrame, better: pd.DataFrame, refined: Refined) -> pd.DataFrame:
+def paired(
+    production: pd.DataFrame, better: pd.DataFrame, refined: Refined, six_sigma: pd.Series | None = None
+) -> pd.DataFrame:
     """Errors of production from the same samples done better, as :class:`Item` has them.
+
+    Of 6σ it is the share by which the two differ that few samples tell well: that, of the 6σ of many. What it is unsure
+    of is no less than the difference itself is, or samples that all differ by one share would leave no doubt.
 
     Parameters
     ----------
     production, better : (n, k) DataFrame
         With the same columns; samples with NaN in either are left out.
     refined : Refined
+    six_sigma : Series, optional
+        6σ of production by column, mm, from more samples; default: of these.
     """
     rows = {}
     for name in production.columns:
-        x, y, row = better[name].to_numpy(), production[name].to_numpy(), {}
-        for figure, change in zip(FIGURES, (mean_change, six_sigma_change)):
-            d = change(x, y)
-            row[figure] = refined.factor * d.value
-            row[f"{figure}_half"] = np.hypot(refined.factor * (d.high - d.value), refined.doubt * d.value)
+        both = np.column_stack([production[name], better[name]]).astype(float)
+        own = both[np.isfinite(both).all(axis=1)]
+        size = six_sigma[name] if six_sigma is not None else 6 * own[:, 0].std(ddof=1) if len(own) > 1 else np.nan
+        row, share = {}, jackknife(both, _too_large, groups=len(both))
+        mean, six = mean_change(both[:, 1], both[:, 0]), six_sigma_change(both[:, 1], both[:, 0])
+        scaled = share.value * size, max((share.high - share.value) * size, six.high - six.value)
+        g = refined.doubt + refined.factor * UNSEEN / max(len(own), 1)
+        for figure, (d, half) in zip(FIGURES, ((mean.value, mean.high - mean.value), scaled)):
+            row[figure] = refined.factor * d
+            row[f"{figure}_half"] = (refined.factor + g) * half + g * abs(d)
         rows[name] = row
     return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def _too_large(samples: np.ndarray) -> float:
+    """By which share of itself σ of the first column exceeds that of the second; 0 where neither varies."""
+    first, second = samples.std(axis=0, ddof=1)
+    return float(1 - second / first) if first > 0 else 0.0 if second == 0 else float("nan")
 
 
 def two_levels(cheap: pd.DataFrame, dear: pd.DataFrame) -> pd.DataFrame:
@@ -262,59 +296,58 @@ def total(items: list[Item]) -> pd.DataFrame:
 
 def _law(case: Case) -> tuple[str, pd.DataFrame]:
     if LAWS[case.law].reads:
-        return "the scene gives what its law reads, and means it", 0 * paired(
-            case.production, case.production, REFINED["law"]
-        )
+        return "the scene gives what its law reads, and means it", case.none()
     if case.law == "coulomb" or not LAWS[case.law].frictional and not case.model.contacts.frictional:
-        return "the scene asks for Coulomb's law", 0 * paired(case.production, case.production, REFINED["law"])
+        return "the scene asks for Coulomb's law", case.none()
     return (
         f"the same {case.samples} samples under Coulomb's law in place of {case.law}",
-        paired(case.production, case.of(case.model, law="coulomb"), REFINED["law"]),
+        case.beside(case.of(case.model, law="coulomb"), "law"),
     )
 
 
 def _path(case: Case) -> tuple[str, pd.DataFrame]:
     if not LAWS[case.law].frictional or not case.model.contacts.frictional:
-        none = paired(case.production, case.production, REFINED["path"])
-        return "without friction nothing remembers the way", 0 * none
+        return "without friction nothing remembers the way", case.none()
     steps = [stage.path for stage in case.model.process(case.law).stages if stage.resolves]
-    refined = REFINED["increments" if any(isinstance(path, Increments) for path in steps) else "path"]
-    better = case.of(case.model, path=tighter)
-    return f"the same {case.samples} samples on a tighter path; {refined.why}", paired(case.production, better, refined)
+    kind = "increments" if any(isinstance(path, Increments) for path in steps) else "path"
+    return (
+        f"the same {case.samples} samples on a tighter path; {REFINED[kind].why}",
+        case.beside(case.of(case.model, path=tighter), kind),
+    )
 
 
 def _pairs(case: Case) -> tuple[str, pd.DataFrame]:
     if not len(case.assembly.contacts):
-        return "the scene has no contact pairs", 0 * paired(case.production, case.production, REFINED["pairs"])
+        return "the scene has no contact pairs", case.none()
     model, assembly = reduced_and_assembly(denser(case.assembly, HALF), case.cache)
     return (
         f"the same {case.samples} samples with {len(assembly.contacts)} pairs in place of "
         f"{len(case.assembly.contacts)}, at half the distance; {REFINED['pairs'].why}",
-        paired(case.production, case.of(model), REFINED["pairs"]),
+        case.beside(case.of(model), "pairs"),
     )
 
 
 def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
     finer = on_halved_meshes(case.assembly)
     if all(part.superelement is not None for part in finer.parts):
-        return "superelements have no mesh", 0 * paired(case.production, case.production, REFINED["mesh"])
+        return "superelements have no mesh", case.none()
     model = ReducedModel.build(finer, influence_coefficients(finer, case.cache, comm=MPI.COMM_SELF)[0])
     before, after = (sum(len(p.surface.points) for p in one.parts) for one in (case.assembly, finer))
     return (
         f"the same {case.samples} samples on meshes of half the size, {after} nodes in place of {before}, pairs at the "
         f"same points; {REFINED['mesh'].why}. What the element's own theory leaves out is not seen",
-        paired(case.production, case.of(model), REFINED["mesh"]),
+        case.beside(case.of(model), "mesh"),
     )
 
 
 def _order(case: Case) -> tuple[str, pd.DataFrame]:
     others = orders(case.model.scene)
     if len(others) == 1:
-        return "there is one order only", 0 * paired(case.production, case.production, REFINED["law"])
+        return "there is one order only", case.none()
     most = None
     for other in others[1:]:
         again = case.of(replace(case.model, scene=other.scene))
-        change = paired(case.production, again, REFINED["law"])[list(FIGURES)].abs()
+        change = case.beside(again, "law")[list(FIGURES)].abs()
         most = change if most is None else most.combine(change, np.fmax)
     return (
         f"the most that {len(others) - 1} other orders change on the same {case.samples} samples",

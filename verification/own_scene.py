@@ -185,9 +185,11 @@ def verify_scene(
         items = []
         if sources:
             tell("error budget: " + ", ".join(sources) + " …")
-            case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache)
+            printing = outcome if production.name == "reduced" else read_outcome(production)
+            figures = printed(printing, law)
+            case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache, figures["six_sigma"])
             items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
-            mark = f"{_model_key(case.model)} {seed} {versions()['mic-contact']}"
+            mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
             items += estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
         return {}
@@ -199,8 +201,6 @@ def verify_scene(
     laws = len(scene.report.laws)
     budget = None
     if sources:
-        printing = outcome if production.name == "reduced" else read_outcome(production)
-        figures = printed(printing, law)
         items = [_algebra(printing, law), *items, _sampling(figures)]
         budget = by_quantity(figures, items)
         budget.to_csv(folder / "budget.csv", index_label="quantity")
