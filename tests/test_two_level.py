@@ -57,6 +57,22 @@ def test_intervals_hold_as_often_as_they_say(chooser):
     assert spread[0] < 1.5 * SIGMA / np.sqrt(300)  # five dear results, and nearly what 300 would give
 
 
+@pytest.mark.parametrize("cheap, dear", [(300, 5), (30, 10)])
+def test_intervals_of_the_errors_hold_as_often_as_they_say(cheap, dear):
+    """2000 repetitions; those of means and of σ would be wider, since the cheap samples are shared."""
+    rng, repetitions = np.random.default_rng(4), 2000
+    held, widths = np.zeros(2), np.zeros(2)
+    for _ in range(repetitions):
+        y, x = population(rng, cheap)
+        chosen = at_random(rng, y, dear)
+        found = two_level(y, chosen, x[chosen])
+        off = found.mean_error, found.sigma_error
+        held += [one.low <= true <= one.high for one, true in zip(off, (5.0 - MEAN, 2.0 - SIGMA))]
+        widths += [found.mean_error.high - found.mean_error.low, found.mean.high - found.mean.low]
+    assert np.abs(held / repetitions - statistics.LEVEL).max() < 0.025, held / repetitions
+    assert widths[0] < widths[1]
+
+
 def test_perfect_cheap_results_leave_the_monte_carlo_as_it_is():
     y, _ = population(np.random.default_rng(0), 200)
     found = two_level(y, [3, 50, 120, 7], y[[3, 50, 120, 7]])
@@ -64,6 +80,7 @@ def test_perfect_cheap_results_leave_the_monte_carlo_as_it_is():
         y.std(ddof=1), rel=1e-12
     )
     assert found.slope == pytest.approx(1, rel=1e-12) and found.worth == pytest.approx(200, rel=1e-6)
+    assert np.allclose([found.mean_error.value, found.mean_error.high, found.six_sigma_error.low], 0, atol=1e-12)
     assert found.six_sigma.low == pytest.approx(6 * found.sigma.low)
     plain = statistics.mean(y)
     assert found.mean.high - found.mean.low == pytest.approx(plain.high - plain.low, rel=1e-6)
@@ -129,7 +146,7 @@ def followed_lap():
 @pytest.mark.slow
 def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
     """On nominal meshes the reduced Coulomb is exact; (13) is not. A second call solves nothing again."""
-    summary = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None)
+    summary = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None, ())
     samples = {(row["law"], row["sample"]): row for row in summary["per_sample"]}
     assert len(samples) == 9
     for (law, _), row in samples.items():
@@ -146,14 +163,14 @@ def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
     assert "<img" in page and "http" not in page.replace("http://www.w3.org", "")
     written = json.loads((tmp_path / "summary.json").read_text())
     monkeypatch.setattr(FullModel, "evaluate", None)
-    again = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None)
+    again = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None, ())
     assert again["statistics"] == written["statistics"]
 
 
 @pytest.mark.slow
 def test_a_scene_whose_path_is_followed_is_verified_on_the_same_increments(cache, tmp_path):
     """Else the difference would be what either path leaves, and not that of the reduction."""
-    summary = verify_scene(followed_lap(), tmp_path, cache, 1, False, Team(), lambda line: None)
+    summary = verify_scene(followed_lap(), tmp_path, cache, 1, False, Team(), lambda line: None, ())
     (row,) = [row for row in summary["per_sample"] if row["law"] == "coulomb"]
     assert row["force, relative"] < 1e-8 and row["changed states"] == 0
 
@@ -171,7 +188,7 @@ def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, mon
         return solve(self, deviations, law)
 
     monkeypatch.setattr(FullModel, "evaluate", second_fails)
-    summary = verify_scene(lap, tmp_path, cache, 4, True, Team(), lambda line: None)
+    summary = verify_scene(lap, tmp_path, cache, 4, True, Team(), lambda line: None, ())
     assert [item["failure"] for item in summary["chosen"]] == [None, "planted failure", None, None]
     assert {row["sample"] for row in summary["per_sample"]} == {
         item["sample"] for item in summary["chosen"] if item["failure"] is None
@@ -181,7 +198,7 @@ def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, mon
 
 def test_the_truth_has_coulombs_law_even_where_the_scene_does_not_ask_for_it(lap, cache, tmp_path):
     only = lap.model_copy(update={"report": replace_laws(lap, ["frictionless"])})
-    summary = verify_scene(only, tmp_path, cache, 1, False, Team(), lambda line: None)
+    summary = verify_scene(only, tmp_path, cache, 1, False, Team(), lambda line: None, ())
     assert summary["truth"]["law"] == "coulomb" and {row["law"] for row in summary["per_sample"]} == {
         "coulomb",
         "frictionless",

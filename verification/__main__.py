@@ -13,10 +13,13 @@ from rich.console import Console
 from mic import cache_folder
 from mic.scene import SceneError, load_scene
 from verification.own_scene import verify_scene
+from verification.pdf import browser, write_pdf
 from verification.report import write_report
 from verification.run import run as run_studies
 from verification.run import team, write_summary
 from verification.study import studies
+
+PDF = typer.Option("--pdf", help="Write report.pdf besides, printed by chromium or chrome.")
 
 app = typer.Typer(
     add_completion=False,
@@ -58,6 +61,7 @@ def run(
     names: Annotated[list[str] | None, typer.Argument(help="Studies to run; default: all.", show_default=False)] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results/verification"),
     quick: Annotated[bool, typer.Option("--quick", help="Small meshes and few samples.")] = False,
+    pdf: Annotated[bool, PDF] = False,
 ):
     """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
 
@@ -65,9 +69,11 @@ def run(
     Under `mpirun -n N` each study is shared out over N processes.
     """
     workers = team()
+    if pdf:
+        browser()  # told before hours of work
     run_studies(_chosen(names), out, quick, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
-        print(f"report: {write_report(out)}")
+        print(f"report: {write_report(out, pdf)}")
     failed = [entry for entry in write_summary(out) if not entry["passed"]] if workers.rank == 0 else []
     if failed:
         print(
@@ -95,27 +101,34 @@ def scene(
             "that carry each sample's shape.",
         ),
     ] = False,
+    pdf: Annotated[bool, PDF] = False,
 ):
-    """Verify your own scene: run its Monte Carlo, solve a few samples by full finite elements, and correct mean and 6σ.
+    """Verify your own scene: what each source of error leaves in its figures, with its cost; and a few samples by full
+    finite elements.
 
-    The samples are chosen by the Monte Carlo: one typical, then extreme and random ones by turns. Full solves that the
-    folder holds already are kept: call again to complete an interrupted run, or with more samples. Under `mpirun -n N`
-    the samples are shared out over N processes.
+    The report opens with the error budget: path, order, pairs, mesh, nominal stiffness, sampling, each estimated on the
+    same samples. Those of full solves are chosen by the Monte Carlo: one typical, then extreme and random ones by
+    turns. What the folder holds already is kept: call again to complete an interrupted run, or with more samples. Under
+    `mpirun -n N` the work is shared out over N processes.
     """
     workers = team()
+    if pdf:
+        browser()
     loaded = load_scene(scene)
     folder = out or Path("results") / f"{loaded.name}-verified"
     verify_scene(loaded, folder, cache_folder(), samples, not nominal, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
-        print(f"report: {folder / 'report.html'}")
+        page = folder / "report.html"
+        print(f"report: {write_pdf(page) if pdf else page}")
 
 
 @app.command()
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)],
+    pdf: Annotated[bool, PDF] = False,
 ):
     """Write summary.json and report.html of a run folder again."""
-    print(f"report: {write_report(folder)}")
+    print(f"report: {write_report(folder, pdf)}")
 
 
 def main():

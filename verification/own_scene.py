@@ -1,27 +1,31 @@
 """A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
 and 6σ.
 
-The folder holds ``reduced/`` (the Monte Carlo, as `mic run` leaves it), ``full/`` (one file per full solve; a second
-call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv`` and ``report.html``.
+The folder holds ``production/`` (the Monte Carlo, as `mic run` leaves it), ``reduced/`` (the same on one increment a
+step, where the scene's path is followed), ``full/`` and ``budget/`` (one file per full solve and per source of error; a
+second call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv``,
+``budget.csv`` and ``report.html``.
 """
 
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import json
 import math
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 import numpy as np
 import pandas as pd
 from mpi4py import MPI
 from threadpoolctl import threadpool_limits
 
 from fem_reference.full.model import ContactFailure, FullModel
+from mic.errors import SceneError
 from mic.results import statistics
 from mic.results.folder import versions
 from mic.results.outcome import read_outcome
@@ -29,10 +33,20 @@ from mic.runs import sample_into
 from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
+from verification.budget import EVERY, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
+from verification.budget_page import (
+    budget_figure,
+    budget_rows,
+    budget_sentences,
+    by_quantity,
+    printed,
+    quantity_rows,
+)
 from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
-from verification.report import number, table_cells
-from verification.study import FOLDER, Team
+from verification.report import environment, table_cells
+from verification.stiffness import DeviatedStiffness
+from verification.study import Team
 from verification.two_level import two_level
 
 __all__ = ["Choice", "choose", "verify_scene"]
@@ -95,7 +109,16 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
     return [Choice(int(numbers[i]), kind) for i, kind in zip(picked, kinds)]
 
 
-def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: bool, team: Team, say=print) -> dict:
+def verify_scene(
+    scene: Scene,
+    folder: Path,
+    cache: Path,
+    count: int,
+    deviated: bool,
+    team: Team,
+    say=print,
+    sources: Collection[str] = EVERY,
+) -> dict:
     """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
 
     Stages whose path is followed take one increment a step here, in the reduced model and in the full solves: what the
@@ -115,6 +138,9 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         Ranks that share the samples.
     say : callable
         Called on the first rank with one line of text at a time.
+    sources : collection of str
+        Sources of error that are estimated beside the full solves, of :data:`verification.budget.EVERY`;
+        with none of them there is no budget.
 
     Raises
     ------
@@ -123,7 +149,8 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     """
     folder = Path(folder)
     tell = say if team.rank == 0 else lambda line: None
-    scene = _on_increments(_with_truth(scene))
+    law, asked = scene.report.laws[0], _with_truth(scene)
+    scene = _on_increments(asked)
     truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
     samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
     start = time.perf_counter()
@@ -133,6 +160,11 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         prepared = time.perf_counter()
         sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
         evaluated = time.perf_counter()
+        production = folder / "reduced"
+        if scene != asked:
+            tell(f"{samples} samples as the scene has its path, under {law} …")
+            production = folder / "production"
+            sample_into(production, dataclasses.replace(model, scene=asked), [law], samples, seed)
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         base = cheap.get(truth, next(iter(cheap.values())))
@@ -150,6 +182,15 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
         full = team.map(
             lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen
         )
+        items = []
+        if sources:
+            tell("error budget: " + ", ".join(sources) + " …")
+            printing = outcome if production.name == "reduced" else read_outcome(production)
+            figures = printed(printing, law)
+            case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache, figures["six_sigma"])
+            items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
+            mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
+            items += estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
         return {}
     solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
@@ -158,6 +199,11 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     )
     table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
     laws = len(scene.report.laws)
+    budget = None
+    if sources:
+        items = [_algebra(printing, law), *items, _sampling(figures)]
+        budget = by_quantity(figures, items)
+        budget.to_csv(folder / "budget.csv", index_label="quantity")
     summary = {
         "scene": scene.name,
         "samples": samples,
@@ -172,6 +218,8 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
             "reduced_sample": (evaluated - prepared) * team.size / (samples * laws),
             "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None,
         },
+        "law": law,
+        "budget": None if budget is None else _budget_record(scene.name, budget, items),
         "per_sample": per_sample.to_dict("records"),
         "statistics": table.to_dict("records"),
         "versions": versions(),
@@ -181,8 +229,60 @@ def verify_scene(scene: Scene, folder: Path, cache: Path, count: int, deviated: 
     per_sample.to_csv(folder / "samples.csv", index=False)
     table.to_csv(folder / "statistics.csv", index=False)
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    _write(folder / "report.html", _page(summary, per_sample, table, truth))
+    _write(folder / "report.html", _page(summary, per_sample, table, truth, budget, items))
     return summary
+
+
+def _algebra(outcome, law) -> Item:
+    """What the solver's residual leaves, as far as each quantity comes from zero."""
+    residual, reach = outcome.worst_residual(law), _quantities(outcome, law).abs().max()
+    how = f"bound: the largest certificate residual, {residual:.1g}, times the largest value; every run tells it"
+    return Item("algebra", how, 0.0, bounded(residual * reach, residual * reach))
+
+
+def _sampling(figures) -> Item:
+    how = f"half the 95 % interval of {int(figures['samples'].max())} samples; every run tells it"
+    return Item(SAMPLING, how, 0.0, bounded(figures["mean_half"], figures["six_sigma_half"]))
+
+
+def _reduction(case, model, truth, deviated, solved, team) -> Item:
+    """What the reduction leaves on the same meshes, as full solves see it."""
+    solved = [(choice, result) for choice, result in solved if "failure" not in result]
+    meshes = "meshes that carry each sample's shape" if deviated else "nominal meshes"
+    how = f"bound: {len(solved)} picked samples by full finite elements on {meshes}, one increment a step"
+    seconds = float(sum(result["seconds"] for _, result in solved))
+    if not solved:
+        return Item("reduction", "not estimated: no full solve succeeded", seconds, None)
+
+    def again(pair) -> pd.Series:
+        sample = draw(model.scene, model.scene.monte_carlo.seed, pair[0].sample, 1)
+        own = DeviatedStiffness(case.assembly, model).at(sample[0]) if deviated else model
+        return values(own, own.process(truth).attempt(sample)).iloc[0]
+
+    try:
+        mine = team.map(again, solved)
+    except SceneError as problem:
+        return Item("reduction", f"not estimated: {problem}", seconds, None)
+    full = pd.DataFrame([_of_full(model, result) for _, result in solved])
+    return Item("reduction", how, seconds, largest_difference(pd.DataFrame(mine).reset_index(drop=True), full))
+
+
+def _budget_record(name, budget, items) -> dict:
+    sources = [
+        {
+            "source": item.source,
+            "how": item.how,
+            "seconds": item.seconds,
+            "counts": item.counts,
+            "errors": [] if item.table is None else item.table.rename_axis("quantity").reset_index().to_dict("records"),
+        }
+        for item in items
+    ]
+    return {
+        "sentences": budget_sentences(name, budget, items),
+        "quantities": budget.rename_axis("quantity").reset_index().to_dict("records"),
+        "sources": sources,
+    }
 
 
 def _on_increments(scene):
@@ -256,9 +356,9 @@ def _quantities(outcome, law) -> pd.DataFrame:
 def _of_full(model, result) -> dict[str, float]:
     """The same quantities of one full solve."""
     scene, found = model.scene, {}
-    for name, values in result.items():
+    for name, moved in result.items():
         if name.startswith("displacement:") and model.contacts.dimension == 3:
-            slip = zone_slip(values, model.contacts, len(scene.zones))
+            slip = zone_slip(moved, model.contacts, len(scene.zones))
             found |= {
                 f"slip:{name.removeprefix('displacement:')}:{zone.name}": float(s) for zone, s in zip(scene.zones, slip)
             }
@@ -370,22 +470,28 @@ def _figure(table, truth):
     return figure
 
 
-def _page(summary, per_sample, table, truth) -> str:
+def _page(summary, per_sample, table, truth, budget, items) -> str:
     image = None
     if len(table) and "corrected mean" in table:
         image = base64.b64encode(svg(_figure(table, truth))).decode()
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["number"] = number
-    return environment.get_template("own_scene.html").render(
-        summary=summary,
-        image=image,
-        level=statistics.LEVEL,
-        worst=worst(table),
-        leading=LEADING,
-        per_sample=table_cells(per_sample),
-        statistics=table_cells(table),
+    drawn = {}
+    if budget is not None:
+        drawn["bars"] = base64.b64encode(svg(budget_figure([(summary["scene"], budget, items)]))).decode()
+        drawn["sources"] = table_cells(budget_rows(items, budget))
+        drawn["quantities"] = table_cells(quantity_rows(budget))
+    return (
+        environment()
+        .get_template("own_scene.html")
+        .render(
+            summary=summary,
+            image=image,
+            **drawn,
+            level=statistics.LEVEL,
+            worst=worst(table),
+            leading=LEADING,
+            per_sample=table_cells(per_sample),
+            statistics=table_cells(table),
+        )
     )
 
 

@@ -20,6 +20,7 @@ from mic import examples
 from mic.results.folder import versions
 from mic.sampling.ranks import communicator
 from verification.plots import svg
+from verification.provenance import provenance
 from verification.study import FOLDER, Context, Judged, Study, Team
 
 __all__ = ["read_results", "run", "team", "write_summary"]
@@ -76,7 +77,8 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
                 target,
                 study,
                 judged,
-                {"fingerprint": fingerprint, "quick": quick, "ranks": team.size, "seconds": round(seconds, 3)},
+                {"fingerprint": fingerprint, "quick": quick, "ranks": team.size, "seconds": round(seconds, 3)}
+                | provenance(),
             )
             for item in judged:
                 say(

@@ -133,6 +133,10 @@ class Team:
         shares = self.comm.allgather(own)
         return [shares[i % self.size][i // self.size] for i in range(len(items))]
 
+    def from_first(self, value):
+        """The first rank's value, on every rank."""
+        return value if self.size == 1 else self.comm.bcast(value)
+
     def wait(self) -> None:
         """Until every rank has come here."""
         if self.size > 1:

@@ -19,6 +19,12 @@ may be *chosen by y*, since e is judged given y. Extreme samples make S_yy large
 straight line is then what one relies on. Where y does not vary over the n samples, β = 1 and the residuals have n − 1
 degrees of freedom.
 
+How far the cheap results are off, ȳ_N − μ̂ and s_y − σ̂, is known better than μ̂ and σ̂ are, since both rest on the same N
+samples: what these leave counts only as far as the slope differs from 1,
+
+    var (ȳ_N − μ̂) = s_e² [1/n + (ȳ_N − ȳ_n)²/S_yy] + (1 − β̂)² s_y²/N                                         (3)
+    var (s_y − σ̂) = [the first two terms of var σ̂²]/(4 σ̂²) + (1 − β̂² s_y/σ̂)² var s_y²/(4 s_y²)
+
 References
 ----------
 Cochran (1977), Sampling Techniques, 3rd ed., Wiley, chapter 7: regression estimators.
@@ -46,6 +52,8 @@ class TwoLevel:
     ----------
     mean, sigma : Estimate
         In the unit of the samples; `used` counts the dear samples. Intervals are NaN with fewer than three of them.
+    mean_error, sigma_error : Estimate
+        How far mean and standard deviation of the cheap samples are off: theirs less those above.
     slope : float
         β̂.
     residual : float
@@ -56,6 +64,8 @@ class TwoLevel:
 
     mean: Estimate
     sigma: Estimate
+    mean_error: Estimate
+    sigma_error: Estimate
     slope: float
     residual: float
     worth: float
@@ -63,8 +73,12 @@ class TwoLevel:
     @property
     def six_sigma(self) -> Estimate:
         """Six standard deviations."""
-        s = self.sigma
-        return Estimate(6 * s.value, 6 * s.low, 6 * s.high, s.used, s.excluded)
+        return _six(self.sigma)
+
+    @property
+    def six_sigma_error(self) -> Estimate:
+        """How far six standard deviations of the cheap samples are off."""
+        return _six(self.sigma_error)
 
 
 def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
@@ -121,15 +135,37 @@ def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
     nan = n < 3
     half = np.nan if nan else _half_width(mean_parts, (freedom, N - 1), level)
     share = np.nan if nan or variance == 0 else _half_width(variance_parts, (freedom, N - 1), level) / (2 * variance)
+    s_y = np.sqrt(s_y2)
+    mean_off, sigma_off = _errors(slope, mean_parts, variance_parts, s_y, sigma, var_s_y2, N)
+    off_half = [np.nan if nan else _half_width(parts, (freedom, N - 1), level) for parts in (mean_off, sigma_off)]
     worth = variance / mean_parts.sum() if mean_parts.sum() > 0 else float("inf")
     with np.errstate(over="ignore"):
         return TwoLevel(
             Estimate(float(mean), float(mean - half), float(mean + half), n, N - n),
             Estimate(float(sigma), float(sigma * np.exp(-share)), float(sigma * np.exp(share)), n, N - n),
+            _about(float(y_all.mean() - mean), off_half[0], n, N),
+            _about(float(s_y - sigma), off_half[1], n, N),
             slope,
             float(np.sqrt(s_e2)),
             float(worth),
         )
+
+
+def _errors(slope, mean_parts, variance_parts, s_y, sigma, var_s_y2, N):
+    """The two parts of each variance of (3), of the dear samples and of the cheap ones."""
+    mean = np.array([mean_parts[0], (1 - slope) ** 2 * s_y**2 / N])
+    if sigma == 0 or s_y == 0:
+        return mean, np.zeros(2)
+    share = (1 - slope**2 * s_y / sigma) ** 2
+    return mean, np.array([variance_parts[0] / (4 * sigma**2), share * var_s_y2 / (4 * s_y**2)])
+
+
+def _about(value, half, n, N):
+    return Estimate(value, value - half, value + half, n, N - n)
+
+
+def _six(s):
+    return Estimate(6 * s.value, 6 * s.low, 6 * s.high, s.used, s.excluded)
 
 
 def _half_width(parts, freedoms, level):

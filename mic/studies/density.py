@@ -49,15 +49,15 @@ class Convergence:
     failed: int
 
 
-def denser(assembly: Assembly) -> Scene:
-    """The scene of an assembly with its pairs at `DENSER` of their distance; points it states turn to candidates."""
+def denser(assembly: Assembly, share: float = DENSER) -> Scene:
+    """The scene of an assembly with its pairs at a share of their distance; points it states turn to candidates."""
     zones = []
     for i, (zone, spacing) in enumerate(zip(assembly.scene.zones, assembly.spacing)):
         if zone.pairs:
-            zones.append(zone.model_copy(update={"pairs": round(zone.pairs / DENSER**2)}))
+            zones.append(zone.model_copy(update={"pairs": round(zone.pairs / share**2)}))
         else:
             own = spacing or float(np.sqrt(assembly.contacts.area[assembly.contacts.zone == i].mean()))
-            zones.append(zone.model_copy(update={"points": None, "spacing": DENSER * own}))
+            zones.append(zone.model_copy(update={"points": None, "spacing": share * own}))
     return assembly.scene.model_copy(update={"zones": zones})
 
 

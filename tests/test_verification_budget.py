@@ -1,0 +1,274 @@
+"""The error budget: estimates on assemblies whose true errors are known, the sum, and a scene of one's own."""
+
+import json
+from dataclasses import replace
+from functools import cache as once
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.springs import at_face, six, spring_model
+
+import mic
+from fem_reference.full.model import FullModel
+from mic.compliance.blocks import Blocks
+from mic.sampling.draw import draw
+from verification import budget
+from verification.budget import REFINED, Item, bounded, largest_difference, paired, total, two_levels, values
+from verification.budget_page import budget_rows, budget_sentences, by_quantity, items_of
+from verification.comparison import difference, reduced_and_assembly
+from verification.error_budget import study
+from verification.own_scene import verify_scene
+from verification.scenes import few, going
+from verification.stiffness import DeviatedStiffness
+from verification.study import FOLDER, Team
+
+pytestmark = pytest.mark.fem
+
+# --- coverage, where the truth is known
+# ------------------------------------------------------------------------------------------------------
+
+GROUPS, SAMPLES = 100, budget.SAMPLES
+FORCES = {"seldom open": (14.0, 2.0), "open as often as not": (10.0, 2.0)}  # N, mean and σ; the gap closes at 10 N
+HELD = 0.95 - 3 * np.sqrt(0.95 * 0.05 / GROUPS)  # of so many intervals that hold 95 % fewer would be three deviations off
+OFF = 0.06  # compliance of production over the true one, less 1
+
+
+def model(mean=10.0, sigma=2.0):
+    """Two faces that a clamp of varying force closes: a gap, then both springs together."""
+    return spring_model(
+        [0.2],
+        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
+        locators=[*six("b"), *six("t")],
+        clamps=[at_face("t", (0, 0, -1), name="F", force=mean)],
+        zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.3, "pairs": 1}],
+        measurements=[at_face("t", (0, 0, 1), name="M", lower=-0.5, upper=0.5)],
+        deviations=[{"name": "D", "kind": "clamp", "target": "F", "mean": 0.0, "sigma": sigma}],
+        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+    )
+
+
+@once
+def answers(force, *errors):
+    """M of all samples, of faces whose compliances are these shares too large."""
+    true = model(*FORCES[force])
+    size = 1 + sum(errors)
+    off = replace(true, compliance=Blocks(tuple(size * H for H in true.compliance.H), true.compliance.G))
+    process = off.process("coulomb")
+    return values(off, process.evaluate(draw(true.scene, 1, 0, GROUPS * SAMPLES)))[["measurement:M"]]
+
+
+def true_errors(production, truth):
+    return {"mean": float((production - truth).mean().iloc[0]),
+            "six_sigma": 6 * float((production.std() - truth.std()).iloc[0])}  # fmt: skip
+
+
+def share_held(found, true):
+    """Of the groups' tables, how many hold the true errors of mean and 6σ."""
+    return [
+        np.mean([abs(table[figure].iloc[0] - true[figure]) <= table[f"{figure}_half"].iloc[0] for table in found])
+        for figure in ("mean", "six_sigma")
+    ]
+
+
+def groups(*frames):
+    for first in range(0, GROUPS * SAMPLES, SAMPLES):
+        yield tuple(frame.iloc[first : first + SAMPLES] for frame in frames)
+
+
+def as_it_is(table):
+    return table
+
+
+def zeroed(table):
+    return 0 * table
+
+
+def turned(table):
+    return table.assign(mean=-table["mean"], six_sigma=-table["six_sigma"])
+
+
+# What better samples have left of the source's error: half a mesh at orders 1.4 to 3, half a distance at 1 to 2.
+LEFT = [("mesh", 2.0**-p) for p in (1.4, 2, 3)] + [("pairs", 2.0**-p) for p in (1, 1.5, 2)] + \
+    [("path", left) for left in (0.05, 1 / 6, 0.25)] + [("increments", 1 / 4), ("law", 0.0)]  # fmt: skip
+
+
+@pytest.mark.parametrize("force", FORCES)
+@pytest.mark.parametrize("source, left", LEFT)
+def test_an_estimate_holds_the_true_error_as_often_as_it_says(source, left, force):
+    production, better, truth = answers(force, OFF), answers(force, OFF * left), answers(force)
+    printed = 6 * production.std()
+    found = [paired(y, x, REFINED[source], printed) for y, x in groups(production, better)]
+    true = true_errors(production, truth)
+    assert min(share_held(found, true)) >= HELD
+    for wrong in (zeroed, turned):
+        mean, six_sigma = share_held(list(map(wrong, found)), true)
+        assert mean < 0.05 and (six_sigma < 0.5 or force != "seldom open")  # else 6σ hardly errs
+    assert all(abs(table["mean"].iloc[0] / true["mean"] - 1) < 0.5 for table in found)  # not held by width alone
+
+
+@pytest.mark.parametrize("force", FORCES)
+def test_the_nominal_stiffness_holds_the_true_error_as_often_as_it_says(force):
+    """Ten of thirty samples have stiffnesses of their own."""
+    rng, production = np.random.default_rng(2), answers(force)
+    dear = production + (answers(force, OFF) - production) * (1 + 0.3 * rng.standard_normal(production.shape))
+    true = true_errors(production, dear)
+    found = [two_levels(y, x.iloc[:10]) for y, x in groups(production, dear)]
+    assert min(share_held(found, true)) >= HELD
+    for wrong in (zeroed, turned):
+        assert share_held(list(map(wrong, found)), true)[0] < 0.05
+
+
+@pytest.mark.parametrize("item", [as_it_is, zeroed, turned])
+def test_the_sum_holds_the_error_of_all_sources_together(item):
+    """Mesh and pairs at once; a sum of which one item is zero or turned round does not."""
+    all_, fine, dense = ((OFF, OFF), (OFF / 4, OFF), (OFF, OFF / 3))
+    production, finer, denser, truth = (answers("open as often as not", *off) for off in (all_, fine, dense, ()))
+    found, printed = [], 6 * production.std()
+    for y, fine, dense in groups(production, finer, denser):
+        mesh, pairs = paired(y, fine, REFINED["mesh"], printed), paired(y, dense, REFINED["pairs"], printed)
+        found.append(total([Item("mesh", "", 0, item(mesh)), Item("pairs", "", 0, pairs)]))
+    held = share_held(found, true_errors(production, truth))
+    assert min(held) >= HELD if item is as_it_is else held[0] < 0.05
+
+
+# --- the sum and what is made of it, by hand
+# ------------------------------------------------------------------------------------------------------
+
+
+def table(mean, mean_half, six_sigma, six_sigma_half, name="measurement:M"):
+    columns = ("mean", "mean_half", "six_sigma", "six_sigma_half")
+    return pd.DataFrame([[mean, mean_half, six_sigma, six_sigma_half]], columns=columns, index=[name], dtype=float)
+
+
+def figures():
+    columns = ("mean", "mean_half", "six_sigma", "six_sigma_half", "lower", "upper", "samples")
+    return pd.DataFrame([[0.1, 0.01, 0.6, 0.05, -0.5, 0.5, 100]], columns=columns, index=["measurement:M"])
+
+
+def items():
+    return [
+        Item("path", "so", 1.0, table(0.03, 0.003, -0.02, 0.004)),
+        Item("mesh", "so", 1.0, table(-0.01, 0.004, -0.04, 0.003)),
+        Item("order", "so", 1.0, table(0.0, 9.0, 0.0, 9.0), counts=False),
+        Item("pairs", "not estimated: why", 0.0, None),
+    ]
+
+
+def test_the_sum_adds_errors_with_their_signs_and_what_is_unsure_in_squares():
+    found = total(items()).loc["measurement:M"]
+    assert found.to_dict() == pytest.approx(
+        {"mean": 0.02, "mean_half": 0.005, "six_sigma": -0.06, "six_sigma_half": 0.005}
+    )
+
+
+def test_what_is_printed_less_its_error_is_the_better_cpk():
+    row = by_quantity(figures(), items()).loc["measurement:M"]
+    assert row["cpk"] == pytest.approx(0.4 / 0.3) and row["cpk error"] == pytest.approx(0.4 / 0.3 - 0.42 / 0.33)
+    assert row["cpk error ±"] == pytest.approx(np.hypot(0.005 / 0.3, 0.4 / 0.3 * 0.005 / 0.6))
+    assert row["dominating"] == "mesh" and row["figure"] == "six_sigma" and row["worst"] == pytest.approx(0.065)
+
+
+def test_sentences_tell_the_farthest_and_the_dominating_and_what_is_not_known():
+    found = budget_sentences("S", by_quantity(figures(), items()), items())
+    assert found["figures"] == (
+        "S: a mean may be off by +20 ± 5 µm (M, +2 ± 0.5 % of its tolerance); a 6σ by −60 ± 5 µm "
+        "(M, −6 ± 0.5 % of its tolerance)."
+    )
+    assert "mesh" in found["dominating"] and found["unknown"].endswith("sum: pairs.")
+    rows = budget_rows(items(), by_quantity(figures(), items())).set_index("source")
+    assert rows.at["path", "mean of M, µm"] == "+30 ± 3" and rows.at["pairs", "mean of M, µm"] == "–"
+    assert rows.at["mesh", "most of a tolerance, %"] == pytest.approx(4.3) and "order (not in the sum)" in rows.index
+
+
+def test_bounds_have_no_sign():
+    found = bounded(pd.Series({"M": -0.2}), pd.Series({"M": 0.3}))
+    assert found.loc["M"].tolist() == [0.0, 0.2, 0.0, 0.3]
+    most = largest_difference(pd.DataFrame({"M": [1.0, 2.0]}), pd.DataFrame({"M": [1.1, 1.8]}))
+    assert most.loc["M"].tolist() == pytest.approx([0, 0.2, 0, 1.2])
+
+
+def test_errors_of_the_method_leave_the_samples_out():
+    both = [*items(), Item(budget.SAMPLING, "so", 0.0, table(0.0, 0.5, 0.0, 0.5))]
+    found = study.method_errors(by_quantity(figures(), both), both)
+    assert found["mean"] == pytest.approx(0.025) and found["six-sigma"] == pytest.approx(0.065)
+
+
+# --- a scene, with finite elements
+# ------------------------------------------------------------------------------------------------------
+
+
+def lap():
+    scene = few(mic.load_scene(FOLDER.parent / "meshes" / "lap_joint"))
+    return scene.model_copy(
+        update={
+            "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
+            "monte_carlo": scene.monte_carlo.model_copy(update={"samples": 40}),
+            "report": scene.report.model_copy(update={"laws": ["coulomb"], "fields": False}),
+        }
+    )
+
+
+@pytest.mark.slow
+def test_a_reduced_model_of_the_deviated_shape_finds_what_full_finite_elements_find_there(cache):
+    scene = going(lap(), "one-step")
+    model, assembly = reduced_and_assembly(scene, cache)
+    sample = draw(scene, 1, 0, 1)[0]
+    full = FullModel(assembly, deviated=True).evaluate(sample)
+    own = DeviatedStiffness(assembly, model).at(sample)
+    assert difference(own.evaluate(sample, "coulomb"), 0, full).largest < 1e-7
+    assert difference(model.evaluate(sample, "coulomb"), 0, full).largest > 1e-2
+
+
+@pytest.mark.slow
+def test_what_is_told_of_a_mesh_holds_on_one_a_quarter_as_large(cache):
+    found = study.mesh_coverage(lap(), cache)
+    assert found["held"].mean() >= 0.75, found
+    assert (found["true, mm"].abs() > found["±, mm"]).any()  # zeroed errors would not hold
+
+
+@pytest.mark.slow
+def test_a_scene_gets_its_budget_and_a_second_call_estimates_nothing_again(cache, tmp_path, monkeypatch):
+    lines = []
+    found = verify_scene(lap(), tmp_path, cache, 1, True, Team(), lines.append)
+    known = {item.source: item for item in items_of(found["budget"]["sources"])}
+    assert list(known) == ["algebra", "reduction", *budget.EVERY, "sampling"]
+    assert all(item.table is not None for item in known.values())
+    quantities = {row["quantity"]: row for row in found["budget"]["quantities"]}
+    assert set(quantities) == {"measurement:M1", "measurement:M2", "slip:clamp:lap", "slip:release:lap"}
+    assert known["reduction"].table.loc["measurement:M1", "mean_half"] < 1e-6
+    assert abs(known["nominal stiffness"].table.loc["measurement:M1", "mean"]) > 1e-4
+    page = (tmp_path / "report.html").read_text()
+    assert all(sentence in page for sentence in found["budget"]["sentences"].values() if "'" not in sentence)
+    written = json.loads((tmp_path / "summary.json").read_text())
+    assert written["budget"]["sources"][0]["source"] == "algebra"
+
+    def not_again(case):
+        raise AssertionError("estimated again")
+
+    for source in budget.SOURCES:
+        monkeypatch.setitem(budget.SOURCES, source, not_again)
+    again = verify_scene(lap(), tmp_path, cache, 1, True, Team(), lines.append)
+    assert again["budget"]["quantities"] == written["budget"]["quantities"]
+
+
+def test_a_source_that_cannot_be_estimated_is_named_with_its_reason(monkeypatch, tmp_path):
+    def refused(case):
+        raise mic.SceneError("there is no room for denser pairs")
+
+    springs = model()
+    case = budget.Case(None, springs, "coulomb", tmp_path, samples=4)
+    monkeypatch.setitem(budget.SOURCES, "pairs", refused)
+    (found,) = budget.estimate(case, tmp_path, "key", Team(), ["pairs"], lambda line: None)
+    assert found.table is None and "no room" in found.how and not list(tmp_path.iterdir())
+
+
+def test_an_order_that_the_scene_states_is_no_error_of_it(tmp_path):
+    springs = model()
+    case = budget.Case(None, springs, "coulomb", tmp_path, samples=4)
+    (open_,) = budget.estimate(case, tmp_path, "key", Team(), ["order of the process"], lambda line: None)
+    stages = [stage.model_copy(update={"order": [["F"]]} if stage.kind == "clamp" else {})
+              for stage in springs.scene.stages]  # fmt: skip
+    stated = replace(case, model=replace(springs, scene=springs.scene.model_copy(update={"stages": stages})))
+    (closed,) = budget.estimate(stated, tmp_path, "other", Team(), ["order of the process"], lambda line: None)
+    assert open_.counts and not closed.counts and "states its own order" in closed.how

@@ -1,0 +1,175 @@
+"""The error budget of the scenes that ship with the program: how far off what it prints may be, and by what."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from mpi4py import MPI
+
+from mic import examples
+from mic.compliance.cache import influence_coefficients
+from mic.model.accuracy import on_halved_meshes
+from mic.process.model import ReducedModel
+from mic.scene import load_scene
+from verification.budget import FIGURES, REFINED, SAMPLING, Case, paired
+from verification.budget_page import budget_figure, budget_rows, by_quantity, items_of
+from verification.comparison import reduced_and_assembly
+from verification.own_scene import verify_scene
+from verification.study import Acceptance, Finding, Study
+
+FULL_SOLVES = 3
+SCENES, QUICK = (("lap_joint", None), ("hat_on_plate", None)), (("lap_joint", "coarse"),)  # None: as shipped
+QUICK_SAMPLES = 100
+
+
+def _scene(name, size, quick):
+    scene = load_scene(examples.folder(name))
+    if size is not None:
+        scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": size}) for part in scene.parts]})
+    if quick:
+        few = scene.monte_carlo.model_copy(update={"samples": QUICK_SAMPLES})
+        scene = scene.model_copy(update={"monte_carlo": few})
+    return scene.model_copy(update={"report": scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})})
+
+
+def mesh_coverage(scene, cache) -> pd.DataFrame:
+    """The mesh's estimated errors beside those against meshes halved twice, whose own error is a sixteenth."""
+    model, assembly = reduced_and_assembly(scene, cache)
+    case = Case(assembly, model, "coulomb", cache)
+    found, finer = [], assembly
+    for _ in range(2):
+        finer = on_halved_meshes(finer)
+        found.append(case.of(ReducedModel.build(finer, influence_coefficients(finer, cache, comm=MPI.COMM_SELF)[0])))
+    told, true = paired(case.production, found[0], REFINED["mesh"]), paired(case.production, found[1], REFINED["law"])
+    rows = [
+        {
+            "quantity": f"{figure} {name}",
+            "estimate, mm": told.at[name, figure],
+            "±, mm": told.at[name, f"{figure}_half"],
+            "true, mm": true.at[name, figure],
+        }
+        for figure in FIGURES
+        for name in told.index
+    ]
+    table = pd.DataFrame(rows)
+    return table.assign(held=(table["estimate, mm"] - table["true, mm"]).abs() <= table["±, mm"])
+
+
+def run(context):
+    cases = QUICK if context.quick else SCENES
+    say = print if context.team.rank == 0 else lambda line: None
+    summaries = []
+    for name, size in cases:
+        folder = context.cache / f"error_budget-{name}"
+        scene = _scene(name, size, context.quick)
+        found = verify_scene(scene, folder, context.cache, FULL_SOLVES, True, context.team, say)
+        summaries.append(context.team.from_first(found))
+    (coverage,) = context.team.map(lambda case: mesh_coverage(_scene(*case, context.quick), context.cache), cases[:1])
+    return findings(summaries, coverage)
+
+
+def findings(summaries, coverage) -> list[Finding]:
+    """What budgets and coverage are worth, held against the limits."""
+    drawn, rows, worst = [], [], {"mean": 0.0, "six-sigma": 0.0, "slip": 0.0, "cpk": 0.0, "force": 0.0}
+    sentences = {}
+    for summary in summaries:
+        budget = summary["budget"]
+        items = items_of(budget["sources"])
+        table = pd.DataFrame(budget["quantities"]).set_index("quantity")
+        numbers = table.columns.difference(["figure", "dominating"])
+        table[numbers] = table[numbers].astype(float)
+        drawn.append((summary["scene"], table, items))
+        rows.append(budget_rows(items, table).assign(scene=summary["scene"]))
+        for key, value in method_errors(table, items).items():
+            worst[key] = float(np.fmax(worst[key], value))
+        forces = [row["force, relative"] for row in summary["per_sample"] if row["law"] == summary["truth"]["law"]]
+        worst["force"] = float(np.max([worst["force"], *forces])) if forces else np.nan
+        for key, sentence in budget["sentences"].items():
+            sentences.setdefault(key, []).append(sentence)
+    note = {key: " ".join(each) for key, each in sentences.items()}
+    held = coverage["held"].mean()
+    return [
+        Finding("mean", worst["mean"], note.get("figures", ""), budget_figure(drawn), _first_columns(rows)),
+        Finding(
+            "six-sigma", worst["six-sigma"], " ".join(note[key] for key in ("dominating", "unknown") if key in note)
+        ),
+        Finding("cpk", worst["cpk"], note.get("cpk", "")),
+        Finding("slip", worst["slip"], note.get("slips", "")),
+        Finding(
+            "force",
+            worst["force"],
+            f"A contact force is off by up to {worst['force']:.1%} of the largest, in {FULL_SOLVES} samples of each "
+            "scene: a typical, an extreme and a random one.",
+        ),
+        Finding(
+            "coverage",
+            float(held),
+            f"{coverage['held'].sum()} of {len(coverage)} means and 6σ, {summaries[0]['scene']}.",
+            table=coverage,
+        ),
+    ]
+
+
+def _first_columns(rows) -> pd.DataFrame:
+    table = pd.concat(rows, ignore_index=True)
+    kept = ["scene", "source", "most of a tolerance, %", "most of a slip's 6σ, %", "CPU s", "how"]
+    return table[kept]
+
+
+def method_errors(table, items) -> dict[str, float]:
+    """The largest possible errors of the sum without the samples, whose number is the user's choice."""
+    rest = [item for item in items if item.source != SAMPLING]
+    printed = table[["mean", "mean_half", "six_sigma", "six_sigma_half", "lower", "upper", "samples"]]
+    again = by_quantity(printed, rest)
+    most = {
+        figure: (again[f"error {figure}"].abs() + again[f"error {figure} ±"]) / again["scale"] for figure in FIGURES
+    }
+    own = again.index.str.startswith("measurement:")
+    return {
+        "mean": most["mean"][own].max(),
+        "six-sigma": most["six_sigma"][own].max(),
+        "slip": most["six_sigma"][~own].max(),
+        "cpk": (again["cpk error"].abs() + again["cpk error ±"])[own].max(),
+    }
+
+
+STUDY = Study(
+    order=5,
+    title="Error budget",
+    claim=(
+        "What the program prints of an assembly (means, 6σ and Cpk of key characteristics, slips, contact forces) is "
+        "near enough to the truth to decide on tolerances by, and the budget says how near."
+    ),
+    reference=(
+        "For each source of error the same samples with less of it, extrapolated: Coulomb's law, a tighter path, other "
+        "orders, pairs at half the distance, meshes of half the size, the stiffness of each sample's own shape; full "
+        "frictional contact finite elements on picked samples. The samples' own uncertainty is told, and not judged: "
+        "their number is the user's choice."
+    ),
+    acceptance=(
+        Acceptance(
+            "mean",
+            "A mean errs by no more than a gauge may: a tenth of the tolerance (AIAG, Measurement Systems Analysis).",
+            0.1,
+        ),
+        Acceptance("six-sigma", "A 6σ errs by no more than a gauge may: a tenth of the tolerance.", 0.1),
+        Acceptance("cpk", "A Cpk errs by less than the tenth to which it is agreed on.", 0.1),
+        Acceptance(
+            "slip", "6σ of a zone's slip errs by no more than a tenth of itself, as a key characteristic's.", 0.1
+        ),
+        Acceptance(
+            "force",
+            "A contact force errs by no more than tongs and clamps repeat theirs: a tenth of the largest.",
+            0.1,
+        ),
+        Acceptance(
+            "coverage",
+            "Intervals of 95 % about the mesh's errors hold those against meshes halved twice; fewer than six of eight "
+            "would happen once in 170 times.",
+            0.75,
+            bound="at least",
+        ),
+    ),
+    seconds=(900, 60),
+    run=run,
+)
