@@ -203,6 +203,12 @@ NONSENSE |= {
         "C1",
         "unbacked",
     ),
+    "a clamp beside the jaw of another": (
+        "hat_on_plate",
+        all_of(drop("locators.plate-A6"), like("clamps.C1", name="C5", part="plate", point=[62, -38, 0], direction=UP)),
+        "C1",
+        "unbacked",
+    ),
     "tongs of two forces": ("lap_joint", put("clamps.C1-upper", force=600), "C1-upper", "tongs-askew"),
     "tongs that push one way": ("lap_joint", put("clamps.C1-lower", direction=DOWN), "C1-upper", "tongs-askew"),
     "a tangential clamp": ("lap_joint", put("clamps.C1-upper", direction=[1, 0, 0]), "C1-upper", "clamp-inclined"),
@@ -717,7 +723,7 @@ def bent(facets: int) -> Case:
     return Case(table, meshes, case.deviations)
 
 
-def stacked(force=100.0, **rest) -> Case:
+def stacked(force=100.0, touching=True, **rest) -> Case:
     """Three plates of which the lowest has locators of its own, one clamp upon them, and what is given under it."""
     case = plates()
     table, meshes = copy.deepcopy(case.table), {**case.meshes, "bottom": extrude([(0, -1), (40, -1)], 0, 100, 5)[:2]}
@@ -727,7 +733,8 @@ def stacked(force=100.0, **rest) -> Case:
         for i, row in enumerate(table["locators"][:6])
     ]
     table["clamps"] = [row | {"force": force} for row in table["clamps"] if row["part"] == "upper"]
-    table["zones"].append(table["zones"][0] | {"name": "below", "parts": ["bottom", "lower"]})
+    if touching:
+        table["zones"].append(table["zones"][0] | {"name": "below", "parts": ["bottom", "lower"]})
     for key, rows in rest.items():
         table[key] = table.get(key, []) + rows
     return Case(table, meshes, case.deviations)
@@ -757,6 +764,11 @@ SHAPED = {
     ),
     "upon each other, backed nowhere": (stacked(), "unbacked", "clamp C-upper"),
     "upon each other and a locator": (stacked(locators=[LOCATOR]), None, ""),
+    "a locator under what they do not touch": (
+        stacked(touching=False, locators=[LOCATOR]),
+        "unbacked",
+        "clamp C-upper",
+    ),
     "upon each other and a pad": (stacked(fixtures=[PAD], zones=[UPON]), None, ""),
     "upon each other, pressed lightly": (stacked(force=15.0), None, ""),
     "bent in many facets": (bent(32), None, ""),
