@@ -15,9 +15,11 @@ from mic.contact.problems import (
     box_stack,
     brick_wall,
     capsule_pile,
+    clamped_sheet,
     compliant,
     hanging_chain,
     manufactured,
+    rock_heap,
     slip_dominated,
     sphere_pile,
 )
@@ -175,6 +177,36 @@ def test_rigid_bodies(scene, mu):
         problem = RIGID[scene]().problem(mu, np.random.default_rng(2), speed)
         assert np.linalg.matrix_rank(problem.S, 1e-9 * np.abs(problem.S).max()) < 0.7 * len(problem.S)
         assert_solved(solve(problem.S, problem.b, problem.mu), problem.S, problem.b, problem.mu)
+
+
+@pytest.mark.parametrize("order", [0, 11])
+@pytest.mark.parametrize("jammed", ["rocks", "sheet"])
+def test_jammed_problems_are_solved_in_any_order_of_their_contacts(jammed, order):
+    """Rocks on faces of any direction, and a sheet that bends in few modes between rigid blocks."""
+    if jammed == "rocks":
+        problem = rock_heap(16, np.random.default_rng(8)).problem(0.6, np.random.default_rng(9), 0.2)
+    else:
+        problem = clamped_sheet(60, 11, np.random.default_rng(10))
+    m = len(problem.mu)
+    assert np.linalg.matrix_rank(problem.S, hermitian=True) < 1.5 * m
+    rows = (3 * np.random.default_rng(order).permutation(m)[:, None] + np.arange(3)).ravel()
+    S, b = problem.S[np.ix_(rows, rows)], problem.b[:, rows]
+    assert_solved(solve(S, b, problem.mu), S, b, problem.mu)
+
+
+def test_sweeps_that_know_their_neighbours_are_those_that_do_not():
+    problem = box_stack(6).problem(0.4, np.random.default_rng(1), 0.1)
+    scaled = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3).problem
+    every = np.empty(0, np.int64)
+    starts, places = scaled.neighbours
+    assert len(places) < 0.5 * 24**2
+    found = []
+    for own in ((every, every), (starts, places)):
+        y, w, slip = np.zeros(72), problem.b[0].copy(), np.zeros(24)
+        kernels.gauss_seidel(scaled.W, *own, scaled.factors, scaled.parameters, y, w, slip, 7, 1e-15)
+        found.append((y, w))
+    assert found[0][0].any()
+    np.testing.assert_allclose(found[1], found[0], atol=1e-13 * np.abs(found[0]).max())
 
 
 @pytest.mark.slow
