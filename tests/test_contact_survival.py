@@ -366,6 +366,9 @@ def test_contacts_that_hang_together_are_solved_by_themselves():
     u[:, rows] = together.displacement
     expected = np.hstack([*(part.displacement for part in parts), np.zeros((3, 3))])
     np.testing.assert_allclose(u, expected, atol=1e-8 * np.abs(b).max())
+    solver = ContactSolver(S, 0.4)
+    solver.solve(b)
+    np.testing.assert_allclose(solver.under(0.2).solve(b).force, solve(S, b, 0.2).force, atol=1e-8)
 
 
 def test_each_part_of_a_stubborn_problem_keeps_what_was_found_for_the_others():
