@@ -4,7 +4,8 @@
     python benchmarks/contact.py --quick             # few samples, no growth beyond 300 contacts
     python benchmarks/contact.py --scene meshes/wheelhouse   # what a scene's Monte Carlo gives the solver, by stage
 
-Everything runs in this one process, single-threaded first, then the native solver on all cores.  Residuals are the
+Everything runs in this one process, single-threaded first, timed by the processor's clock, then the native solver on
+all cores, by the wall's.  At the end stand the bars, with what commit bf8188e reached.  Residuals are the
 scale-free certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the
 associated law; preparation that is done once per S is not timed for anybody.  Peers that are not installed are skipped
 by name.
@@ -34,6 +35,8 @@ from mic.sampling.draw import draw
 
 #: A solver that is slower than this on one case stops after the samples done so far.
 SECONDS_PER_CASE = 10.0
+STUCK, LARGE = "90 % stuck", "stick, 1000 contacts"
+PAPER = "CVXPY + ECOS, (13) as printed"
 COLUMNS = [
     "case",
     "contacts",
@@ -180,7 +183,7 @@ COMPETITORS = [
     Competitor("native, one by one", "coulomb", native("coulomb")),
     *(Competitor(f"Siconos {name}", "coulomb", siconos(name)) for name in ("NSGS", "NSN_AC", "PROX", "ADMM")),
     Competitor("native, one by one", "associated", native("associated")),
-    Competitor("CVXPY + ECOS, (13) as printed", "associated", paper_programme),
+    Competitor(PAPER, "associated", paper_programme),
     Competitor("CVXPY + ECOS", "associated", cvxpy_backend("ecos")),
     Competitor("ECOS", "associated", ecos_direct),
     Competitor("Clarabel", "associated", clarabel_direct),
@@ -194,6 +197,21 @@ def cases(quick):
     n = 20 if quick else 100
     yield "slip-dominated", slip_dominated(102, n, rng)
     yield "stick-rich", manufactured(compliant(102, rng), np.full(102, 0.27), n, rng)
+
+
+def stuck_cases():
+    """What more the bars ask for."""
+    rng = np.random.default_rng(2025)
+    yield STUCK, manufactured(compliant(102, rng), np.full(102, 0.27), 20, rng, stick=0.9, slide=0.0)
+    yield LARGE, manufactured(_grown(1000, rng), np.full(1000, 0.27), 3, rng)
+
+
+def _grown(m, rng):
+    """A compliance whose contacts are as stiff, and as coupled, however many they are."""
+    points = rng.random((m, 2))
+    distance = np.linalg.norm(points[:, None] - points, axis=-1)
+    modes = rng.standard_normal((3 * m, 20)) / np.sqrt(60 * m)
+    return np.kron(np.exp(-3.0 * distance) / np.sqrt(m) + 0.5 * np.eye(m), np.eye(3)) + modes @ modes.T
 
 
 def scene_cases(path):
@@ -228,9 +246,9 @@ def measure(name, problem, competitor, reference, console):
         return None
     times, forces = [], []
     for b in problem.b:
-        start = time.perf_counter()
+        start = time.process_time()
         forces.append(solve(b))
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
         if sum(times) > SECONDS_PER_CASE:
             break
     forces = np.array(forces, dtype=float)
@@ -253,9 +271,10 @@ def measure_batch(name, problem, threads, reference, law="coulomb"):
     """The native solver on the whole batch at once, as the Monte Carlo calls it."""
     solver = ContactSolver(problem.S, friction(problem), law, threads=threads)
     solver.solve(problem.b[:1])
-    start = time.perf_counter()
+    clock = time.process_time if threads == 1 else time.perf_counter
+    start = clock()
     solution = solver.solve(problem.b)
-    times = [(time.perf_counter() - start) / len(problem.b)]
+    times = [(clock() - start) / len(problem.b)]
     label = f"native, batch, {threads} thread{'s' * (threads > 1)}"
     return _row(name, problem, label, law, times, solution.residual, reference)
 
@@ -282,17 +301,27 @@ def growth(quick, console):
     rows = []
     for m in (10, 30, 102, 300) if quick else (10, 30, 102, 300, 1000, 2000):
         rng = np.random.default_rng(m)
-        points = rng.random((m, 2))
-        distance = np.linalg.norm(points[:, None] - points, axis=-1)
-        modes = rng.standard_normal((3 * m, 20)) / np.sqrt(60 * m)
-        S = np.kron(np.exp(-3.0 * distance) / np.sqrt(m) + 0.5 * np.eye(m), np.eye(3)) + modes @ modes.T
-        problem = manufactured(S, np.full(m, 0.27), max(2, min(50, 3000 // m)), rng, stick=0.2, slide=0.3)
+        problem = manufactured(_grown(m, rng), np.full(m, 0.27), max(2, min(50, 3000 // m)), rng, stick=0.2, slide=0.3)
         rows.append(measure_batch("growth", problem, 1, None))
         console.print(f"growth: {m} contacts, {rows[-1]['ms_median']:.3g} ms per sample")
     large = [row for row in rows if row["contacts"] >= 100]
     slope = np.polyfit(np.log([r["contacts"] for r in large]), np.log([r["ms_median"] for r in large]), 1)[0]
     console.print(f"growth: time per sample ∝ m^{slope:.2f} from 102 contacts on (goal: no worse than m^2.3)")
-    return rows
+    return rows, slope
+
+
+def bars(rows, slope):
+    """Each bar: what is measured, now and before, and what it should be."""
+    ours = {row["case"]: row["ms_median"] for row in rows if row["solver"] == "native, batch, 1 thread"}
+    ratio = {row["case"]: row["ratio"] for row in rows if row["solver"] == PAPER}
+    table = Table("bar", "now", "bf8188e", "goal", title="Bars")
+    for case, before, goal in (("slip-dominated", 2900, 600), ("stick-rich", 290, 250)):
+        if case in ratio:
+            table.add_row(f"{case}, times faster than {PAPER}", f"{ratio[case]:.0f}", str(before), f">= {goal}")
+    table.add_row(f"{STUCK}, ms", f"{ours[STUCK]:.2f}", "1.05", "<= 2.5")
+    table.add_row(f"{LARGE}, ms", f"{ours[LARGE]:.0f}", "156", "<= 200")
+    table.add_row("exponent of growth", f"{slope:.2f}", "2.7", "<= 2.3")
+    return table
 
 
 def show(rows, console):
@@ -330,8 +359,12 @@ def main():
             if os.cpu_count() > 1:
                 rows.append(measure_batch(name, problem, os.cpu_count(), reference))
         if not options.scene:
-            rows += growth(options.quick, console)
+            rows += [measure_batch(name, problem, 1, None) for name, problem in stuck_cases()]
+            grown, slope = growth(options.quick, console)
+            rows += grown
     show(rows, console)
+    if not options.scene:
+        console.print(bars(rows, slope))
     options.csv.parent.mkdir(parents=True, exist_ok=True)
     with options.csv.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)

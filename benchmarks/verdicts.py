@@ -118,9 +118,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--problems", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--seconds", type=float, default=2.0, help="that the ladder may take for a problem")
+    parser.add_argument("--budget", type=float, default=2.0, help="of a problem, as mic.contact.ladder.BUDGET has it")
     arguments = parser.parse_args()
-    mic.contact.ladder.BUDGET = arguments.seconds
+    mic.contact.ladder.BUDGET = arguments.budget
     console, rng, start = Console(width=120), np.random.default_rng(arguments.seed), time.process_time()
     laws = [name for name, law in LAWS.items() if not law.reads]
     found: collections.Counter = collections.Counter()

@@ -1,5 +1,8 @@
 """What the solver must survive: degenerate, extreme and impossible problems.  The certificate is the oracle."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -8,16 +11,18 @@ from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, Status, certify, ladder, solve
 from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
-from mic.contact.native import kernels
+from mic.contact.native import kernels, patience
 from mic.contact.native.solver import NativeSolver
 from mic.contact.problems import (
     arch,
     box_stack,
     brick_wall,
     capsule_pile,
+    clamped_sheet,
     compliant,
     hanging_chain,
     manufactured,
+    rock_heap,
     slip_dominated,
     sphere_pile,
 )
@@ -177,6 +182,36 @@ def test_rigid_bodies(scene, mu):
         assert_solved(solve(problem.S, problem.b, problem.mu), problem.S, problem.b, problem.mu)
 
 
+@pytest.mark.parametrize("order", [0, 11])
+@pytest.mark.parametrize("jammed", ["rocks", "sheet"])
+def test_jammed_problems_are_solved_in_any_order_of_their_contacts(jammed, order):
+    """Rocks on faces of any direction, and a sheet that bends in few modes between rigid blocks."""
+    if jammed == "rocks":
+        problem = rock_heap(16, np.random.default_rng(8)).problem(0.6, np.random.default_rng(9), 0.2)
+    else:
+        problem = clamped_sheet(60, 11, np.random.default_rng(10))
+    m = len(problem.mu)
+    assert np.linalg.matrix_rank(problem.S, hermitian=True) < 1.5 * m
+    rows = (3 * np.random.default_rng(order).permutation(m)[:, None] + np.arange(3)).ravel()
+    S, b = problem.S[np.ix_(rows, rows)], problem.b[:, rows]
+    assert_solved(solve(S, b, problem.mu), S, b, problem.mu)
+
+
+def test_sweeps_that_know_their_neighbours_are_those_that_do_not():
+    problem = box_stack(6).problem(0.4, np.random.default_rng(1), 0.1)
+    scaled = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3).problem
+    every = np.empty(0, np.int64)
+    starts, places = scaled.neighbours
+    assert len(places) < 0.5 * 24**2
+    found = []
+    for own in ((every, every), (starts, places)):
+        y, w, slip = np.zeros(72), problem.b[0].copy(), np.zeros(24)
+        kernels.gauss_seidel(scaled.W, *own, scaled.factors, scaled.parameters, y, w, slip, 7, 1e-15)
+        found.append((y, w))
+    assert found[0][0].any()
+    np.testing.assert_allclose(found[1], found[0], atol=1e-13 * np.abs(found[0]).max())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [None, 5])
 def test_a_wall_that_is_thrown_is_solved_in_any_order_of_its_contacts(seed):
@@ -316,15 +351,42 @@ def test_a_sample_ends_within_its_budget(monkeypatch):
 
 
 def test_contacts_that_hang_together_are_solved_by_themselves():
-    """A stack, an elastic interface and a contact that nothing else moves, in one S and in an order of chance."""
-    stack = box_stack(4).problem(0.4, np.random.default_rng(1), 0.05)
-    elastic = slip_dominated(5, 1, np.random.default_rng(2), mu=0.4)
-    S = block_diag(stack.S, elastic.S, np.eye(3))
-    b = np.concatenate([stack.b[0], elastic.b[0], [-1.0, 0.2, 0.0]])
-    rows = (3 * np.random.default_rng(3).permutation(len(b) // 3)[:, None] + np.arange(3)).ravel()
-    together = solve(S[np.ix_(rows, rows)], b[rows], 0.4)
-    assert_solved(together, S[np.ix_(rows, rows)], b[rows], 0.4)
-    u = np.empty(len(b))
-    u[rows] = together.displacement
-    expected = np.append(solve(elastic.S, elastic.b[0], 0.4).displacement, [0.0, 0.0, 0.0])
-    np.testing.assert_allclose(u[-len(expected) :], expected, atol=1e-8)
+    """Two elastic interfaces that mostly stick and a contact that nothing else moves, in one S, by chance."""
+    parts = [
+        manufactured(compliant(12, np.random.default_rng(k)), np.full(12, 0.4), 3, np.random.default_rng(k), 0.8, 0.1)
+        for k in (2, 3)
+    ]
+    S = block_diag(*(part.S for part in parts), np.eye(3))
+    b = np.hstack([*(part.b for part in parts), np.tile([-1.0, 0.2, 0.0], (3, 1))])
+    rows = (3 * np.random.default_rng(3).permutation(25)[:, None] + np.arange(3)).ravel()
+    together = solve(S[np.ix_(rows, rows)], b[:, rows], 0.4)
+    assert_solved(together, S[np.ix_(rows, rows)], b[:, rows], 0.4)
+    assert set(together.rung) == {"splitting"}
+    u = np.empty_like(b)
+    u[:, rows] = together.displacement
+    expected = np.hstack([*(part.displacement for part in parts), np.zeros((3, 3))])
+    np.testing.assert_allclose(u, expected, atol=1e-8 * np.abs(b).max())
+    solver = ContactSolver(S, 0.4)
+    solver.solve(b)
+    np.testing.assert_allclose(solver.under(0.2).solve(b).force, solve(S, b, 0.2).force, atol=1e-8)
+
+
+def test_each_part_of_a_stubborn_problem_keeps_what_was_found_for_the_others():
+    heaps = [rock_heap(12, np.random.default_rng(k)).problem(0.6, np.random.default_rng(k), 0.2) for k in (2, 4, 7)]
+    S, b = block_diag(*(heap.S for heap in heaps)), np.hstack([heap.b for heap in heaps])
+    rungs = {*np.concatenate([solve(heap.S, heap.b, 0.6).rung for heap in heaps])}
+    together = solve(S, b, 0.6)
+    assert rungs == {"proximal points"} and set(together.rung) == rungs
+    assert_solved(together, S, b, 0.6)
+
+
+def test_what_a_proximal_step_has_not_solved_is_rejected():
+    problem = box_stack(5).problem(0.4, np.random.default_rng(1), 0.1)
+    native = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3)
+    start, method = 0.1 * np.abs(np.random.default_rng(2).standard_normal(60)), patience.METHODS["proximal points"]
+    rung = next(rung for rung in ladder.PATIENT if rung.name == "proximal points")
+    never = replace(rung, settings=rung.settings | {"first": (), "tol": 1e-300})
+    for changed, stays in ((never, True), (replace(rung, settings=rung.settings | {"first": ()}), False)):
+        search = patience.Search(native.problem, problem.b[0] * native.scaling, start)
+        forces = [y for y, *_ in itertools.islice(method(search, changed), 8)]
+        assert all(np.array_equal(y, start) for y in forces) == stays

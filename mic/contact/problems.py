@@ -21,9 +21,11 @@ __all__ = [
     "box_stack",
     "brick_wall",
     "capsule_pile",
+    "clamped_sheet",
     "compliant",
     "hanging_chain",
     "manufactured",
+    "rock_heap",
     "slip_dominated",
     "sphere_pile",
 ]
@@ -292,6 +294,45 @@ def sphere_pile(layers: int, width: int, rng: np.random.Generator) -> RigidScene
                     normal = sign * np.eye(3)[axis]
                     scene.contact(-1, a, centres[a] - radius * normal, normal)
     return scene
+
+
+def rock_heap(rocks: int, rng: np.random.Generator) -> RigidScene:
+    """Rocks of two sizes thrown on the ground: faces with normals of their own, one to four contacts at each."""
+    scene, radius = RigidScene.empty(), []
+    side = int(np.ceil((2.0 * rocks) ** (1 / 3)))
+    cells = np.array([(x, y, z) for z in range(side) for x in range(side) for y in range(side)])[:rocks]
+    for cell in cells:
+        radius.append(rng.choice([0.45, 0.55]))
+        centre = cell + [0.5, 0.5, 0.5] + 0.12 * rng.uniform(-1.0, 1.0, 3)
+        mass = 2500.0 * 4.2 * radius[-1] ** 3
+        scene.body(centre, mass, mass * 0.4 * radius[-1] ** 2 * rng.uniform(0.7, 1.3, 3))
+    pairs = [(a, b) for a in range(rocks) for b in range(a + 1, rocks)]
+    pairs = [(a, b) for a, b in pairs if np.linalg.norm(cells[a] - cells[b]) <= 1.0 and rng.random() < 0.8]
+    for a, b in pairs + [(-1, k) for k in range(rocks) if cells[k][2] == 0]:
+        across = scene.centre[b] - scene.centre[a] if a >= 0 else np.array([0.0, 0.0, 1.0])
+        middle = scene.centre[b] - 0.5 * across if a >= 0 else scene.centre[b] - [0.0, 0.0, radius[b]]
+        normal = across / np.linalg.norm(across) + (0.3 * rng.standard_normal(3) if a >= 0 else 0.0)
+        for _ in range(rng.integers(1, 5)):
+            scene.contact(a, b, middle + 0.2 * rng.uniform(-1.0, 1.0, 3), normal)
+    return scene
+
+
+def clamped_sheet(m: int, modes: int, rng: np.random.Generator, mu: float = 0.3, samples: int = 1) -> ContactProblem:
+    """A sheet that bends in a few modes, clamped between two rigid blocks: ``S`` of rank ``modes`` or less, m contacts.
+
+    Half of the contacts press from above and half from below, each by a deviation of its own.
+    """
+    side = np.repeat([1.0, -1.0], [m - m // 2, m // 2])
+    x, y = rng.random((2, m))
+    waves = rng.integers(0, 4, (modes, 2))
+    shape = np.array([np.cos(np.pi * a * x) * np.cos(np.pi * b * y) for a, b in waves])
+    slope = [0.05 * rng.standard_normal((modes, m)) * shape for _ in range(2)]
+    H = np.stack([side * shape, slope[0], slope[1]], axis=-1).reshape(modes, 3 * m)
+    stiffness = 1.0 + (waves**2).sum(axis=1) ** 2
+    S = (H.T / stiffness) @ H
+    load = 3.0 * np.abs(rng.standard_normal((samples, 3 * m))) * np.tile([1.0, 0.0, 0.0], m) / m
+    b = 0.2 * load - load @ S + 1e-3 * rng.standard_normal((samples, 3 * m)) @ S
+    return ContactProblem(0.5 * (S + S.T), b, np.full(m, mu))
 
 
 def capsule_pile(levels: int, per_level: int) -> RigidScene:

@@ -26,7 +26,7 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
         return active_set
     # Rounds differ in their sweeps alone: without them the second would repeat the first.
     rounds, sweeps = (rung["rounds"], rung["sweeps"]) if problem.law.gauss_seidel else (1, 0)
-    crowd = rung.settings.get("crowd", 1.0) * len(problem.parameters)
+    crowd = rung["crowd"] * len(problem.parameters)
 
     def sweep(Q, Y, errors, *counts):
         kernels.solve_by_sweeps(

@@ -25,7 +25,7 @@ from mic.contact.native.kernels import compiled, local_factors
 __all__ = ["ScaledProblem", "inverse_root"]
 
 #: Sweeps know which contacts each contact moves where it moves fewer than this share of all.
-SPARSE = 0.25
+SPARSE = 0.5
 
 
 @dataclass(frozen=True)

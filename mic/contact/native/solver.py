@@ -63,6 +63,7 @@ class NativeSolver:
             self.scaling = inverse_root(diagonal)
         W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
         self.problem = ScaledProblem.of(law, W, parameters)
+        self._apart: list[NativeSolver] | None = None
 
     def under(self, friction: Friction) -> NativeSolver:
         """See :meth:`mic.contact.backends.Backend.under`."""
@@ -72,6 +73,7 @@ class NativeSolver:
             d_n, d_t = self.scaling.reshape(-1, 3)[:, :2].T
             parameters = law.scaled(parameters, d_n, d_t)
         some.problem = replace(self.problem, parameters=np.ascontiguousarray(parameters, dtype=float))
+        some._apart = None
         return some
 
     def take(self, own: np.ndarray) -> NativeSolver:
@@ -85,6 +87,7 @@ class NativeSolver:
             parameters=problem.parameters[own],
             factors=None if problem.factors is None else problem.factors[own],
         )
+        some._apart = None
         return some
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -100,7 +103,7 @@ class NativeSolver:
         found = np.full(n, rungs[0].name, dtype=object)
         for rung in rungs if Q.size else ():
             unsolved = np.flatnonzero(errors > tol)
-            if not unsolved.size or not self.problem.W.any():  # where nothing moves no force helps
+            if not unsolved.size or (rung is not rungs[0] and self._still()):
                 break
             if rung is not rungs[0] and len(self.problem.components) > 1:
                 self._solve_apart(b, unsolved, rungs, Y, iterations, factorisations, found)
@@ -124,11 +127,17 @@ class NativeSolver:
             furthest = np.maximum(furthest, [names.index(name) for name in rung])
         found[unsolved] = np.array(names, dtype=object)[furthest]
 
+    def _still(self) -> bool:
+        """Whether nothing moves, whatever the forces: then none helps."""
+        return not self.problem.W.any()
+
     def _parts(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, NativeSolver]]:
         """Rows of b, of `size` in all, and of the scaled problem, and the solver, of contacts that hang together."""
+        if self._apart is None:
+            self._apart = [self.take(own) for own in self.problem.components]
         dimension = size // len(self.problem.parameters)
-        for own in self.problem.components:
-            yield np.flatnonzero(np.repeat(own, dimension)), np.flatnonzero(np.repeat(own, self._size)), self.take(own)
+        for own, part in zip(self.problem.components, self._apart):
+            yield np.flatnonzero(np.repeat(own, dimension)), np.flatnonzero(np.repeat(own, self._size)), part
 
     def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
         """The patient rungs, contacts that hang together by themselves, those farthest from their law first.
@@ -163,7 +172,7 @@ class NativeSolver:
 
     def _climb(self, b, force):
         """The patient rungs, each starting from the best force so far, until the budget is spent."""
-        if not self.problem.W.any():
+        if self._still():
             return
         search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
         m = len(self.problem.parameters)
