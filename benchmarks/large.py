@@ -49,6 +49,7 @@ def measure(arguments, cache: Path) -> None:
     if arguments.increments:
         scene = going(scene, "increments", arguments.increments)
     phases = Phases()
+    phases.start()
     assembly = assemble(scene, cache)
     phases.end("meshes and pairs")
     influence, _ = influence_coefficients(assembly, cache)
@@ -77,6 +78,7 @@ def measure(arguments, cache: Path) -> None:
     )
     print(f" {sum(8e-6 * H.size for H in model.compliance.H):.0f} MB;")
     residual = max(np.nanmax(one.residual) for one in found.resolutions.values())
+    print(f"{int(found.failed.sum())} of {arguments.samples} samples failed; largest residual {residual:.1e}")
 
 
 class Phases:
