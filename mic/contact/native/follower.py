@@ -87,8 +87,6 @@ BISECTIONS = 40
 #: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step, of
 #: all contacts and of one: more, and they go round in a circle.
 SWEEPS, STEPS_OF_NEWTON, NEWTON, PIVOTS, TURNS = 10, 40, 10, 100, 10
-#: Contacts from which on as many changes of statuses are allowed as there are contacts.
-CROWD = 300
 #: A step with the inverse of one before, a tenth of the cost of a new one, must bring the error down by this, and of
 #: the contacts this share may have changed their status.
 CHORD, CHANGES = 0.3, 0.3
@@ -737,7 +735,7 @@ def _compile(digest):
             y_old[:], before = y, error
             settled = False
             turned[:] = 0
-            for _ in range(PIVOTS if m < CROWD else m):
+            for _ in range(PIVOTS):
                 linear(W, own, inverse, right, y, q, y_new, w_new)
                 trial[:] = y_new
                 sticks = False
