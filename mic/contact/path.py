@@ -28,8 +28,6 @@ __all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at
 
 #: Increments of a leg for a sample that the follower gives up.
 RESCUE = 256
-#: Contacts above which increments are not the compiled follower's, which changes one status after the other.
-FEW = 200
 
 
 @dataclass(frozen=True)
@@ -218,7 +216,7 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
     legs = []
     for k in range(loads - 1):
         b0, b1 = b[:, k], b[:, k + 1]
-        if solver.law.followed and not (isinstance(path, Increments) and solver.contacts > FEW):
+        if solver.law.followed:
             leg = followed(solver, b0, b1, force, anchor, path)
         else:
             leg = increments(

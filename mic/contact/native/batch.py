@@ -26,10 +26,9 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
         return active_set
     # Rounds differ in their sweeps alone: without them the second would repeat the first.
     rounds, sweeps = (rung["rounds"], rung["sweeps"]) if problem.law.gauss_seidel else (1, 0)
-    most = rung.settings.get("crowd", 1.0) * len(problem.parameters)
+    crowd = rung.settings.get("crowd", 1.0) * len(problem.parameters)
 
     def sweep(Q, Y, errors, *counts):
-        crowd = most if len(Q) >= SHARED or len(problem.parameters) <= FEW else len(problem.parameters)
         kernels.solve_by_sweeps(
             problem.equation,
             problem.W,
@@ -46,10 +45,6 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
         )
 
     return sweep
-
-
-#: Samples from which on the splitting's inverses, which they share, are worth making; always where contacts are few.
-SHARED, FEW = 8, 200
 
 
 def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
