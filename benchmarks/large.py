@@ -2,6 +2,7 @@
 
     python benchmarks/large.py                        # twelve parts, two thousand candidates; a few minutes
     python benchmarks/large.py --spacing 15 --samples 10         # three thousand
+    python benchmarks/large.py --increments 1         # not along the path but in one increment a step
 
 One process, one thread. Time is processor time; memory the peak of the process so far. Influence coefficients are
 computed anew unless `--cache` names a folder that holds them. *columns* are those of S and of the readings that were
@@ -22,6 +23,7 @@ from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.sampling.draw import draw
+from verification.scenes import going
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "meshes" / "body_side" / "body_side.toml"
@@ -32,6 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--spacing", type=float, help="between candidates, mm; default: the scene's")
+    parser.add_argument("--increments", type=int, help="of a step; default: the path is followed")
     parser.add_argument("--cache", type=Path)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -43,6 +46,8 @@ def measure(arguments, cache: Path) -> None:
     if arguments.spacing:
         zones = [zone.model_copy(update={"spacing": arguments.spacing}) for zone in scene.zones]
         scene = scene.model_copy(update={"zones": zones})
+    if arguments.increments:
+        scene = going(scene, "increments", arguments.increments)
     phases = Phases()
     phases.start()
     assembly = assemble(scene, cache)

@@ -437,6 +437,17 @@ def test_a_patch_radius_bounds_what_a_pair_reads_and_leaves_its_area_alone():
             assert r.max() < 3.2 and patch.weight @ r**2 == pytest.approx(4.5, rel=0.1)  # a disc's mean r²
 
 
+def test_every_point_is_read_by_the_pair_whose_middle_is_nearest():
+    """As cells end that have moved to the middles of what they hold; to half a step of the sampling."""
+    bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
+    pairs = find_pairs(zone(pairs=17), *bodies)
+    middle = np.array([pair.point for pair in pairs])
+    for pair in pairs:
+        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        away = np.linalg.norm(x[:, None] - middle, axis=2).min(axis=1)
+        assert (np.linalg.norm(x - pair.point, axis=1) <= away + 0.4).all()
+
+
 def test_spacing_points_and_nodal_patches():
     bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
     candidates = find_pairs(zone(pairs=None, spacing=5.0), *bodies)

@@ -10,8 +10,9 @@ touch.
 What penetrates on the way and no longer at the end of a path is not seen.
 
 A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples;
-of a set of more than `MANY`, with those that carry force where its path begins or ends. The outcome of a sample does
-not depend on what it is solved together with.
+of a set of more than `MANY`, with those that carry force where its path begins or ends. Of a crowd (`CROWD`) who
+carries force is guessed without friction, and what penetrates joins with all its neighbours. The outcome of a sample
+does not depend on what it is solved together with.
 """
 
 from __future__ import annotations

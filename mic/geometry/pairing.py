@@ -872,15 +872,35 @@ def _first(value, tie):
 
 def _nearest(centres, point, tie):
     """(n,) the centre nearest to each point; the first of those that are as near."""
+    return _two_nearest(centres, point, tie)[0]
+
+
+def _two_nearest(centres, point, tie):
+    """As :func:`_nearest`, and how far the next one is at least (n,), mm."""
     tree, few = cKDTree(centres), min(len(centres), 2)
     distance, index = (table.reshape(len(point), few) for table in tree.query(point, few))
-    nearest = index[:, 0]
-    tied = np.flatnonzero((distance[:, 1:] <= distance[:, :1] + tie).any(axis=1))
+    nearest, beyond = index[:, 0], distance[:, 1] if few > 1 else np.full(len(point), np.inf)
+    tied = np.flatnonzero(beyond <= distance[:, 0] + tie)
     if len(tied):
         count = min(len(centres), 8)
         distance, index = (table.reshape(len(tied), count) for table in tree.query(point[tied], count))
         nearest[tied] = np.where(distance <= distance[:, :1] + tie, index, len(centres)).min(1)
-    return nearest
+    return nearest, beyond
+
+
+class _Cells:
+    """Which centre each point is nearest to, as centres move: asked anew only where another may have come nearest."""
+
+    def __init__(self, centres, point, tie):
+        self._point, self._tie, self._centres = point, tie, centres
+        self.of, self._beyond = _two_nearest(centres, point, tie)
+
+    def move(self, centres) -> None:
+        self._beyond -= np.linalg.norm(centres - self._centres, axis=1).max()
+        away = np.linalg.norm(self._point - centres[self.of], axis=1)
+        asked = np.flatnonzero(away + 2 * self._tie >= self._beyond)
+        self.of[asked], self._beyond[asked] = _two_nearest(centres, self._point[asked], self._tie)
+        self._centres = centres
 
 
 def _centres(point, weight, count, tie, fixed):
@@ -896,8 +916,9 @@ def _centres(point, weight, count, tie, fixed):
         centres.append(point[_first(nearest, tie)])
         nearest = np.minimum(nearest, np.linalg.norm(point - centres[-1], axis=1))
     centres = np.array(centres)
+    cells = _Cells(centres, point, tie)
     for _ in range(50):
-        cell = _nearest(centres, point, tie)
+        cell = cells.of
         total = np.bincount(cell, weight, count)
         empty = total == 0  # one that stands upon others
         total[empty] = 1.0
@@ -907,6 +928,7 @@ def _centres(point, weight, count, tie, fixed):
         if np.linalg.norm(moved - centres, axis=1).max() < tie:
             break
         centres = moved
+        cells.move(centres)
     return centres
 
 
