@@ -153,7 +153,10 @@ class Process:
             "threads": threads,
             "dimension": contacts.dimension,
         }
-        self._plans = plan_stages(model.scene, model.weld_size, limited) if plans is None else plans
+        if plans is not None:
+            self._plans = plans
+        else:
+            self._plans = model.plans if limited else plan_stages(model.scene, model.weld_size, limited)
         if plans is None:
             check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
