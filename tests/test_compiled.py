@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+from mic.compiling import WORDS
 from mic.contact.laws import LAWS
 
 EVALUATE = """
@@ -13,17 +14,35 @@ model = mic.ReducedModel.load(sys.argv[1])
 for law in sys.argv[2:]:
     assert not model.evaluate({}, law).failed.any()
 """
+ADDING = """
+from numba import float64, njit
+
+@njit(float64(float64), cache=True)
+def one(x):
+    return x + 1
+
+
+@njit(float64(float64), cache=True)
+def two(x):
+    return x + 2
+"""
 
 
 def python(*arguments):
     environment = os.environ | {"NUMBA_DEBUG_CACHE": "1"}
     done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return done.stdout + done.stderr
 
 
 def test_once_the_kernels_are_compiled_no_evaluation_compiles(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     python("-m", "mic.commands.compile")
     told = python("-c", EVALUATE, str(tmp_path / "model.npz"), *(name for name, law in LAWS.items() if not law.reads))
-    assert "data loaded from" in told and "data saved to" not in told
+    assert "data loaded from" in told and "data saved to" not in told and WORDS not in told
+
+
+def test_compiling_is_told_once_and_what_was_kept_is_read_without_a_word(tmp_path):
+    (tmp_path / "adding.py").write_text(ADDING)
+    command = "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import mic.contact.native, adding"
+    assert [python(*command).count(WORDS) for _ in range(2)] == [1, 0]

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import mic
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
+from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.process.stage import LEAST_MOTION
+from mic.product import one_thread
 from mic.sampling.draw import draw
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,6 +42,39 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     measured = readings(model, evaluation) @ model.rows["measurement"].T
     np.testing.assert_allclose(measured, evaluation.measurements, atol=1e-9 * np.abs(evaluation.measurements).max())
     assert np.abs(evaluation.measurements).max() > 1e-3
+
+
+def test_forces_that_are_asked_for_late_are_still_those_of_the_samples(lap_model):
+    deviations = draw(lap_model.scene, 3, 0, 3)
+    process, own = lap_model.process("coulomb"), deviations.copy()
+    at_once = process.evaluate(deviations)
+    force, motion = at_once.functional_force, at_once.motion
+    late = process.evaluate(own)
+    joined = Evaluation.join([process.evaluate(row[None]) for row in deviations])
+    own[:] = 0.0
+    process.evaluate(own)
+    for found in (late, joined):
+        np.testing.assert_array_equal(found.functional_force, force)
+        np.testing.assert_array_equal(found.motion, motion)
+    assert np.abs(motion).max() > 1e-3 and late.functional_force is late.functional_force
+
+
+def test_a_function_of_one_thread_that_calls_another_stays_so_until_it_ends():
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    @one_thread
+    def inner():
+        return threads()
+
+    @one_thread
+    def outer():
+        return inner() | threads()
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        assert before == {2}, "BLAS has one thread here, and this test cannot fail"
+        assert (outer(), threads()) == ({1}, before)
 
 
 def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station_left(hat_model, cache):

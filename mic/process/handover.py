@@ -12,10 +12,10 @@ import numpy as np
 from mic.process.drive import Drive
 from mic.process.path import Ramp
 from mic.process.plan import Step
-from mic.process.state import ProcessState
+from mic.process.state import KEPT, ProcessState
 from mic.process.values import Names, Values
 
-__all__ = ["Handover"]
+__all__ = ["Handover", "known"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Handover:
     @classmethod
     def of(cls, step: Step, state: ProcessState, drive: Drive, first: np.ndarray) -> Handover:
         """Of a state like this; `first` (w,) are the first rows of the welds."""
-        value, reaction, push, _, frozen = known = held(state)
+        value, reaction, push, frozen = state.value, state.reaction, state.push, state.frozen
         read = _edges([value.table, *(state.reading[kind] for kind in READ)])
         weld = _edges([frozen.table, state.reading["weld"], drive.weld_gap])
         kept = dict(frozen.names.place)
@@ -74,7 +74,7 @@ class Handover:
         after = [1 + i for i in step.loads] + [0] * len(step.dropped_loads)
         return cls(
             step,
-            tuple(one.names for one in known),
+            known(state),
             Names(step.bilateral),
             Names(step.loads),
             Names(limit.row for limit in step.stops),
@@ -88,7 +88,7 @@ class Handover:
 
     def keeps(self, state: ProcessState, drive: Drive) -> Values:
         """What every weld row keeps: rows made here freeze what they find, unless the weld closes its gap first."""
-        frozen = held(state)[4]
+        frozen = state.frozen
         if self.frozen is frozen.names:
             return frozen
         found = np.concatenate([frozen.table, state.reading["weld"], -drive.weld_gap], axis=1)
@@ -96,7 +96,7 @@ class Handover:
 
     def ramp(self, state: ProcessState, drive: Drive) -> Ramp:
         """From what the rows read, and the forces that act, to what the step asks for."""
-        value, reaction, push, stop, _ = held(state)
+        value, reaction, push, stop = state.value, state.reaction, state.push, state.stop
         frozen = self.keeps(state, drive).table[:, : len(self.frozen)]
         read = np.concatenate([value.table, *(state.reading[kind] for kind in READ)], axis=1)
         asked = np.concatenate([frozen, *(drive.target[kind] for kind in ASKED)], axis=1)
@@ -120,10 +120,9 @@ class Handover:
 READ, ASKED = ("locator", "clamp", "weld"), ("locator", "clamp")
 
 
-def held(state: ProcessState) -> tuple[Values, ...]:
-    """Values, reactions, pushes, stops, and what welds keep."""
-    every = (state.value, state.reaction, state.push, state.stop, state.frozen)
-    return tuple(Values.of(one, len(state.failed)) for one in every)
+def known(state: ProcessState) -> tuple[Names, ...]:
+    """What a state knows: values, reactions, pushes, stops, what welds keep."""
+    return tuple(getattr(state, name).names for name in KEPT)
 
 
 def _edges(tables) -> np.ndarray:

@@ -14,7 +14,7 @@ from mic.model.reduction import Reduction
 from mic.model.resting import RestRows
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
-from mic.process.plan import Step, plan_stages
+from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.sensitivity import Sensitivities, Steps, sensitivities
 from mic.process.stage import EliminatedStep, eliminate_steps
@@ -36,16 +36,21 @@ class ReducedModel(Reduction):
         return Joints(tuple(self.weld_size))
 
     @cached_property
+    def plans(self) -> list[StagePlan]:
+        """The stages of the scene; what each part rests on takes a while to see."""
+        return plan_stages(self.scene, self.weld_size)
+
+    @cached_property
     def rest(self) -> RestRows:
         """Where the parts are that rest by contact alone in some step."""
-        steps = [step for plan in plan_stages(self.scene, self.weld_size) for step in plan.steps]
+        steps = [step for plan in self.plans for step in plan.steps]
         return RestRows.of(self, self.compliance, {part for step in steps for part in step.resting})
 
     @cached_property
     @one_thread
     def eliminations(self) -> dict[str, list[EliminatedStep]]:
         """The steps of every stage with their bilateral rows eliminated, once for all contact laws."""
-        return eliminate_steps(self, plan_stages(self.scene, self.weld_size))
+        return eliminate_steps(self, self.plans)
 
     @cached_property
     @one_thread

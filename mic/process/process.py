@@ -21,7 +21,6 @@ from mic.process.freedom import check_resting
 from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
-from mic.process.values import Values
 from mic.product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
@@ -153,7 +152,10 @@ class Process:
             "threads": threads,
             "dimension": contacts.dimension,
         }
-        self._plans = plan_stages(model.scene, model.weld_size, limited) if plans is None else plans
+        if plans is not None:
+            self._plans = plans
+        else:
+            self._plans = model.plans if limited else plan_stages(model.scene, model.weld_size, limited)
         if plans is None:
             check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
@@ -261,9 +263,10 @@ class Process:
                 equilibrium = partial(self._equilibrium, stage, state, deviations.copy())
         read = self.model.characteristics.values(readings) if readings.size else readings
         found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, equilibrium)
-        short = np.flatnonzero(~found.built)
-        if short.size:
-            self._tell_needs(found, short)
+        if any(resolution.left.size for resolution in resolutions.values()):
+            short = np.flatnonzero(~found.built)
+            if short.size:
+                self._tell_needs(found, short)
         return found
 
     def asked(self, deviations: np.ndarray) -> Drive:
@@ -436,7 +439,7 @@ class Process:
         take no part: their values have no effect, and may contradict the others.
         """
         model, n = self.model, len(deviations)
-        reaction, value = (Values.of(one, n).take(last.plan.bilateral) for one in (state.reaction, state.value))
+        reaction, value = (one.take(last.plan.bilateral) for one in (state.reaction, state.value))
         push = np.zeros((n, model.rows["clamp"].shape[0]))
         for i, force in state.push.items():
             push[:, i] = force

@@ -39,7 +39,7 @@ from mic.model.resting import put_down
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.freedom import free
-from mic.process.handover import Handover, held
+from mic.process.handover import Handover, known
 from mic.process.path import Ramp
 from mic.process.plan import Limit, StagePlan, Step, yielding
 from mic.process.rest import Leg, Rest
@@ -381,10 +381,10 @@ class PreparedStage:
 
     def _handover(self, step: Step, state: ProcessState, drive: Drive) -> Handover:
         """From states like this to the step; made once, as long as the steps are the stage's own."""
-        known = tuple(one.names for one in held(state))
-        key = (id(step), *map(id, known))
+        before = known(state)
+        key = (id(step), *map(id, before))
         found = self._handovers.get(key)
-        if found is None or found.step is not step or found.known != known:
+        if found is None or found.step is not step or found.known != before:
             if len(self._handovers) >= KEPT * len(self.steps):
                 self._handovers.clear()
             found = self._handovers[key] = Handover.of(step, state, drive, self._weld_first)
@@ -503,7 +503,7 @@ class PreparedStage:
             iterations=whole.iterations,
             status=whole.status,
             rung=whole.rung,
-            reaction=Values.of(end.reaction, n).take(self.plan.bilateral),
+            reaction=end.reaction.take(self.plan.bilateral),
             unseen=unseen,
             unseen_at=at,
             pushed=columns(n, [force for force, _ in pushed]),

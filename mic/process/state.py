@@ -7,16 +7,16 @@ keeps the relative displacement that it found, and slip is measured from where t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from mic.process.actions import Row
 from mic.process.values import Names, Values
 
 __all__ = ["ProcessState"]
 
 NONE = Names(())  # of rows, before anything happens
+KEPT = ("value", "reaction", "push", "stop", "frozen")
 
 
 @dataclass(frozen=True)
@@ -33,15 +33,15 @@ class ProcessState:
         Relative displacement δ at which each contact was left, mm.
     anchor : (n, m, d - 1) array
         Where its slip goes on from, mm (`mic.contact.path`).
-    value : dict of (str, int) to (n,) array
+    value : Values, or any mapping of (str, int) to (n,) array
         Values that the bilateral rows hold.
-    reaction : dict of (str, int) to (n,) array
+    reaction : Values of (str, int)
         Forces of the bilateral rows on the parts, N or N mm.
-    push : dict of int to (n,) array
+    push : Values of int
         Forces of the clamp rows that push, N.
-    stop : dict of (str, int) to (n,) array
+    stop : Values of (str, int)
         Forces by which stops hold back the rows that are pushed by a limited force (`mic.process.plan.Limit`), N.
-    frozen : dict of int to (n,) array
+    frozen : Values of int
         Relative displacement that each weld row keeps.
     failed : (n,) bool array
         Samples whose contact missed its tolerance in some stage.
@@ -56,16 +56,21 @@ class ProcessState:
     anchor: np.ndarray
     failed: np.ndarray
     path_error: np.ndarray
-    value: Mapping[Row, np.ndarray] = field(default_factory=dict)
-    reaction: Mapping[Row, np.ndarray] = field(default_factory=dict)
-    push: Mapping[int, np.ndarray] = field(default_factory=dict)
-    stop: Mapping[Row, np.ndarray] = field(default_factory=dict)
-    frozen: Mapping[int, np.ndarray] = field(default_factory=dict)
+    value: Values
+    reaction: Values
+    push: Values
+    stop: Values
+    frozen: Values
+
+    def __post_init__(self):
+        for name in KEPT:
+            values = getattr(self, name)
+            if not isinstance(values, Values):
+                object.__setattr__(self, name, Values.of(values, len(self.failed)))
 
     @classmethod
     def start(cls, n: int, m: int, d: int, rows: Mapping[str, int]) -> ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and so many rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
-        none = np.zeros((n, m, d))
-        empty = dict.fromkeys(("value", "reaction", "push", "stop", "frozen"), Values(NONE, np.zeros((n, 0))))
+        none, empty = np.zeros((n, m, d)), dict.fromkeys(KEPT, Values(NONE, np.zeros((n, 0))))
         return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n), **empty)

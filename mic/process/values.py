@@ -44,7 +44,7 @@ class Values(Mapping[Any, np.ndarray]):
     @classmethod
     def of(cls, values: Mapping[Any, np.ndarray], n: int) -> Values:
         """Any values of n samples, so kept."""
-        return values if isinstance(values, Values) else cls(Names(values), columns(n, list(values.values())))
+        return cls(Names(values), columns(n, list(values.values())))
 
     def __getitem__(self, name: Hashable) -> np.ndarray:
         return self.table[:, self.names.place[name]]

@@ -8,7 +8,6 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN, SLIP, STATES, STICK
 from mic.process.evaluation import Evaluation, Resolution
-from mic.process.plan import plan_stages
 from mic.results.schema import CONTACTS, DEVIATIONS, LIMITS, MEASUREMENTS, PROFILES, RESOLUTIONS, SAMPLES, SLIPS
 
 __all__ = ["tables", "zone_motion"]
@@ -99,9 +98,7 @@ def _profiles(model, readings: np.ndarray, number: np.ndarray):
 
 def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: list[str]):
     """Clamps and guns of limited force, stage by stage."""
-    judged = {
-        plan.name: plan.judged_names(model.scene, model.weld_size) for plan in plan_stages(model.scene, model.weld_size)
-    }
+    judged = {plan.name: plan.judged_names(model.scene, model.weld_size) for plan in model.plans}
     names = list(dict.fromkeys(name for stage in stages for name in judged[stage]))
     rows = [(i, names.index(name), j) for i, stage in enumerate(stages) for j, name in enumerate(judged[stage])]
     columns = {
@@ -116,7 +113,7 @@ def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: li
 
 def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
     """(n,) samples that were to be followed along their path in a stage, were not, and have a solution all the same."""
-    followed = {plan.name: plan.path == "followed" for plan in plan_stages(model.scene, model.weld_size)}
+    followed = {plan.name: plan.path == "followed" for plan in model.plans}
     asked = followed[resolution.stage] and LAWS[law].followed and model.contacts.dimension == 3
     return asked & (resolution.rung != "followed") & resolution.converged
 
