@@ -12,6 +12,8 @@ the bordered matrix is indefinite. So is the order of elimination: K alone is di
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 from petsc4py import PETSc
 from scipy.sparse import csr_matrix, tril
@@ -25,10 +27,13 @@ __all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", 
 
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
 
+_LARGE = 5e7  # bytes of values, from which on memory is worth a fiftieth of a second
+
 # MUMPS's numbers of what this module sets or reads (MUMPS 5.5 users' guide, sections 5 and 6)
 _SPD = 1  # SYM
 _ANALYSIS, _FACTORISATION, _SOLUTION = 1, 2, 3  # JOB
 _ICNTL_ORDERING, _GIVEN = 7, 1
+_ICNTL_EXTRA_MEMORY = 14  # per cent
 _ICNTL_SCHUR, _BY_ROWS = 19, 1
 _ICNTL_RIGHT_SIDES, _DENSE, _SPARSE = 20, 0, 1
 _ICNTL_SCHUR_SOLVE = 26  # 0: solve with K only, as if there were no border
@@ -149,6 +154,9 @@ class _Factors:
             mumps.control(_ICNTL_SCHUR, _BY_ROWS)
             mumps.set(size_schur=n)
             mumps.give(listvar_schur=np.arange(m + 1, m + n + 1, dtype=np.int32), schur=schur)
+        if value.nbytes > _LARGE:
+            _give_freed_memory_back()
+        mumps.control(_ICNTL_EXTRA_MEMORY, 0)  # pivots come as they are: what the analysis foresees is exact
         try:
             mumps.run(_ANALYSIS)
             mumps.run(_FACTORISATION)
@@ -193,6 +201,17 @@ class _Factors:
         finally:
             self._mumps.take_back("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr")
         return solution[:m]
+
+
+def _give_freed_memory_back() -> None:
+    """Let the C library return to the system what was freed but lies between what is used.
+
+    Assembling a sheet leaves more of that than its mesh and stiffness take, and MUMPS, which asks for one large piece,
+    cannot have it.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own
+    if trim is not None:
+        trim(0)
 
 
 def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

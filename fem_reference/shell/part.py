@@ -335,7 +335,7 @@ class ShellPart:
 
     @cached_property
     def _pinned(self) -> tuple[csr_matrix, csr_matrix]:
-        """K_ff on and below its diagonal, and K_fp, of free freedoms f and pins p: half of K is all that a part keeps."""
+        """K_ff on and below its diagonal, and K_fp, of free freedoms f and pins p: half of K is all that is kept."""
         rows = self.stiffness_csr()[self._free]
         return lower_triangle(rows[:, self._free]), rows[:, self.pins]
 
