@@ -8,15 +8,17 @@ from support.processes import on_processes
 from support.shells import several_parts
 from threadpoolctl import threadpool_limits
 
-from fem_reference.shell import influence
+from fem_reference.shell import factorisation, influence, mumps
 from fem_reference.shell.factorisation import (
     BLOCK,
     Factorisation,
     FactorisationError,
     NoSchurComplement,
     OutOfMemory,
+    upper_triangle,
 )
 from fem_reference.shell.influence import compute_influence, influence_matrix
+from fem_reference.shell.ordering import nested_dissection
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.compliance.part import GENERATION
 
@@ -35,14 +37,111 @@ def spd(m=200, n=30):
 def test_schur_complement_and_sweeps_against_dense_algebra():
     K, L = spd()
     exact = L @ np.linalg.solve(K.toarray(), L.T.toarray())
-    factorisation = Factorisation(K, L)
-    assert abs(factorisation.influence - exact).max() < 1e-12 * abs(exact).max()
-    assert (factorisation.influence == factorisation.influence.T).all()
+    factors = Factorisation(K, L)
+    assert abs(factors.influence - exact).max() < 1e-12 * abs(exact).max()
+    assert (factors.influence == factors.influence.T).all()
     # the factors of K remain usable beneath the border, by dense and by sparse right-hand sides
     B = np.random.default_rng(1).normal(size=(K.shape[0], BLOCK + 3))
-    assert factorisation.solve(B) == pytest.approx(np.linalg.solve(K.toarray(), B), rel=1e-9, abs=1e-12)
-    assert L @ factorisation.solve_sparse(L) == pytest.approx(exact, rel=1e-9, abs=1e-12)
-    assert factorisation.memory > 0
+    assert factors.solve(B) == pytest.approx(np.linalg.solve(K.toarray(), B), rel=1e-9, abs=1e-12)
+    assert L @ factors.solve_sparse(L) == pytest.approx(exact, rel=1e-9, abs=1e-12)
+    assert factors.memory > 0
+
+
+def test_what_stands_below_the_diagonal_is_not_read():
+    K, L = spd()
+    exact = L @ np.linalg.solve(K.toarray(), L.T.toarray())
+    for given in (sp.triu(K, format="csr"), (sp.triu(K) + 7 * sp.tril(K, -1)).tocsr()):
+        H, _ = influence_matrix(given, L)
+        assert abs(H - exact).max() < 1e-12 * abs(exact).max()
+
+
+def test_the_order_is_a_permutation_that_dissects():
+    """Of a grid of 40 × 40 nodes with three freedoms each: little fill, and a node's freedoms one after another."""
+    grid = sp.diags([np.ones(39), np.full(40, 4.0), np.ones(39)], [-1, 0, 1])
+    K = sp.kron(sp.kron(grid, grid), np.ones((3, 3))).tocsr()
+    places = nested_dissection(upper_triangle(K))
+    assert np.array_equal(np.sort(places), np.arange(K.shape[0]))
+    nodes = np.sort(places.reshape(-1, 3), axis=1)
+    assert np.array_equal(nodes[:, 0] + 2, nodes[:, 2]) and not np.any(nodes[:, 0] % 3)
+    # row by row, the factor is a band; an order that confuses places with rows fills more than that
+    band = _factor_entries(K, np.arange(K.shape[0]))
+    assert _factor_entries(K, places) < band < _factor_entries(K, np.argsort(places))
+
+
+def _factor_entries(K, places):
+    """Nodes that the elimination of each of K's nodes of three freedoms joins, summed."""
+    order = np.argsort(places[::3])
+    pattern = K[::3, ::3][order][:, order].tocsr()
+    later = [set(row[row > i]) for i, row in enumerate(np.split(pattern.indices, pattern.indptr[1:-1]))]
+    for neighbours in later:
+        if neighbours:
+            first = min(neighbours)
+            later[first] |= neighbours - {first}
+    return sum(map(len, later))
+
+
+def test_without_metis_the_coefficients_are_the_same(monkeypatch):
+    K, L = spd()
+    exact = Factorisation(K, L).influence
+    monkeypatch.setattr(factorisation, "nested_dissection", lambda pattern: None)
+    assert abs(Factorisation(K, L).influence - exact).max() < 1e-12 * abs(exact).max()
+
+
+HEADER = """
+#define MUMPS_VERSION "{version}"
+#define MUMPS_VERSION_MAX_LEN 30
+typedef struct {{
+    MUMPS_INT      sym, par, job; /* what is
+                                     to be done */
+    MUMPS_INT      comm_fortran;
+    {more}
+    MUMPS_INT8     nnz;
+    DMUMPS_COMPLEX *a;
+    char version_number[MUMPS_VERSION_MAX_LEN + 1 + 1];
+}} DMUMPS_STRUC_C;
+"""
+
+
+def test_the_layout_of_mumps_is_its_header_s(tmp_path):
+    places = []
+    for more in ("", "MUMPS_INT icntl[60];"):
+        (tmp_path / "dmumps_c.h").write_text(HEADER.format(version="5.9.0", more=more), encoding="utf-8")
+        ffi, version = mumps.read_header(tmp_path)
+        places.append(ffi.offsetof("DMUMPS_STRUC_C", "nnz"))
+        assert version == "5.9.0"
+    assert places == [16, 256]
+
+
+@pytest.mark.parametrize(
+    ("header", "integers", "says"),
+    [
+        ("", "", "not of the form"),
+        (HEADER.format(version="5.9.0", more="MUMPS_NEW x;"), "", "cannot be read"),
+        (HEADER.format(version="5.9.0", more=""), "#   define MUMPS_INTSIZE64", "64-bit integers"),
+    ],
+)
+def test_a_header_that_is_not_understood_is_told(header, integers, says, tmp_path):
+    (tmp_path / "dmumps_c.h").write_text(header, encoding="utf-8")
+    (tmp_path / "mumps_int_def.h").write_text(integers, encoding="utf-8")
+    with pytest.raises(mumps.Unavailable, match=says):
+        mumps.read_header(tmp_path)
+
+
+@pytest.fixture
+def foreign_header(monkeypatch):
+    """The header that is installed says of itself that it is another version's."""
+    ffi, _ = mumps._layout()
+    monkeypatch.setattr(mumps, "_layout", lambda: (ffi, "5.0.0"))
+
+
+def test_without_its_header_mumps_is_called_through_petsc(foreign_header):
+    K, L = spd()
+    exact = L @ np.linalg.solve(K.toarray(), L.T.toarray())
+    with pytest.warns(UserWarning, match="version 5.0.0.*libmumps-headers-dev.*blocks of right-hand sides"):
+        H, factors = influence_matrix(K, L)
+    assert abs(H - exact).max() < 1e-12 * abs(exact).max()
+    B = np.random.default_rng(1).normal(size=(K.shape[0], BLOCK + 3))
+    assert factors.solve(B) == pytest.approx(np.linalg.solve(K.toarray(), B), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize("reason", [OutOfMemory, NoSchurComplement])
@@ -60,6 +159,15 @@ def test_falls_back_to_sweeps_where_there_is_no_schur_complement(reason, monkeyp
     with pytest.warns(UserWarning, match="blocks of right-hand sides"):
         H, _ = influence_matrix(K, L)
     assert abs(H - exact).max() < 1e-12 * abs(exact).max() and (H == H.T).all()
+
+
+def test_mumps_s_own_words_for_want_of_memory(monkeypatch):
+    """A limit of 1 MB on what MUMPS may take (ICNTL(23)) is told as that, and as nothing else."""
+    K, L = spd(m=1000)
+    run = mumps.Instance.run
+    monkeypatch.setattr(mumps.Instance, "run", lambda self, job: (self.control(23, 1), run(self, job)))
+    with pytest.raises(OutOfMemory, match="memory ran out"):
+        Factorisation(K, L)
 
 
 def test_other_failures_are_not_swallowed(monkeypatch):
@@ -192,8 +300,8 @@ def test_the_number_of_threads_moves_no_digit():
 
     def computed(threads):
         with threadpool_limits(limits=threads, user_api="blas"):
-            factorisation = Factorisation(K, L)
-            return factorisation.influence, factorisation.solve(right), factorisation.solve_sparse(L[:BLOCK])
+            factors = Factorisation(K, L)
+            return factors.influence, factors.solve(right), factors.solve_sparse(L[:BLOCK])
 
     for one, two in zip(computed(1), computed(2)):
         np.testing.assert_array_equal(one, two)

@@ -12,26 +12,30 @@ the bordered matrix is indefinite. So is the order of elimination: K alone is di
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 from petsc4py import PETSc
-from scipy.sparse import csr_matrix, tril
+from scipy.sparse import csr_matrix, triu
 from threadpoolctl import threadpool_limits
 
 from fem_reference.shell.mumps import Instance, MumpsFailure, Unavailable
 from fem_reference.shell.ordering import nested_dissection
 from mic.errors import MicError
 
-__all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", "OutOfMemory", "lower_triangle"]
+__all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", "OutOfMemory", "upper_triangle"]
 
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
+
+_LARGE = 5e7  # bytes of values, from which on memory is worth a fiftieth of a second
 
 # MUMPS's numbers of what this module sets or reads (MUMPS 5.5 users' guide, sections 5 and 6)
 _SPD = 1  # SYM
 _ANALYSIS, _FACTORISATION, _SOLUTION = 1, 2, 3  # JOB
 _ICNTL_ORDERING, _GIVEN = 7, 1
+_ICNTL_EXTRA_MEMORY = 14  # per cent
 _ICNTL_SCHUR, _BY_ROWS = 19, 1
 _ICNTL_RIGHT_SIDES, _DENSE, _SPARSE = 20, 0, 1
-_ICNTL_SCHUR_SOLVE = 26  # 0: solve with K only, as if there were no border
 _ICNTL_RHS_BLOCK = 27  # columns handled at once in a solve
 _INFOG_STATUS = 1  # negative: failure
 _INFOG_NEGATIVE_PIVOTS = 12
@@ -60,7 +64,7 @@ class Factorisation:
     Parameters
     ----------
     K : csr_matrix (m, m)
-        Symmetric positive definite; what stands above the diagonal is not read.
+        Symmetric positive definite; what stands below the diagonal is not read.
     L : csr_matrix (n, m), optional
         Rows of which `influence` is wanted.
 
@@ -84,7 +88,7 @@ class Factorisation:
     @_one_thread
     def __init__(self, K: csr_matrix, L: csr_matrix | None = None):
         self.size = K.shape[0]
-        K = lower_triangle(K)
+        K = upper_triangle(K)
         L = csr_matrix((0, self.size)) if L is None else L
         self.influence: np.ndarray | None = None
         self._factors: _Factors | _PetscFactors
@@ -118,10 +122,10 @@ class Factorisation:
         return self._factors.solve_sparse(right)
 
 
-def lower_triangle(K: csr_matrix) -> csr_matrix:
-    """What stands on and below the diagonal of K (m, m); K itself if that is all it has."""
+def upper_triangle(K: csr_matrix) -> csr_matrix:
+    """What stands on and above the diagonal of K (m, m); K itself if that is all it has."""
     row = np.repeat(np.arange(K.shape[0], dtype=K.indices.dtype), np.diff(K.indptr))
-    kept = K.indices <= row
+    kept = K.indices >= row
     if kept.all():
         return K
     starts = np.zeros(K.shape[0] + 1, dtype=K.indptr.dtype)
@@ -130,7 +134,10 @@ def lower_triangle(K: csr_matrix) -> csr_matrix:
 
 
 class _Factors:
-    """K's factors and L K⁻¹ Lᵀ by MUMPS itself; K (m, m) below and on the diagonal, L (n, m) with any n."""
+    """K's factors and L K⁻¹ Lᵀ by MUMPS itself; K (m, m) on and above the diagonal, L (n, m) with any n.
+
+    Solves are those with K alone, as if there were no border (ICNTL(26) = 0, the default).
+    """
 
     def __init__(self, K: csr_matrix, L: csr_matrix):
         self._mumps = mumps = Instance(_SPD)
@@ -149,6 +156,9 @@ class _Factors:
             mumps.control(_ICNTL_SCHUR, _BY_ROWS)
             mumps.set(size_schur=n)
             mumps.give(listvar_schur=np.arange(m + 1, m + n + 1, dtype=np.int32), schur=schur)
+        if value.nbytes > _LARGE:
+            _give_freed_memory_back()
+        mumps.control(_ICNTL_EXTRA_MEMORY, 0)  # pivots come as they are: what the analysis foresees is exact
         try:
             mumps.run(_ANALYSIS)
             mumps.run(_FACTORISATION)
@@ -160,7 +170,6 @@ class _Factors:
         self.memory = float(mumps.information(_INFOG_MEMORY))
         if n:  # of a symmetric matrix MUMPS fills the lower triangle alone
             self.influence = -(np.tril(schur) + np.tril(schur, -1).T)
-            mumps.control(_ICNTL_SCHUR_SOLVE, 0)
         mumps.control(_ICNTL_RHS_BLOCK, 64)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -195,8 +204,19 @@ class _Factors:
         return solution[:m]
 
 
+def _give_freed_memory_back() -> None:
+    """Let the C library return to the system what was freed but lies between what is used.
+
+    Assembling a sheet leaves more of that than its mesh and stiffness take, and MUMPS, which asks for one large piece,
+    cannot have it.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own
+    if trim is not None:
+        trim(0)
+
+
 def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and columns, from 1, and values of [[K, ·], [L, 0]] on and below the diagonal."""
+    """Rows and columns, from 1, and values of K on and above its diagonal and of L beneath it."""
     row, column, value = (np.empty(K.nnz + L.nnz, dtype) for dtype in (np.int32, np.int32, float))
     for matrix, first, entries in ((K, 0, slice(0, K.nnz)), (L, K.shape[0], slice(K.nnz, None))):
         ends = first + 1 + np.arange(matrix.shape[0], dtype=np.int32)
@@ -207,10 +227,10 @@ def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 class _PetscFactors:
-    """K's factors by MUMPS through PETSc, in whatever order MUMPS finds; K (m, m) below and on the diagonal."""
+    """K's factors by MUMPS through PETSc, in whatever order MUMPS finds; K (m, m) on and above the diagonal."""
 
     def __init__(self, K: csr_matrix):
-        whole = K + tril(K, -1).T
+        whole = K + triu(K, 1).T
         self._matrix = _petsc_matrix(whole.tocsr())
         self._matrix.setOption(PETSc.Mat.Option.SPD, True)
         self._pc = PETSc.PC().create(PETSc.COMM_SELF)

@@ -16,7 +16,7 @@ from fem_reference.shell.factorisation import (
     FactorisationError,
     NoSchurComplement,
     OutOfMemory,
-    lower_triangle,
+    upper_triangle,
 )
 from mic.compliance.functional import Functionals
 
@@ -77,14 +77,14 @@ def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factoris
 
     By the Schur complement; where that cannot be had, for want of memory or of a MUMPS that can be called, by sweeps of
     sparse right-hand sides. A few columns are solved once more, and their residuals formed with K itself. What stands
-    above K's diagonal is not read.
+    below K's diagonal is not read.
 
     Raises
     ------
     FactorisationError
         If the factorisation fails or H does not pass that check.
     """
-    n, K = L.shape[0], lower_triangle(K)
+    n, K = L.shape[0], upper_triangle(K)
     factorisation = None
     if n:
         try:
@@ -105,7 +105,7 @@ def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factoris
 def _check(H, K, L, factorisation, columns: int = 3) -> None:
     """Raise unless a few columns of H agree with solves whose residual is small in the sense of Rigal and Gaches.
 
-    K stands on and below its diagonal alone.
+    K stands on and above its diagonal alone.
     """
     # a functional that reads pinned freedoms alone has an empty row and H = 0
     loaded = np.flatnonzero(np.diff(L.indptr))

@@ -22,7 +22,7 @@ _OK = 1  # METIS_OK
 def nested_dissection(pattern: csr_matrix) -> np.ndarray | None:
     """(m,) the place of each row in the order of elimination, from 0; None where there is no METIS.
 
-    `pattern` (m, m) has the entries of a symmetric matrix on and below its diagonal, which is full; none above it.
+    `pattern` (m, m) has the entries of a symmetric matrix on and above its diagonal, which is full; none below it.
     """
     metis = _metis()
     if metis is None:

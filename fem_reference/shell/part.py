@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat
 from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
-from fem_reference.shell.factorisation import Factorisation, FactorisationError, lower_triangle
+from fem_reference.shell.factorisation import Factorisation, FactorisationError, upper_triangle
 from fem_reference.shell.influence import influence_matrix
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
@@ -335,9 +335,9 @@ class ShellPart:
 
     @cached_property
     def _pinned(self) -> tuple[csr_matrix, csr_matrix]:
-        """K_ff on and below its diagonal, and K_fp, of free freedoms f and pins p: half of K is all that a part keeps."""
+        """K_ff on and above its diagonal, and K_fp, of free freedoms f and pins p: half of K is all that is kept."""
         rows = self.stiffness_csr()[self._free]
-        return lower_triangle(rows[:, self._free]), rows[:, self.pins]
+        return upper_triangle(rows[:, self._free]), rows[:, self.pins]
 
     @cached_property
     def _factorisation(self) -> Factorisation:
