@@ -30,7 +30,9 @@ pytestmark = pytest.mark.fem
 
 GROUPS, SAMPLES = 100, budget.SAMPLES
 FORCES = {"seldom open": (14.0, 2.0), "open as often as not": (10.0, 2.0)}  # N, mean and σ; the gap closes at 10 N
-HELD = 0.95 - 3 * np.sqrt(0.95 * 0.05 / GROUPS)  # of so many intervals that hold 95 % fewer would be three deviations off
+HELD = 0.95 - 3 * np.sqrt(
+    0.95 * 0.05 / GROUPS
+)  # of so many intervals that hold 95 % fewer would be three deviations off
 OFF = 0.06  # compliance of production over the true one, less 1
 
 

@@ -144,7 +144,7 @@ def verify_scene(
 
     Raises
     ------
-    ValueError
+    SceneError
         If no sample of the Monte Carlo is valid, or the scene has nothing to compare.
     """
     folder = Path(folder)
@@ -169,8 +169,9 @@ def verify_scene(
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         base = cheap.get(truth, next(iter(cheap.values())))
         if base.shape[1] == 0 or len(base) == 0:
-            raise ValueError(
-                "the scene has nothing to verify: it needs valid samples, and measurements or contact zones with slip"
+            raise SceneError(
+                f"scene {scene.name!r} has nothing to verify: it needs samples that do not fail, and measurements or "
+                "contact zones with friction; add [[measurements]], or look at why samples fail with mic run"
             )
         chosen = choose(base.to_numpy(), base.index.to_numpy(), count, seed)
         tell(
