@@ -227,8 +227,7 @@ def test_a_report_is_printed_and_where_nothing_prints_it_is_said_before_any_work
         assert len(re.findall(rb"/Type\s*/Page\b", printed.read_bytes())) >= 4  # first, study, limitations, numbers
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
     monkeypatch.setattr(program, "run_studies", None)  # calling it would break
-    for words in (["run", "means", "--pdf"], ["report", str(tmp_path / "out"), "--pdf"]):
-        monkeypatch.setattr(program, "_chosen", lambda names: [])
+    for words in (["run", "sampling", "--pdf"], ["report", str(tmp_path / "out"), "--pdf"]):
         found = CliRunner().invoke(program.app, words)
         assert isinstance(found.exception, NoBrowser) and "apt install chromium" in str(found.exception)
 
