@@ -2,6 +2,8 @@
 errors."""
 
 import json
+import re
+import shutil
 import sys
 from dataclasses import replace
 
@@ -10,8 +12,10 @@ import pytest
 from support.processes import on_processes
 
 from verification import run as runs
-from verification.report import write_report
-from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Team, studies
+from verification.pdf import NoBrowser
+from verification.plots import panels
+from verification.report import over_limit, write_report
+from verification.study import FOLDER, Acceptance, Context, Finding, Judged, Study, Team, studies
 
 pytestmark = pytest.mark.fem
 
@@ -142,8 +146,6 @@ def test_a_run_that_broke_leaves_what_was_finished(tmp_path, monkeypatch):
 def test_report_shows_every_number_offline(tmp_path):
     import pandas as pd
 
-    from verification.plots import panels
-
     figure, (axis,) = panels(1)
     axis.plot([0, 1], [0, 1])
     study = replace(
@@ -159,6 +161,77 @@ def test_report_shows_every_number_offline(tmp_path):
     assert "http" not in page.replace("http-equiv", "")
     summary = entries(tmp_path / "out")
     assert [entry["passed"] for entry in summary] == [True, False] and summary[1]["measured"] is None
+
+
+def written(tmp_path, findings):
+    """The page of one study with these findings."""
+    study = replace(cheap_studies(tmp_path)[0], run=lambda context: findings)
+    runs.run([study], tmp_path / "out", False, Team(), lambda line: None)
+    return write_report(tmp_path / "out").read_text()
+
+
+def first_page(page):
+    return page[: page.index("</section>")]
+
+
+def test_first_page_names_what_failed_and_where_not_to_use_it_and_is_signed(tmp_path):
+    page = written(tmp_path, [Finding("mean", 0.5), Finding("sum", 0.001)])
+    first = first_page(page)
+    assert "not kept</span>: 1 of 2 numbers" in page[len(first) :]
+    assert "1 of 2 acceptance numbers are not kept" in first and "Measured 0.5, accepted at most 0.1" in first
+    assert "0.001" not in first and "<table><thead>" not in first.replace("\n", "")
+    readme = (FOLDER.parent / "README.md").read_text()
+    points = re.findall(r"^- (\w+ \w+)", readme[readme.index("## Limitations") :], flags=re.MULTILINE)
+    assert len(points) > 10 and all(f"<li>{point}" in first for point in points)
+    assert all(word in first for word in ("commit", "machine", "date", "numpy", "Validated by", "signature"))
+    assert "was not computed" in first  # there is no error budget in this folder
+
+
+def test_first_page_tells_the_error_budget(tmp_path):
+    """As the study wrote it: its notes and its figure, which is the report's first."""
+    figure, (axis,) = panels(1)
+    axis.barh([0], [1])
+    names = ("mean", "six-sigma", "cpk", "slip", "force", "coverage")
+    found = [Finding(name, 0.05, f"told of {name}", figure if name == "mean" else None) for name in names]
+    limits = tuple(Acceptance(name, "Small.", 0.1) for name in names)
+    common = {"claim": "c", "reference": "r", "seconds": (1, 1)}
+    budget = Study(5, "Error budget", acceptance=limits, run=lambda context: found, name="error_budget", **common)
+    runs.run([cheap_studies(tmp_path)[0], budget], tmp_path / "out", False, Team(), lambda line: None)
+    page = write_report(tmp_path / "out").read_text()
+    first = first_page(page)
+    assert all(f"<li>told of {name}</li>" in first for name in names[:-1]) and "told of coverage" not in first
+    assert first.count("<img") == 1 and "Figure 1." in first and "Figure 1." not in page[len(first) :]
+    numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", page)]
+    assert sorted(numbers) == list(range(1, len(numbers) + 1))
+
+
+@pytest.mark.parametrize(
+    "bound, measured, limit, used",
+    [("at most", 0.05, 0.1, 0.5), ("at least", 4.0, 2.0, 0.5), ("at most", 0.3, 0.1, 3.0), ("at most", 0.0, 0.1, 1e-4),
+     ("at least", 0.0, 2.0, 1e4), ("at least", -1.0, 2.0, 1e4), ("at most", None, 1.0, np.nan)],
+)  # fmt: skip
+def test_a_bar_beyond_the_line_is_a_number_that_is_not_kept(bound, measured, limit, used):
+    passed = measured is not None and (measured <= limit if bound == "at most" else measured >= limit)
+    finding = {"bound": bound, "measured": measured, "limit": limit, "passed": passed}
+    assert over_limit(finding) == pytest.approx(used, nan_ok=True)
+    assert passed == (used <= 1)
+
+
+def test_a_report_is_printed_and_where_nothing_prints_it_is_said_before_any_work(tmp_path, monkeypatch):
+    from typer.testing import CliRunner
+
+    from verification import __main__ as program
+
+    if shutil.which("chromium") is not None:
+        written(tmp_path, [Finding("mean", 0.01), Finding("sum", 0.001)])
+        printed = write_report(tmp_path / "out", pdf=True)
+        assert printed.name == "report.pdf" and printed.read_bytes().startswith(b"%PDF")
+        assert len(re.findall(rb"/Type\s*/Page\b", printed.read_bytes())) >= 4  # first, study, limitations, numbers
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    monkeypatch.setattr(program, "run_studies", None)  # calling it would break
+    for words in (["run", "sampling", "--pdf"], ["report", str(tmp_path / "out"), "--pdf"]):
+        found = CliRunner().invoke(program.app, words)
+        assert isinstance(found.exception, NoBrowser) and "apt install chromium" in str(found.exception)
 
 
 @pytest.mark.slow

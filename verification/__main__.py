@@ -11,7 +11,8 @@ import typer
 from rich.console import Console
 
 from mic import cache_folder
-from mic.scene import SceneError, load_scene
+from mic.errors import MicError
+from mic.scene import load_scene
 from verification.own_scene import verify_scene
 from verification.pdf import browser, write_pdf
 from verification.report import write_report
@@ -137,7 +138,7 @@ def main():
     try:
         app()
     except Exception as error:
-        if isinstance(error, (FileNotFoundError, SceneError)) and workers.size == 1:
+        if isinstance(error, (FileNotFoundError, MicError)) and workers.size == 1:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)
         traceback.print_exc()

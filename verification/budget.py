@@ -306,14 +306,16 @@ def _law(case: Case) -> tuple[str, pd.DataFrame]:
 
 
 def _path(case: Case) -> tuple[str, pd.DataFrame]:
-    if not LAWS[case.law].frictional or not case.model.contacts.frictional:
+    """Of Coulomb's law where another is printed in its place: how that goes along its path is a part of the other."""
+    law = case.law if LAWS[case.law].reads else "coulomb"
+    if not case.model.contacts.frictional:
         return "without friction nothing remembers the way", case.none()
-    steps = [stage.path for stage in case.model.process(case.law).stages if stage.resolves]
+    steps = [stage.path for stage in case.model.process(law).stages if stage.resolves]
     kind = "increments" if any(isinstance(path, Increments) for path in steps) else "path"
-    return (
-        f"the same {case.samples} samples on a tighter path; {REFINED[kind].why}",
-        case.beside(case.of(case.model, path=tighter), kind),
-    )
+    given = case.production if law == case.law else case.of(case.model, law)
+    better = case.of(case.model, law, tighter)
+    how = f"the same {case.samples} samples{f' under the {law} law' * (law != case.law)} on a tighter path"
+    return f"{how}; {REFINED[kind].why}", paired(given, better, REFINED[kind], case.six_sigma)
 
 
 def _pairs(case: Case) -> tuple[str, pd.DataFrame]:

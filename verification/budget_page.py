@@ -189,10 +189,9 @@ def budget_figure(cases: list[tuple[str, pd.DataFrame, list[Item]]]):
         name = _worst(table)
         for axis, kind in zip(row, FIGURES):
             _bars(axis, items, table.loc[name], kind)
-            own = "of the tolerance" if name.startswith("measurement:") else "of its 6σ"
-            scale = table.at[name, "scale"]
+            whole = "the tolerance" if name.startswith("measurement:") else "its 6σ"
             axis.set_title(f"{scene}: {WORDS[kind]} of {_name(name)}", fontsize=10)
-            axis.set_xlabel(f"error, µm; 10 µm are {1 / scale:.2g} % {own}")
+            axis.set_xlabel(f"error, µm; {whole} is {MICRO * table.at[name, 'scale']:.4g} µm")
         row[0].invert_yaxis()
     return figure
 

@@ -20,7 +20,7 @@ from verification.pdf import browser, write_pdf
 from verification.plots import panels, svg
 from verification.run import read_results, write_summary
 
-__all__ = ["environment", "number", "table_cells", "write_report"]
+__all__ = ["environment", "number", "over_limit", "table_cells", "write_report"]
 
 BUDGET = "error_budget"  # the study that the first page tells of
 LONG = 12  # rows of a table that is folded on the screen
@@ -121,13 +121,13 @@ def _limits(findings: list[dict]):
     kept."""
     figure, (axis,) = panels(1, 7.6, 0.7 + 0.3 * len(findings))
     for y, finding in enumerate(findings):
-        ratio = _over_limit(finding)
+        ratio = over_limit(finding)
         colour = "tab:green" if finding["passed"] else "tab:red"
         if math.isfinite(ratio):
             axis.barh(y, ratio, left=0, height=0.6, color=colour)
         else:
             axis.text(1.02, y, "not measured", va="center", color=colour, fontsize=9)
-    ratios = [ratio for ratio in map(_over_limit, findings) if math.isfinite(ratio)]
+    ratios = [ratio for ratio in map(over_limit, findings) if math.isfinite(ratio)]
     axis.axvline(1.0, color="k", lw=1.4)
     low = min([0.5, *ratios]) / 2
     axis.set(
@@ -138,7 +138,7 @@ def _limits(findings: list[dict]):
     return figure
 
 
-def _over_limit(finding: dict) -> float:
+def over_limit(finding: dict) -> float:
     """What of its limit a number uses up, within 1/`FARTHEST` and `FARTHEST`; NaN where nothing was measured."""
     measured, limit = finding["measured"], finding["limit"]
     if measured is None:
