@@ -9,8 +9,8 @@ be made smaller, the same n samples are taken a second time with less of it, and
 s is the jackknife's standard error of d (:mod:`mic.results.paired`), t Student's. f extrapolates to a source that is
 gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may
 be wrong, as :data:`REFINED` says, and 3/n of f for what n samples do not show. Doubts of the kind that repeats itself
-add to those of chance, not in squares. What cannot be repeated with less of it is bounded, ``|δ| ≤ U``: then δ is 0 with U
-about it.
+add to those of chance, not in squares. What cannot be repeated with less of it is bounded, ``|δ| ≤ U``: then δ is 0
+with U about it.
 
 The sum adds the δ with their signs, and what is unsure of them in squares, as independent (ASME V&V 20, section 7).
 
