@@ -130,8 +130,8 @@ def test_a_header_that_is_not_understood_is_told(header, integers, says, tmp_pat
 @pytest.fixture
 def foreign_header(monkeypatch):
     """The header that is installed says of itself that it is another version's."""
-    ffi, _ = mumps._layout()
-    monkeypatch.setattr(mumps, "_layout", lambda: (ffi, "5.0.0"))
+    ffi, _ = mumps.layout()
+    monkeypatch.setattr(mumps, "layout", lambda: (ffi, "5.0.0"))
 
 
 def test_without_its_header_mumps_is_called_through_petsc(foreign_header):

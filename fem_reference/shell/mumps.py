@@ -52,7 +52,7 @@ class Instance:
     """
 
     def __init__(self, symmetry: int):
-        ffi, version = _layout()
+        ffi, version = layout()
         self._function = _library()
         self._ffi = ffi
         self._memory = ffi.new("char[]", ffi.sizeof(_STRUCTURE) + _ROOM)
@@ -127,7 +127,7 @@ def _library() -> Any:
 
 
 @cache
-def _layout() -> tuple[cffi.FFI, str]:
+def layout() -> tuple[cffi.FFI, str]:
     """The structure's layout and the version of MUMPS, from the first header found."""
     config = petsc4py.get_config()
     petsc = Path(config["PETSC_DIR"], config.get("PETSC_ARCH", ""), "include")
