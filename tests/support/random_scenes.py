@@ -97,7 +97,8 @@ def random_case(seed: int, patch=None, points: bool = False, watched: bool = Fal
     held = locators("lower", (5.0, length - 5), (2.5, width - 2.5), 0.0, int(pick(0, 0, 1, 2)))
     span = 10.0 if kind != "hat" else max(5.0, profile[1][0] - profile[0][0])
     held += locators("upper", (start + 5, start + length - 5), (seat + 1.0, seat + span - 1), z, int(pick(0, 0, 1, 2)))
-    here = (left + 5, right - 5) if kind != "hat" else (left + 4, right - 4)
+    inward = 5.0 if kind != "hat" else min(4.0, 0.8 * foot)  # upon the feet, however narrow
+    here = (left + inward, right - inward)
     clamps = []
     for i, y in enumerate(here if rng.random() < 0.5 else here[:1]):
         for part, h, sense in (("lower", 0.0, 1.0), ("upper", z, -1.0)):
