@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def on_processes(count: int, *program, timeout: float = 300) -> subprocess.CompletedProcess:
+def on_processes(count: int, *program, timeout: float = 900) -> subprocess.CompletedProcess:
     """Run ``python PROGRAM …`` on `count` processes, one thread each; skip the test where there is no ``mpirun``."""
     if shutil.which("mpirun") is None:
         pytest.skip("mpirun is not installed")
