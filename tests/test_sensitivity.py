@@ -104,7 +104,8 @@ def test_derivatives_are_those_of_the_evaluation(lap_model, law, way):
 @pytest.mark.parametrize("law", ["coulomb", "associated"])
 def test_derivatives_are_those_of_the_hat(hat_model, law):
     model = on_the_way(hat_model, 8)
-    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 2)
+    # not the first sample, of which a contact changes within the step: 2e-8 from a quarter of it, 3e-5 from the whole
+    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 1, 2)
     difference = central(model, lambda x: process.evaluate(x).measurements, samples)
     assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) < EXACT
 
