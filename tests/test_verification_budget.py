@@ -19,9 +19,9 @@ from verification.budget_page import budget_rows, budget_sentences, by_quantity,
 from verification.comparison import difference, reduced_and_assembly
 from verification.error_budget import study
 from verification.own_scene import verify_scene
-from verification.scenes import few, going
+from verification.scenes import going, shipped
 from verification.stiffness import DeviatedStiffness
-from verification.study import FOLDER, Team
+from verification.study import Team
 
 pytestmark = pytest.mark.fem
 
@@ -201,14 +201,8 @@ def test_errors_of_the_method_leave_the_samples_out():
 
 
 def lap():
-    scene = few(mic.load_scene(FOLDER.parent / "meshes" / "lap_joint"))
-    return scene.model_copy(
-        update={
-            "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
-            "monte_carlo": scene.monte_carlo.model_copy(update={"samples": 40}),
-            "report": scene.report.model_copy(update={"laws": ["coulomb"], "fields": False}),
-        }
-    )
+    scene = shipped("lap_joint", "coarse")
+    return scene.model_copy(update={"monte_carlo": scene.monte_carlo.model_copy(update={"samples": 40})})
 
 
 @pytest.mark.slow
