@@ -792,9 +792,9 @@ def stacked(force=100.0, touching=True, **rest) -> Case:
     return Case(table, meshes, case.deviations)
 
 
-def held(stroke=0.0, **rest) -> Case:
-    """As `stacked`, of which the clamp holds a position."""
-    case = stacked(**rest)
+def held(stroke=0.0, case=None, **rest) -> Case:
+    """As `stacked`, or another case, whose clamps hold a position."""
+    case = stacked(**rest) if case is None else case
     for row in case.table["clamps"]:
         del row["force"]
         row["stroke"] = stroke
@@ -833,6 +833,8 @@ SHAPED = {
     "upon each other and a pad": (stacked(fixtures=[PAD], zones=[UPON]), None, ""),
     "held over a locator below": (held(locators=[LOCATOR]), "squeezed", "clamp C-upper"),
     "held over a pad below": (held(fixtures=[PAD], zones=[UPON]), "squeezed", "clamp C-upper"),
+    "held against each other": (held(case=plates()), "squeezed", "clamp C-lower"),
+    "held against each other, a gap between": (held(case=plates(height=1.2)), None, ""),
     "held over a locator, with room": (held(stroke=-0.1, locators=[LOCATOR]), None, ""),
     "upon each other, pressed lightly": (stacked(force=15.0), None, ""),
     "bent in many facets": (bent(32), None, ""),
