@@ -77,6 +77,30 @@ def test_a_followed_path_ends_where_that_of_all_candidates_ends(problem):
     np.testing.assert_allclose(few.trace.share.sum(axis=2), 1.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("path", [Followed(1e-6), Increments(600)], ids=["followed", "increments"])
+def test_what_touches_on_the_way_alone_takes_part(path):
+    """The second of two candidates touches first, and rubs until the first one, deeper at the end, lifts it."""
+    S = np.kron([[1.0, 0.9], [0.9, 1.0]], np.diag([1.0, 0.5, 0.5])) + np.diag([0, 0.2, 0.2] * 2)
+    b = np.array([[[0.5, 0, 0, 0.1, 0, 0], [-1.0, 0.6, 0, -0.5, 0.6, 0]]])
+    given = Friction.of(0.3, 2), np.zeros((2, 3)), np.ones(2), np.zeros(2, bool), np.ones(2, bool)
+    solver = WatchedSolver(Columns.of(S), *given, laws.find("coulomb"), tol=1e-10)
+    few = solver.follow(b, np.zeros((1, 6)), np.zeros((1, 2, 2)), path)
+    all_ = ContactSolver(S, 0.3).follow(b, np.zeros((1, 6)), np.zeros((1, 2, 2)), path)
+    assert few.force[0, 3] == 0 and few.trail is None
+    assert all_.trace.work[0, 1] > 1e-4
+    for name in ("slip", "length", "work", "share"):
+        np.testing.assert_allclose(getattr(few.trace, name), getattr(all_.trace, name), atol=1e-5, err_msg=name)
+    np.testing.assert_allclose(few.anchor, all_.anchor, atol=1e-5)
+
+
+def test_how_many_are_followed_together_changes_nothing(problem, monkeypatch):
+    together = followed(watched(problem), problem[2], Followed())
+    monkeypatch.setattr("mic.contact.watched.TOGETHER", 1)
+    alone = followed(watched(problem), problem[2], Followed())
+    np.testing.assert_allclose(alone.displacement, together.displacement, atol=1e-9)
+    np.testing.assert_allclose(alone.trace.work, together.trace.work, atol=1e-9)
+
+
 def test_a_sample_does_not_depend_on_its_batch(problem):
     _, _, b = problem
     together = followed(watched(problem), b, Followed())

@@ -178,6 +178,9 @@ for place, key, values in NUMBERS:
 
 UP, DOWN = [0, 0, 1], [0, 0, -1]
 STACKED = {"name": "lower-A9", "part": "lower", "point": [5, 5, 0], "direction": UP}
+UNDER = {"name": "plate-A8", "part": "plate", "point": [110, -38, 0], "direction": UP, "stage": "clamp"}
+KEPT = [row["name"] for row in TABLES["hat_on_plate"]["locators"] if "stage" not in row]
+LOW = {"name": "D8", "kind": "locator", "target": "plate-A8", "mean": -0.2, "sigma": 0.01}
 NONSENSE |= {
     # Clamps
     "tongs that pull the parts apart": (
@@ -208,6 +211,37 @@ NONSENSE |= {
         all_of(drop("locators.plate-A6"), like("clamps.C1", name="C5", part="plate", point=[62, -38, 0], direction=UP)),
         "C1",
         "unbacked",
+    ),
+    "a stroke over a rest": ("hat_on_plate", add("locators", **UNDER), "C3", "squeezed"),
+    "a stroke over a rest that is a little low": (
+        "hat_on_plate",
+        all_of(add("locators", **UNDER), add("deviations", **{**LOW, "mean": -0.04})),
+        "C3",
+        "squeezed",
+    ),
+    "a stroke beyond what a low rest leaves": (
+        "hat_on_plate",
+        all_of(add("locators", **UNDER), add("deviations", **LOW), put("clamps.C3", stroke=0.2)),
+        "C3",
+        "squeezed",
+    ),
+    "a stroke over the edge of a rest": (
+        "hat_on_plate",
+        add("locators", **{**UNDER, "point": [118, -38, 0], "radius": 5}),
+        "C3",
+        "squeezed",
+    ),
+    "a stroke against another": (
+        "hat_on_plate",
+        like("clamps.C3", name="C5", part="plate", point=[110, -38, 0], direction=UP),
+        "C3",
+        "squeezed",
+    ),
+    "tongs by strokes that go through each other": (
+        "lap_joint",
+        all_of(put("clamps.C1-upper", force=None, stroke=0.1), put("clamps.C1-lower", force=None, stroke=0.1)),
+        "C1-upper",
+        "squeezed",
     ),
     "tongs of two forces": ("lap_joint", put("clamps.C1-upper", force=600), "C1-upper", "tongs-askew"),
     "tongs that push one way": ("lap_joint", put("clamps.C1-lower", direction=DOWN), "C1-upper", "tongs-askew"),
@@ -532,7 +566,7 @@ SENSIBLE = {
     "tongs that differ a little": ("lap_joint", put("clamps.C1-upper", force=66)),
     "tongs by strokes": (
         "lap_joint",
-        all_of(put("clamps.C1-upper", force=None, stroke=0.1), put("clamps.C1-lower", force=None, stroke=0.1)),
+        all_of(put("clamps.C1-upper", force=None, stroke=-0.05), put("clamps.C1-lower", force=None, stroke=-0.05)),
     ),
     "tongs askew by some degrees": ("lap_joint", put("clamps.C1-upper", direction=[0.1, 0.05, -1])),
     "a clamp against a locator": (
@@ -551,6 +585,24 @@ SENSIBLE = {
     "a stroke that lifts off a little": ("hat_on_plate", put("clamps.C3", stroke=-0.5)),
     "a clamp of limited force": ("hat_on_plate", put("clamps.C3", limit=400.0)),
     "guns": ("lap_joint", every("welds", gun=2500.0)),
+    "a stroke of limited force over a rest": (
+        "hat_on_plate",
+        all_of(add("locators", **UNDER), put("clamps.C3", limit=400.0)),
+    ),
+    "a stroke over a spring": ("hat_on_plate", add("locators", **UNDER, stiffness=500.0)),
+    "a stroke over a rest that is low": (
+        "hat_on_plate",
+        all_of(add("locators", **UNDER), add("deviations", **LOW)),
+    ),
+    "a stroke beside a rest": ("hat_on_plate", add("locators", **{**UNDER, "point": [122, -38, 0]})),
+    "a stroke over a rest that has been taken away": (
+        "hat_on_plate",
+        all_of(
+            lambda scene: scene["stages"].insert(1, {"kind": "clamp", "name": "first"}),
+            lambda scene: scene["stages"].insert(2, {"kind": "release", "name": "opened", "keep": KEPT}),
+            add("locators", **{**UNDER, "stage": "first"}),
+        ),
+    ),
     "a clamp that varies by a tenth": ("hat_on_plate", put("deviations.D2", sigma=10)),
     "small nuggets": ("lap_joint", every("welds", radius=1.5)),
     "three welds": ("lap_joint", like("welds.W1", name="W3", point=[75, 12.5, 0.5])),
@@ -740,6 +792,15 @@ def stacked(force=100.0, touching=True, **rest) -> Case:
     return Case(table, meshes, case.deviations)
 
 
+def held(stroke=0.0, case=None, **rest) -> Case:
+    """As `stacked`, or another case, whose clamps hold a position."""
+    case = stacked(**rest) if case is None else case
+    for row in case.table["clamps"]:
+        del row["force"]
+        row["stroke"] = stroke
+    return case
+
+
 #: Under the lowest of the three: a locator, or a pad upon which it lies.
 LOCATOR = {"name": "rest", "part": "bottom", "point": (50.0, 20.0, -1.0), "direction": (0, 0, 1), "stage": "clamp"}
 PAD = {"name": "pad", "point": (50.0, 20.0, -1.5), "normal": (0, 0, 1), "radius": 6.0}
@@ -770,6 +831,11 @@ SHAPED = {
         "clamp C-upper",
     ),
     "upon each other and a pad": (stacked(fixtures=[PAD], zones=[UPON]), None, ""),
+    "held over a locator below": (held(locators=[LOCATOR]), "squeezed", "clamp C-upper"),
+    "held over a pad below": (held(fixtures=[PAD], zones=[UPON]), "squeezed", "clamp C-upper"),
+    "held against each other": (held(case=plates()), "squeezed", "clamp C-lower"),
+    "held against each other, a gap between": (held(case=plates(height=1.2)), None, ""),
+    "held over a locator, with room": (held(stroke=-0.1, locators=[LOCATOR]), None, ""),
     "upon each other, pressed lightly": (stacked(force=15.0), None, ""),
     "bent in many facets": (bent(32), None, ""),
     "bent in few facets": (bent(12), "bend-coarse", "zone between"),

@@ -7,7 +7,8 @@ sample goes from the start of its path again. Sets only grow, so that this ends;
 the law with f = 0, and the solution is that of all candidates at once, to `PENETRATION`, at the cost of those that
 touch.
 
-What penetrates on the way and no longer at the end of a path is not seen.
+Where friction acts, what a contact has been through counts: candidates that penetrate by more than `ON_THE_WAY` where
+a step of the path ended join as well, though they may be apart at its end. Of several legs that is seen of the last.
 
 A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples;
 of a set of more than `MANY`, with those that carry force where its path begins or ends. Of a crowd (`CROWD`) who
@@ -27,7 +28,7 @@ from scipy.spatial import cKDTree
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import FRICTIONLESS, Law
-from mic.contact.path import Increments, Path, PathSolution, Trace, at_once
+from mic.contact.path import Followed, Increments, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
@@ -36,9 +37,11 @@ from mic.contact.trail import Trail, trails
 __all__ = ["PENETRATION", "WatchedSolver"]
 
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
+ON_THE_WAY = 1e-4  # mm: and how far it may before the path's end, where an error does not stay but for friction's
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
 MANY = 300  # contacts that a sample may begin a path with unasked, and that are prepared for all samples together
+TOGETHER = 5000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
 CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
 
 
@@ -139,21 +142,26 @@ class WatchedSolver:
         if path is not None and not self._guessing and self._start.sum() > MANY:
             working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
         recorded = path is not None and path.recorded
-        found = self._open(n, m, recorded)
+        looking = self._looking(path)
+        way = replace(path, recorded=True) if path is not None and looking else path
+        found, passed = self._open(n, m, recorded), np.zeros((n, m))
         todo = np.arange(n)
         iterations, factorisations = np.zeros((2, n), dtype=np.int64)
         for round_ in range(ROUNDS):
             if self._guessing:
                 working[:] = working.any(axis=0)
             self._prepare(working[todo].any(axis=0))
-            for samples, own in _alike(working, todo):
-                solution = self._solved(own, b[samples], force[samples], anchor[samples], path)
+            for samples, own in _alike(working, todo, TOGETHER if looking else None):
+                solution = self._solved(own, b[samples], force[samples], anchor[samples], way)
                 self._put(found, samples, own, solution, b[samples])
+                if looking:
+                    passed[samples] = self._passed(own, b[samples], solution)
                 iterations[samples] += solution.iterations
                 factorisations[samples] += solution.trace.factorisations
                 if path is None or self._guessing:  # the next round begins where this one ended
                     force[samples] = found.force[samples]
             unseen = self._unseen(found.displacement[todo], anchor[todo], path, working[todo])
+            unseen = np.maximum(unseen, passed[todo])
             grows = (unseen > PENETRATION).any(axis=1) & found.converged[todo]
             todo, unseen = todo[grows], unseen[grows]
             if not len(todo):
@@ -292,6 +300,27 @@ class WatchedSolver:
             depth = depth + (1 - self.law.shift) * self._friction.coefficient * moved
         return np.where(working | ~self._allowed, 0.0, depth)
 
+    def _looking(self, path: Path | None) -> bool:
+        """Whether it counts what penetrates before a path's end: where there is friction, and more than one step."""
+        if path is None or self._guessing or not self.law.frictional:
+            return False
+        return isinstance(path, Followed) or path.count > 1
+
+    def _passed(self, own, b, solution: PathSolution) -> np.ndarray:
+        """(n, m) how far candidates that may take part and do not penetrate where steps of the last leg ended, mm; 0
+        where it is no more than :data:`ON_THE_WAY`. All samples have the working set `own` (m,)."""
+        depth, rest = np.zeros((len(b), len(own))), np.flatnonzero(self._allowed & ~own)
+        if solution.trail is None or not len(rest) or not own.any():
+            return depth
+        rows, way = rest * self._d, list(solution.trail)
+        pressing = np.logical_or.reduce([trail.force.any(axis=0) for trail in way])
+        S = self._S.take(np.flatnonzero(np.repeat(own, self._d))[pressing])[:, rows]
+        for sample, trail in enumerate(way):
+            gone, s = trail.ends > 0, trail.ends[trail.ends > 0, None]
+            u = (1 - s) * b[sample, -2, rows] + s * b[sample, -1, rows] + trail.force[gone][:, pressing] @ S
+            depth[sample, rest] = -u.min(axis=0)
+        return np.where(depth > ON_THE_WAY, depth, 0.0)
+
     def _joining(self, depth) -> list[int]:
         """The deepest candidate of each neighbourhood; the first of those that are as deep but for rounding. Of a crowd
         all that penetrate, and the neighbours of each: a path costs what touches, and another round as much."""
@@ -311,10 +340,15 @@ def _loaded(normal: np.ndarray) -> np.ndarray:
     return normal > LOADED * normal.max(axis=1, keepdims=True, initial=0.0)
 
 
-def _alike(working: np.ndarray, todo: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Samples of `todo` that share a working set, and the set (m,)."""
+def _alike(
+    working: np.ndarray, todo: np.ndarray, contacts: int | None = None
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Samples of `todo` that share a working set, and the set (m,); with no more than so many `contacts` together."""
     together: dict[bytes, list[int]] = {}
     for sample in todo:
         together.setdefault(working[sample].tobytes(), []).append(sample)
     for samples in together.values():
-        yield np.array(samples), working[samples[0]]
+        own = working[samples[0]]
+        most = len(samples) if contacts is None else max(1, contacts // max(1, int(own.sum())))
+        for first in range(0, len(samples), most):
+            yield np.array(samples[first : first + most]), own

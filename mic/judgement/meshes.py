@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import Surface
 from mic.judgement.rule import Place, Seen, of
-from mic.scene.stages import set_down_in
+from mic.scene.stages import moves_assembly, set_down_in
 
 EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
 SLENDER = 20.0  # extents of a part in thicknesses, at least
@@ -26,6 +26,7 @@ FAR = 100.0  # mm from a weld to the next contact pair
 SHARED = 0.5  # of the smaller zone
 BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
 SUNK = 0.1  # mm under a clamp
+ROOM = 0.05  # mm between two stops beside the sheets that lie there
 BODY = 3.0  # mm: no pad is thinner
 CROSSED = 0.05  # mm on either side
 SMALL = 20.0  # mm²
@@ -197,20 +198,86 @@ def unbacked(assembly) -> Iterator[Seen]:
             yield of("clamps", clamp), said, clamp.point
 
 
+def squeezed(assembly) -> Iterator[Seen]:
+    """Clamps that hold a position over a stop, with sheets between that fill what the two leave.
+
+    Both are rigid: whatever their positions differ by, the sheets are squeezed by, as hard as it takes.
+    """
+    scene, told = assembly.scene, set()
+    fixtures = {item.name: item for item in scene.fixtures}
+    for clamp in scene.clamps:
+        if clamp.stroke is None or clamp.limit is not None:
+            continue
+        room = -_held_at(scene, "clamps", clamp)
+        for gap, body in zip(*_pressed_through(assembly, clamp)):
+            room += gap
+            stops = [("fixtures", fixtures[body], 0.0)] if body in fixtures else _stops(scene, clamp, body)
+            for table, stop, moved in stops:
+                left = room + moved
+                if left < ROOM and frozenset({clamp.name, stop.name}) not in told:
+                    told.add(frozenset({clamp.name, stop.name}))
+                    said = (
+                        f"holds its position over {of(table, stop)}, and leaves the sheets {left + 0.0:.2g} mm between"
+                    )
+                    yield of("clamps", clamp), said, clamp.point
+
+
+def _stops(scene, clamp, body) -> list[tuple[str, Any, float]]:
+    """The rigid locators and clamps that hold a part along a clamp under its pad, while it is closed: the table, the
+    item, and how far along the clamp's direction, mm."""
+    rows = [("locators", item) for item in scene.locators if item.stiffness is None]
+    rows += [("clamps", item) for item in scene.clamps if item.stroke is not None and item.limit is None]
+    found, push = [], np.array(clamp.direction)
+    for table, item in rows:
+        along, step = float(item.direction @ push), np.subtract(item.point, clamp.point)
+        beside = np.linalg.norm(step - (step @ push) * push)
+        if item.part == body and abs(along) > INCLINED and beside <= clamp.radius + item.radius:
+            if _hold_together(scene, clamp, item):
+                found.append((table, item, _held_at(scene, table, item) * along))
+    return found
+
+
+def _held_at(scene, table, item) -> float:
+    """Where a locator or clamp holds its part in the mean, along its direction, mm from nominal."""
+    own = [one for one in scene.deviations if one.moves == table and item.name in np.atleast_1d(one.target)]
+    return (item.stroke if table == "clamps" else 0.0) + sum(one.mean for one in own)
+
+
+def _hold_together(scene, a, b) -> bool:
+    """Whether there is a stage in which both hold."""
+    held: set[str] = set()
+    for stage in scene.stages:
+        if stage.kind == "release":
+            held &= {item.name for item in scene.locators} if stage.keep is None else set(stage.keep)
+        else:
+            if moves_assembly(scene, stage):
+                held = set()
+            held |= {item.name for item in (*scene.locators, *scene.clamps) if item.stage == stage.name}
+        if {a.name, b.name} <= held:
+            return True
+    return False
+
+
 def _stack(assembly, clamp) -> list[str]:
     """The bodies that a clamp presses upon each other, in the order in which its force goes through them."""
+    return [clamp.part, *_pressed_through(assembly, clamp)[1]]
+
+
+def _pressed_through(assembly, clamp) -> tuple[list[float], list[str]]:
+    """The gaps, mm, and the bodies below them that a clamp's force goes through, in its order."""
     contacts, zones = assembly.contacts, assembly.scene.zones
     push = np.sign(clamp.force or 1.0) * np.array(clamp.direction)
     distance = np.linalg.norm(contacts.point - clamp.point, axis=1)
     near = np.flatnonzero(distance < clamp.radius + np.sqrt(contacts.area))
-    near, stack = near[np.argsort(distance[near], kind="stable")], [clamp.part]
+    near, stack, gaps = near[np.argsort(distance[near], kind="stable")], [clamp.part], []
     for pair in itertools.chain.from_iterable(itertools.repeat(near, len(zones))):  # as deep as zones lie
         first, second = zones[contacts.zone[pair]].parts
         along = float(contacts.frame[pair, :, 0] @ push)  # from the first to the second
         upper, lower = (first, second) if along > 0 else (second, first)
         if abs(along) > INCLINED and upper == stack[-1] and lower not in stack:
             stack.append(lower)
-    return stack
+            gaps.append(float(contacts.gap[pair]))
+    return gaps, stack[1:]
 
 
 def _support(scene, clamp, stack) -> float:

@@ -403,6 +403,13 @@ MESHES: tuple[Rule, ...] = (
         meshes.unbacked,
     ),
     Rule(
+        "squeezed",
+        f"one stop for the sheets under a clamp, or room of {meshes.ROOM:g} mm and more beside them",
+        "two rigid stops squeeze what lies between with whatever force a thousandth of a millimetre asks for",
+        "give the clamp a force, or a limit beside its stroke; or set it or the stop down elsewhere",
+        meshes.squeezed,
+    ),
+    Rule(
         "locators-in-line",
         f"up to {meshes.AMPLIFIED:g} mm",
         "locators spread over the part hold it firmly",
