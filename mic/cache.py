@@ -1,4 +1,4 @@
-"""What is computed once and kept: generated meshes, influence coefficients, drawn shapes, assemblies learnt from.
+"""What is computed once and kept: meshes, contact pairs, influence coefficients, drawn shapes, assemblies learnt from.
 
 A kept file is believed only where it is whole, of what is asked for, and one's own. It counts as absent, which is said
 in one line and mended by the next :meth:`Cache.keep`, where
@@ -28,7 +28,14 @@ from mic.store import Format, load_arrays, save_arrays
 __all__ = ["ABSENT", "Cache"]
 
 ABSENT = "it counts as absent and is replaced"  #: remedy of every format that a cache keeps
-ROOMS = ("answers", "influence", "meshes", "shapes")  # of a cache folder, and all that it holds
+ROOMS = (
+    "answers",
+    "assemblies",
+    "influence",
+    "meshes",
+    "shapes",
+    "warnings",
+)  # of a cache folder, and all that it holds
 
 _log = logging.getLogger(__name__)
 
@@ -45,11 +52,14 @@ class Cache:
         Folder in it, one of ``ROOMS``.
     format : Format
         Of its files; the remedy is :data:`ABSENT`.
+    most : int, optional
+        Files that stay: of more the oldest are removed.
     """
 
     folder: Path
     room: str
     format: Format
+    most: int | None = None
 
     def path(self, identity: str) -> Path:
         """Where something is kept, whether it is or not."""
@@ -101,6 +111,10 @@ class Cache:
                 raise PermissionError(f"its folder {reason}")
             save_arrays(path, self.format, {**header, "identity": identity}, arrays)
             path.chmod(0o600)  # whatever the user's mask lets others do
+            if self.most is not None:
+                old = sorted(path.parent.glob("*.npz"), key=lambda one: -one.stat().st_mtime)[self.most :]
+                for one in old:
+                    one.unlink(missing_ok=True)
         except (MicError, OSError) as problem:
             _log.warning(
                 "%s: this %s cannot be kept (%s), it is computed again next time; let MIC_CACHE name a folder of your "

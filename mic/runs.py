@@ -185,7 +185,7 @@ def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) ->
         for warned in suspect(scene, readable(scene, cache)):
             listener.say(f"warning: {warned}")
         raise
-    warnings = judge(scene, assembly)
+    warnings = judge(scene, assembly, cache)
     if strict:
         refuse(warnings)
     for warned in warnings:

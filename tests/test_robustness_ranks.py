@@ -51,7 +51,13 @@ def started(count, arguments, cache, plant=None, threads=1):
     }
     command = [*launch, sys.executable, *program, *map(str, arguments)]
     return subprocess.Popen(
-        command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        command,
+        env=environment,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
     )
 
 

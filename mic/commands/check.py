@@ -76,7 +76,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         _print_warnings(console, warnings)
         _draw_check(console, page, asked, surfaces, warnings, errors=str(error).splitlines())
         raise
-    warnings = judge(asked, assembly)
+    warnings = judge(asked, assembly, cache_folder())
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_told(console, asked, assembly)

@@ -13,10 +13,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
 from mic.geometry.load import LoadedPart, load_part
 from mic.judgement.rule import Rule, Warned
 from mic.judgement.table import FILE, MESHES, PARTS
+from mic.kept import kept
+from mic.store import Format
 
 if TYPE_CHECKING:
     from mic.model.assembly import Assembly
@@ -25,7 +28,11 @@ if TYPE_CHECKING:
 __all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "readable", "refuse", "suspect", "verdict"]
 
 
-def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
+JUDGED = Format("set of warnings", 1, ABSENT)
+MOST = 64  # of them that are kept
+
+
+def judge(scene: Scene, assembly: Assembly | None = None, cache: Path | None = None) -> tuple[Warned, ...]:
     """The warnings of a scene, in the order of the rules.
 
     Parameters
@@ -33,7 +40,16 @@ def judge(scene: Scene, assembly: Assembly | None = None) -> tuple[Warned, ...]:
     scene : Scene
     assembly : Assembly, optional
         The scene on its meshes; without it, what the file alone shows, of items that are not placed yet only numbers.
+    cache : Path, optional
+        Folder in which those of an assembly are kept.
     """
+    if cache is None or assembly is None:
+        return _judged(scene, assembly)
+    room, told = Cache(cache, "warnings", JUDGED, MOST), assembly.scene.model_dump_json()
+    return kept(room, [assembly.identity, told], {}, (Warned,), lambda: _judged(scene, assembly))[0]
+
+
+def _judged(scene: Scene, assembly: Assembly | None) -> tuple[Warned, ...]:
     found = [warned for rule in FILE for warned in rule.judge(assembly.scene if assembly is not None else scene)]
     if assembly is not None:
         drawn = [_sheet(part, assembly.surfaces[part.name]) for part in assembly.parts]  # not as they are solved

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from mic.cache import ABSENT, Cache
+from mic.compliance.functional import Functionals
 from mic.compliance.matrices import read_matrix
 from mic.compliance.part import Part
 from mic.compliance.superelement import ELEMENT, Superelement, superelement
@@ -29,7 +31,8 @@ from mic.geometry.pairing import (
     node_pairs,
     pair_at,
 )
-from mic.geometry.surface import Surface
+from mic.geometry.surface import Patch, Surface
+from mic.kept import kept
 from mic.model import characteristics
 from mic.model.apart import refuse_untold
 from mic.model.meshing import chosen_sizes
@@ -44,9 +47,12 @@ from mic.product import one_thread
 from mic.scene import Scene
 from mic.scene.checks import entry
 from mic.scene.samples import take_samples
-from mic.store import fingerprint
+from mic.store import Format, fingerprint
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
+
+SET_UP = Format("set of parts and contact pairs", 1, ABSENT)
+MOST = 64  # of them that are kept: each is of one scene as it stood once
 
 
 @dataclass(frozen=True)
@@ -190,6 +196,8 @@ class Assembly:
         What was found for each node, set, hole and tong that the scene names, and for each measured shape and field.
     surfaces : dict of str to Surface
         Of the parts as their meshes draw them, before elements are divided.
+    identity : str
+        Hash of all that it follows from, the program included.
     """
 
     scene: Scene
@@ -207,6 +215,7 @@ class Assembly:
     placed: tuple[str, ...] = ()
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
+    identity: str = ""
 
     @property
     def centres(self) -> np.ndarray:
@@ -217,6 +226,21 @@ class Assembly:
     def offsets(self) -> np.ndarray:
         """First stacked functional of each part, and the total at the end."""
         return np.concatenate([[0], np.cumsum([len(part.functionals) for part in self.parts])])
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """What of an :class:`Assembly` takes a while to find; fields as there."""
+
+    parts: tuple[Part, ...]
+    rows: dict[str, csr_matrix]
+    labels: dict[str, list[str]]
+    contacts: Contacts
+    between: Between
+    weld_size: tuple[int, ...]
+    weld_gap: np.ndarray
+    spacing: tuple[float | None, ...]
+    position_gap: np.ndarray
 
 
 @one_thread
@@ -278,7 +302,44 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     written = write_modes(scene, surfaces, decks)
     scene, placed = written.scene, placed + written.sentences
     scene, given = take_samples(scene)
-    inputs |= written.inputs | given
+    inputs |= written.inputs | given | _matrix_files(scene)
+    drawn = [
+        None if array is None else fingerprint(array.tobytes())
+        for one in (*surfaces.values(), *fixtures.values())
+        for array in (one.points, one.triangles, one.given_normals)
+    ]
+    asked = scene.monte_carlo.model_copy(update={"samples": 1, "seed": 0})
+    bare = scene.model_copy(update={"name": "", "description": "", "monte_carlo": asked})
+    found, identity = kept(
+        Cache(cache, "assemblies", SET_UP, MOST),
+        [bare.model_dump_json(), every_node, inputs, drawn],
+        surfaces,
+        (SetUp, Part, Surface, Functionals, Patch, Superelement, Contacts, Between),
+        lambda: _set_up(bare, loaded, surfaces, fixtures, every_node),
+    )
+    return Assembly(
+        scene,
+        found.parts,
+        found.rows,
+        found.labels,
+        found.contacts,
+        found.between,
+        found.weld_size,
+        found.weld_gap,
+        inputs,
+        sizes,
+        found.spacing,
+        {one.part.name: one.deck for one in loaded if one.deck is not None},
+        placed,
+        found.position_gap,
+        surfaces,
+        identity,
+    )
+
+
+def _set_up(scene: Scene, loaded, surfaces, fixtures, every_node: bool) -> SetUp:
+    """What follows from the scene, the surfaces and the matrices of superelements, and from nothing else."""
+    problems, fixtures = Problems(), dict(fixtures)
     thickness = {part.name: part.thickness for part in scene.parts}
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     pads = [pad for pad in scene.fixtures if pad.mesh is None]  # some of which the parts' meshes have placed
@@ -311,7 +372,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     bodies_elsewhere = {}
     for one in loaded:
         with problems:
-            bodies_elsewhere[one.part.name] = _superelement(scene, one, inputs)
+            bodies_elsewhere[one.part.name] = _superelement(scene, one)
     problems.tell()
     varied = ranges(scene)
     parts = tuple(
@@ -336,8 +397,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         asked = pairs and zone.candidates
         spacing.append(candidate_spacing(zone, first, second, places) if asked else None)
     apart = np.array([pair.apart for own in pairs for pair in own])
-    return Assembly(
-        scene,
+    return SetUp(
         tuple(resolved(part, scene, contacts.zone, contacts.point, apart) for part in parts),
         rows.matrices(),
         rows.labels,
@@ -345,18 +405,26 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         between,
         weld_size,
         weld_gap,
-        inputs,
-        sizes,
         tuple(spacing),
-        {one.part.name: one.deck for one in loaded if one.deck is not None},
-        placed,
         position_gap,
-        surfaces,
     )
 
 
-def _superelement(scene: Scene, one: LoadedPart, inputs: dict[str, str | None]) -> Superelement | None:
-    """The matrix that stands for a part, if the scene gives one; its files are inputs of the run."""
+def _matrix_files(scene: Scene) -> dict[str, str | None]:
+    """Content of the files of superelements that there are, by their names."""
+    found: dict[str, str | None] = {}
+    for part in scene.parts:
+        name = part.stiffness if part.stiffness is not None else part.compliance
+        if name is not None:
+            path = scene.folder / name
+            for file in (path, path.with_suffix(".csv")):
+                if file.is_file():
+                    found[str(Path(name).with_name(file.name))] = fingerprint(file.read_bytes())
+    return found
+
+
+def _superelement(scene: Scene, one: LoadedPart) -> Superelement | None:
+    """The matrix that stands for a part, if the scene gives one."""
     part = one.part
     key = "stiffness" if part.stiffness is not None else "compliance"
     name = getattr(part, key)
@@ -372,9 +440,6 @@ def _superelement(scene: Scene, one: LoadedPart, inputs: dict[str, str | None]) 
         given = read_matrix(path)
     except FormatError as problem:
         raise SceneError(f"part {part.name!r}: {key}: {problem}") from problem
-    for file in (path, path.with_suffix(".csv")):
-        if file.is_file():
-            inputs[str(Path(name).with_name(file.name))] = fingerprint(file.read_bytes())
     deck = one.deck
     numbered = {} if deck is None else dict(zip(deck.nodes.tolist(), one.drawn.points[deck.node_points]))
     return superelement(part.name, given, key == "stiffness", UNITS[part.unit], one.drawn, numbered)

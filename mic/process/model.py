@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
-from mic.process.sensitivity import Sensitivities, Steps, sensitivities
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.product import one_thread
 from mic.scene import Scene
+
+if TYPE_CHECKING:
+    from mic.process.sensitivity import Sensitivities, Steps
 
 __all__ = ["ReducedModel"]
 
@@ -132,6 +134,8 @@ class ReducedModel(Reduction):
         SceneError
             Where parts rest by contact alone, and places in sheets are inputs.
         """
+        from mic.process.sensitivity import sensitivities  # whose compiled code a run need not load
+
         return sensitivities(self.process(law), self.deviations(deviations), inputs, steps)
 
     @property

@@ -14,6 +14,8 @@ from typing import Any, Literal
 
 from markupsafe import Markup, escape  # which jinja2 brings
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image  # which matplotlib brings
@@ -153,7 +155,11 @@ def _save(fig, title, caption, kind, dpi, metadata):
     if engine is not None:  # once and for all: saving would draw everything once more to find it
         engine.execute(fig)
         fig.set_layout_engine("none")
-    fig.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    fig.set_dpi(dpi)
+    if kind == "svg":  # by the canvas itself: savefig draws all once for nothing where there was a layout
+        FigureCanvasSVG(fig).print_svg(buffer, metadata=metadata)
+    else:
+        FigureCanvasAgg(fig).print_png(buffer)
     data = buffer.getvalue()
     if kind == "svg":
         data = _OUTLINE.sub(_outline, _DECIMALS.sub(_short, _IDLE.sub(b"", data)))

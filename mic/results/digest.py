@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -54,14 +55,26 @@ class BlockSamples:
         """Numbers of the failed samples."""
         return self.tables["samples"]["sample"].to_numpy()[self._wanted & ~self.valid]
 
-    @property
+    @cached_property
     def valid(self) -> np.ndarray:
         """Which of the block's samples are valid."""
         return self._wanted & ~self.tables["samples"]["failed"].to_numpy()
 
-    @property
+    @cached_property
     def _wanted(self) -> np.ndarray:
         return self.tables["samples"]["sample"].to_numpy() < self.samples
+
+    @cached_property
+    def _known(self) -> dict[tuple[str, str], tuple[dict[str, int], np.ndarray]]:
+        return {}
+
+    def _named(self, table: str, key: str, name: str) -> np.ndarray:
+        """Which rows of a table have a name in a column of names."""
+        if (table, key) not in self._known:
+            names = self.tables[table][key].cat
+            self._known[table, key] = {one: i for i, one in enumerate(names.categories)}, names.codes.to_numpy()
+        number, codes = self._known[table, key]
+        return codes == number.get(name, len(number))
 
     @property
     def stages(self) -> list[str]:
@@ -79,9 +92,9 @@ class BlockSamples:
         frame = self.tables[table]
         chosen = np.ones(len(frame), dtype=bool)
         for key, name in keys.items():
-            if name not in frame[key].cat.categories:
-                raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(frame[key].cat.categories)}")
-            chosen &= (frame[key] == name).to_numpy()
+            chosen &= self._named(table, key, name)
+            if name not in (known := self._known[table, key][0]):
+                raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(known)}")
         return frame[column].to_numpy()[chosen][self.valid]
 
     def contact(self, stage: str, column: str) -> np.ndarray:
@@ -89,15 +102,17 @@ class BlockSamples:
         if column in ("f_t", "u_t"):
             return np.hypot(self.contact(stage, f"{column}1"), self.contact(stage, f"{column}2"))
         frame = self.tables["contacts"]
-        values = frame[column][(frame["stage"] == stage).to_numpy()]
+        values = frame[column]
         if column == "state":
             values = values.cat.set_categories(STATES).cat.codes
-        return values.to_numpy().reshape(len(self.valid), self.contacts)[self.valid]
+        return values.to_numpy()[self._named("contacts", "stage", stage)].reshape(len(self.valid), self.contacts)[
+            self.valid
+        ]
 
     def profile(self, measurement: str) -> np.ndarray:
         """(n, q) what a measurement over many points reads at each of them, mm."""
         frame = self.tables["profiles"]
-        values = frame["value"].to_numpy()[(frame["measurement"] == measurement).to_numpy()]
+        values = frame["value"].to_numpy()[self._named("profiles", "measurement", measurement)]
         return values.reshape(-1, len(self.valid)).T[self.valid]
 
     @property

@@ -1,0 +1,86 @@
+"""A run as a user waits for it: what `mic run` takes, phase by phase, warm or cold.
+
+    python benchmarks/run.py                                 # the wheelhouse, as it is shipped
+    python benchmarks/run.py --one-step                      # with one step per stage in place of the followed path
+    python benchmarks/run.py --cold                          # nothing cached, nothing compiled
+    python benchmarks/run.py meshes/lap_joint --samples 100
+
+Seconds of processor time of one process, its threads together, the less of two runs; wall time of the whole. Warm:
+meshes, contact pairs, influence coefficients and compiled code are kept from a first run, the results folder is new.
+*before* are figures of commit 7391e73, taken in turns with this one on a machine that others kept busy: there the
+same run of the same commit takes up to twice as long from one minute to the next.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[1]
+IMPORTS, REPORT, WALL = "start and imports", "report", "wall time"
+#: s by phase of the wheelhouse as it is shipped, 500 samples under three laws; followed and with one step per stage
+BEFORE: dict[bool, dict[str, float]] = {False: {}, True: {}}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", nargs="?", type=Path, default=ROOT / "meshes" / "wheelhouse")
+    parser.add_argument("--samples", type=int, help="default: those of the scene")
+    parser.add_argument("--one-step", action="store_true", help="one step per stage, the path not followed")
+    parser.add_argument("--cold", action="store_true", help="with nothing cached and nothing compiled")
+    parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)  # the run itself, in a process of its own
+    arguments = parser.parse_args()
+    if arguments.into:
+        print(json.dumps(spent(arguments)))
+        return
+    with tempfile.TemporaryDirectory() as place:
+        environment = dict(os.environ)
+        if arguments.cold:
+            environment |= {"MIC_CACHE": f"{place}/cache", "NUMBA_CACHE_DIR": f"{place}/compiled"}
+        runs = []
+        for number in range(1 if arguments.cold else 3):
+            start = time.perf_counter()
+            command = [sys.executable, *sys.argv, "--into", f"{place}/{number}"]
+            done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, text=True)
+            runs.append(json.loads(done.stdout.splitlines()[-1]) | {WALL: time.perf_counter() - start})
+        warm = runs if arguments.cold else runs[1:]  # the first fills the caches
+    known = arguments.scene.name == "wheelhouse" and arguments.samples is None and not arguments.cold
+    before = BEFORE[arguments.one_step] if known else {}
+    shown = Table("phase", "s", "before", title=f"{arguments.scene.name}, {'cold' if arguments.cold else 'warm'}")
+    best = {phase: min(run[phase] for run in warm) for phase in warm[0]}
+    wall = best.pop(WALL)
+    for phase, seconds in [*best.items(), ("processor time in all", sum(best.values())), (WALL, wall)]:
+        shown.add_row(phase, f"{seconds:.2f}", f"{before[phase]:.2f}" if phase in before else "")
+    Console(width=100).print(shown)
+
+
+def spent(arguments: argparse.Namespace) -> dict[str, float]:
+    """Seconds of processor time of each phase of one run."""
+    from mic import cache_folder, load_scene, runs
+    from mic.commands.call import OnConsole, requested
+    from mic.report.page import write_report
+    from verification.scenes import going
+
+    found = {IMPORTS: time.process_time()}
+    scene = requested(load_scene(arguments.scene), None, arguments.samples)
+    runs.time = SimpleNamespace(perf_counter=time.process_time)  # which the clock of a run's phases reads
+    quiet = OnConsole(Console(quiet=True))
+    outcome = runs.run(going(scene, "one-step") if arguments.one_step else scene, arguments.into, cache_folder(), quiet)
+    found |= outcome.record["wall_time"]
+    start = time.process_time()
+    write_report(outcome.folder, outcome)
+    return found | {REPORT: time.process_time() - start}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""What is kept of contact pairs and parts is what would be made, to the bit, and never of anything that has changed."""
+
+import shutil
+from dataclasses import dataclass, fields, is_dataclass
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+from mic.cache import ABSENT, Cache
+from mic.judgement import judge
+from mic.kept import kept, pack, unpack
+from mic.model.assembly import assemble
+from mic.store import Format
+
+THING = Format("thing", 1, ABSENT)
+
+
+@dataclass(frozen=True)
+class Leaf:
+    name: str
+    values: np.ndarray
+    more: object = None
+
+
+CONTENT = {
+    "leaves": (Leaf("a", np.arange(6.0).reshape(2, 3)), Leaf("b", np.zeros((0, 3)), [1, 2.5, None, True])),
+    "whole": np.array([[3, 1]], dtype=np.int8),
+    "names": np.array(["one", "three"]),
+    "matrix": csr_matrix([[0.0, 2.0, 0.0], [1.0, 0.0, 0.0]]),
+    "endless": float("inf"),
+}
+
+
+def same(a, b):
+    """Whether two contents are of the same classes, kinds and bits."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and np.ascontiguousarray(a).tobytes() == b.tobytes()
+    if isinstance(a, csr_matrix):
+        return a.shape == b.shape and all(
+            same(getattr(a, name), getattr(b, name)) for name in ("data", "indices", "indptr")
+        )
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(same(a[name], b[name]) for name in a)
+    if isinstance(a, (tuple, list)):
+        return len(a) == len(b) and all(map(same, a, b))
+    if is_dataclass(a):
+        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+    return a == b
+
+
+def test_what_was_packed_is_unpacked_as_it_was():
+    known = {"here": Leaf("known", np.ones(2))}
+    content = CONTENT | {"known": known["here"]}
+    header, arrays = pack(content, known)
+    found = unpack(header, arrays, (Leaf,), known)
+    assert same(found, content) and found["known"] is known["here"]
+    assert len(arrays) == 4  # one a kind, however many there are
+
+
+def test_nothing_but_what_is_named_is_made():
+    header, arrays = pack(CONTENT, {})
+    with pytest.raises(KeyError, match="Leaf"):
+        unpack(header, arrays, (), {})
+    for other in (np.array([object()]), object()):
+        with pytest.raises(TypeError):
+            pack(other, {})
+
+
+def test_something_is_made_once_for_what_it_follows_from(tmp_path, monkeypatch):
+    made, room = [], Cache(tmp_path, "assemblies", THING, 2)
+
+    def found(content):
+        value, identity = kept(room, content, {}, (Leaf,), lambda: made.append(content) or CONTENT)
+        assert same(value, CONTENT)
+        return identity
+
+    assert found([1]) == found([1]) and len(made) == 1
+    assert found([2]) != found([1]) and len(made) == 2
+    monkeypatch.setattr("mic.kept.program", lambda: ["another line of the program"])
+    found([1])
+    assert len(made) == 3
+    assert len(list((tmp_path / "assemblies").iterdir())) == 2  # no more than were asked for
+
+
+def changed_scenes(scene):
+    """Scenes that differ in one thing each that pairs, rows or parts follow from."""
+    (zone, *zones), (clamp, *clamps), (part, *parts) = scene.zones, scene.clamps, scene.parts
+    yield scene.model_copy(update={"zones": [zone.model_copy(update={"friction": 0.3}), *zones]})
+    x, y, z = clamp.point
+    yield scene.model_copy(update={"clamps": [clamp.model_copy(update={"point": (x + 1.0, y, z)}), *clamps]})
+    yield scene.model_copy(update={"parts": [part.model_copy(update={"thickness": 1.01 * part.thickness}), *parts]})
+    yield scene.model_copy(update={"report": scene.report.model_copy(update={"laws": ["frictionless"]})})
+
+
+def test_a_kept_assembly_is_the_one_that_is_made_and_only_of_the_same_scene(lap_scene, tmp_path, monkeypatch):
+    there = lambda: len(list((tmp_path / "assemblies").iterdir()))
+    first, again = assemble(lap_scene, tmp_path), assemble(lap_scene, tmp_path)
+    assert there() == 1 and first.identity == again.identity
+    assert all(same(getattr(first, one.name), getattr(again, one.name)) for one in fields(first) if one.name != "scene")
+    more = lap_scene.monte_carlo.model_copy(update={"samples": 7, "seed": 3})
+    other = assemble(lap_scene.model_copy(update={"monte_carlo": more, "name": "other"}), tmp_path)
+    assert there() == 1 and other.scene.name == "other" and other.scene.monte_carlo.samples == 7
+    for count, scene in enumerate(changed_scenes(lap_scene), 2):
+        found = assemble(scene, tmp_path)
+        assert there() == count and found.identity != first.identity
+    monkeypatch.setattr("mic.kept.program", lambda: ["another line of the program"])
+    assemble(lap_scene, tmp_path)
+    assert there() == count + 1
+
+
+def test_an_assembly_is_made_anew_when_a_file_has_changed(lap_scene, tmp_path):
+    folder = tmp_path / "scene"
+    shutil.copytree(lap_scene.folder, folder)
+    scene = lap_scene.model_copy(update={"folder": folder})
+    first = assemble(scene, tmp_path)
+    script = folder / scene.parts[0].geometry
+    assert assemble(scene, tmp_path).identity == first.identity
+    script.write_text(script.read_text(encoding="utf-8") + "\nOTHER = 1\n", encoding="utf-8")
+    assert assemble(scene, tmp_path).identity != first.identity
+
+
+def test_warnings_are_kept_and_those_of_another_scene_are_its_own(lap_scene, tmp_path):
+    assembly = assemble(lap_scene, tmp_path)
+    soft = [part.model_copy(update={"young": 1e3}) for part in lap_scene.parts]
+    told = judge(lap_scene, assembly, tmp_path)
+    assert told == judge(lap_scene, assembly, tmp_path) == judge(lap_scene, assembly)
+    odd = assemble(lap_scene.model_copy(update={"parts": soft}), tmp_path)
+    warned = judge(lap_scene, odd, tmp_path)
+    assert warned != told and warned == judge(lap_scene, odd) == judge(lap_scene, odd, tmp_path)
