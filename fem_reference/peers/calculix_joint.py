@@ -17,12 +17,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import nnls
-from scipy.sparse import block_diag, bmat, csc_matrix, csr_matrix, vstack
-from scipy.sparse.linalg import splu
+from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 
 from fem_reference.peers.calculix import CalculixError, stiffness
+from fem_reference.shell.factorisation import Factorisation
 from mic.scene import Scene
 
 __all__ = ["Strip", "joint"]
@@ -177,18 +177,25 @@ def joint(
 
 
 class _Held:
-    """Both strips, with rows B held and rows C that may not fall below the gaps."""
+    """Both strips, with rows B held and rows C that may not fall below the gaps.
+
+    ``K u + Bᵀ λ = f``, ``B u = v`` has the same u with ``K + α Bᵀ B`` in place of K, whatever α is; that is positive
+    definite, though strips that nothing holds are free to move.
+    """
 
     def __init__(self, K: csc_matrix, B: csr_matrix, C: csr_matrix):
-        self._scale = float(np.abs(K.diagonal()).mean())
-        self._B, self._C = self._scale * B, C
-        self._factor = splu(csc_matrix(bmat([[K, self._B.T], [self._B, None]])))
+        alpha = float(np.abs(K.diagonal()).mean())
+        self._B, self._C = B, C
+        self._factor = Factorisation(csr_matrix(K + alpha * (B.T @ B)))
+        self._reach = self._factor.solve(B.T.toarray())
+        self._hold = cho_factor(B @ self._reach)
         self._open = self._solve(C.T.toarray(), np.zeros((B.shape[0], C.shape[0])))
         S = C @ self._open
         self._root = cholesky(0.5 * (S + S.T)) if len(S) else S
 
     def _solve(self, force, value):
-        return self._factor.solve(np.concatenate([force, self._scale * value]))[: len(force)]
+        free = self._factor.solve(force.reshape(len(force), -1)).reshape(force.shape)
+        return free - self._reach @ cho_solve(self._hold, self._B @ free - value)
 
     def solve(self, force: np.ndarray, value: np.ndarray, gap: np.ndarray) -> np.ndarray:
         """(d,) displacements under forces (d,), the rows held at values and the gaps (m,) not passed."""

@@ -132,8 +132,8 @@ def judged(mutation: Mutation, folder: Path) -> Verdict:
     return Verdict(mutation, word, by, time.monotonic() - start)
 
 
-def run(folder: Path, tests: Sequence[str]) -> tuple[str, str]:
-    """``caught`` and by which test, ``survived``, or what kept the tests from being run."""
+def run(folder: Path, tests: Sequence[str], longest: float = LONGEST) -> tuple[str, str]:
+    """``caught`` and by which test, ``survived``, or what kept the tests from being run; `longest`, s."""
     own = os.pathsep.join([str(folder), str(folder / "tests")])
     environment = os.environ | {"PYTHONPATH": own, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
@@ -143,10 +143,10 @@ def run(folder: Path, tests: Sequence[str]) -> tuple[str, str]:
             env=environment,
             capture_output=True,
             text=True,
-            timeout=LONGEST,
+            timeout=longest,
         )
     except subprocess.TimeoutExpired:
-        return "caught", f"no end within {LONGEST} s"
+        return "caught", f"no end within {longest:g} s"
     if done.returncode == 0:
         return "survived", ""
     found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.M)
@@ -203,7 +203,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         clean = copied(Path(scratch) / "clean")
         tests = sorted({test for one in chosen for test in one.tests})
         console.print(f"without an error: {len(tests)} files of tests …", highlight=False)
-        word, by = run(clean, [*tests, "-n", str(options.processes), "--dist", "loadfile"])
+        every_core = ["-n", str(options.processes), "--dist", "loadfile"]
+        word, by = run(clean, [*tests, *every_core], LONGEST * len(tests))
         if word != "survived":
             console.print(f"script/mutate: the tests fail as they stand ({by}); mend that first", highlight=False)
             return 1
