@@ -34,6 +34,7 @@ __all__ = [
     "compile_form",
     "lagrange_6",
     "p2_crouzeix_raviart",
+    "quadratic_plane",
     "shell_mesh",
 ]
 
@@ -90,6 +91,13 @@ def p2_crouzeix_raviart(mesh: dmesh.Mesh) -> fem.FunctionSpace:
     displacement = basix.ufl.element("Lagrange", "triangle", 2, shape=(3,))
     rotation = basix.ufl.element("CR", "triangle", 1, shape=(3,))
     return _function_space(mesh, basix.ufl.mixed_element([displacement, rotation]))
+
+
+def quadratic_plane(mesh: dmesh.Mesh) -> fem.FunctionSpace:
+    """Quadratic Lagrange elements with two components, for bodies in the plane."""
+    if _LEGACY:
+        return _function_space(mesh, ufl.VectorElement("Lagrange", mesh.ufl_cell(), 2, dim=2))
+    return _function_space(mesh, basix.ufl.element("Lagrange", "triangle", 2, shape=(2,)))
 
 
 def cell_constants(mesh: dmesh.Mesh, values: np.ndarray) -> fem.Function:

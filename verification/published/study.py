@@ -1,0 +1,218 @@
+"""Benchmarks of contact with friction that others published, solved by the program's own contact solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from verification.mesh.study import converge
+from verification.plots import panels
+from verification.published import cases
+from verification.study import Acceptance, Finding, Study
+
+#: Published values, mm: code_aster's command files ssnp154a-d and ssna122a-b, by order of their elements and friction.
+ROLLER = {(1, 0.0): -1.30690, (1, 0.1): -1.30108, (2, 0.0): -1.30802, (2, 0.1): -1.30264}
+PUNCH = {(1, 0.0): -0.130734, (1, 0.1): -0.128580, (2, 0.0): -0.132941, (2, 0.1): -0.130794}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A quantity on three meshes, beside what was published.
+
+    Attributes
+    ----------
+    name, quantity : str
+        Of the acceptance number, and what it is.
+    published : float
+    values : tuple of three float
+        From coarse to fine.
+    scale : float or None
+        What errors are shares of; the published value where none is given.
+    """
+
+    name: str
+    quantity: str
+    published: float
+    values: tuple[float, float, float]
+    scale: float | None = None
+
+    @property
+    def size(self) -> float:
+        """What errors are shares of."""
+        return abs(self.published if self.scale is None else self.scale)
+
+    @property
+    def error(self) -> float:
+        """Of the finest mesh."""
+        return abs(self.values[2] - self.published) / self.size
+
+    @property
+    def own(self) -> float:
+        """What the finest mesh leaves, by three meshes."""
+        return converge((4.0, 2.0, 1.0), self.values).index / self.size
+
+
+def shoe():
+    """SSNV503."""
+    found = np.array([cases.shoe(divisions=n) for n in (2, 4, 8)])
+    exact = cases.rigid_shoe()
+    made = []
+    for k, load in enumerate(("pressed", "pushed below the slip force", "pushed above it")):
+        for j, (what, name, scale) in enumerate(
+            (
+                ("normal force, N", "shoe-force", 12000.0),
+                ("friction force, N", "shoe-force", 3600.0),
+                ("normal displacement, mm", "shoe", 9.0),
+                ("displacement along the plane, mm", "shoe", 9.0),
+            )
+        ):
+            made.append(Measured(name, f"{load}: {what}", exact[k, j], tuple(found[:, k, j]), scale))
+    return made
+
+
+def plate():
+    """SSNV128."""
+    found = np.array([cases.plate(n) for n in (16, 32, 64)])
+    return [
+        Measured("plate", f"displacement along the plane at x = {x:g} mm, mm", value, tuple(found[:, i]))
+        for i, (x, value) in enumerate(cases.PLATE.items())
+    ]
+
+
+def roller():
+    """SSNP154."""
+    runs = [cases.Roller(h) for h in (0.5, 0.25, 0.125)]
+    free, held = ([run.solve(mu) for run in runs] for mu in (0.0, 0.1))
+    a, p = runs[0].hertz
+    return [
+        Measured("hertz", "half width of the contact, mm", a, tuple(x[1] for x in free)),
+        Measured("hertz", "largest pressure, MPa", p, tuple(x[2] for x in free)),
+        Measured("roller", "top of the block, μ = 0, mm", ROLLER[2, 0.0], tuple(x[0] for x in free)),
+        Measured("roller", "top of the block, μ = 0.1, mm", ROLLER[2, 0.1], tuple(x[0] for x in held)),
+    ]
+
+
+def punch():
+    """SSNA122."""
+    runs = [cases.Punch(h) for h in (4.0, 2.0, 1.0)]
+    free, held = (np.array([run.solve(mu) for run in runs]) for mu in (0.0, 0.1))
+    return [
+        Measured("punch", "middle of the face, μ = 0, mm", PUNCH[2, 0.0], tuple(free)),
+        Measured("punch", "middle of the face, μ = 0.1, mm", PUNCH[2, 0.1], tuple(held)),
+        Measured("punch-friction", "their difference, mm", PUNCH[2, 0.1] - PUNCH[2, 0.0], tuple(held - free)),
+    ]
+
+
+def cattaneo():
+    """Two cylinders, pressed and then sheared; the half width of stick by the second moment of the traction."""
+    found = []
+    for n in (8, 16, 32):
+        sheared, a, c = cases.cattaneo(n)
+        moment = 4 * (sheared.tangential * sheared.x**2).sum() / 0.3
+        own = sheared.half_width
+        found.append(
+            (own, float(np.abs((sheared.normal.sum() * own**2 - moment) * own**2 / sheared.normal.sum()) ** 0.25))
+        )
+    wide, stuck = zip(*found)
+    return [
+        Measured("cattaneo", "half width of the contact, mm", a, wide),
+        Measured("cattaneo", "half width of the part that sticks, mm", c, stuck),
+    ]
+
+
+CASES = {"SSNV503": shoe, "SSNV128": plate, "SSNP154": roller, "SSNA122": punch, "Cattaneo and Mindlin": cattaneo}
+
+
+def traction_figure():
+    """Tractions of the sheared cylinders beside those of Cattaneo and Mindlin."""
+    sheared, a, c = cases.cattaneo(16)
+    cell = np.gradient(sheared.x)
+    weight = np.where(np.arange(len(cell)) % 2, 4, 2) / 3 * cell  # middles of edges carry twice what corners do
+    figure, (axis,) = panels(1)
+    fine = np.linspace(-1.2 * a, 1.2 * a, 400)
+
+    def root(x, r):
+        return np.sqrt(np.maximum(1 - (x / r) ** 2, 0))
+
+    top = 2 * sheared.normal.sum() / (np.pi * a)
+    axis.plot(fine, top * root(fine, a), "k-", lw=1, label="Hertz")
+    axis.plot(fine, top * 0.3 * (root(fine, a) - c / a * root(fine, c)), "k--", lw=1, label="Cattaneo and Mindlin")
+    axis.plot(sheared.x, sheared.normal / weight, "o", color="tab:red", ms=3, label="pressure")
+    axis.plot(sheared.x, sheared.tangential / weight, "o", color="tab:blue", ms=3, label="shear traction")
+    axis.set(xlabel="x, mm", ylabel="traction, MPa", xlim=(-1.2 * a, 1.2 * a), ylim=(0, 1.1 * top))
+    axis.legend()
+    return figure
+
+
+def run(context):
+    found = [one for made in context.team.map(lambda case: case(), CASES.values()) for one in made]
+    limits = {item.name: item.limit for item in STUDY.acceptance}
+    rows = [
+        {
+            "number": one.name,
+            "quantity": one.quantity,
+            "published": one.published,
+            "coarse": one.values[0],
+            "medium": one.values[1],
+            "fine": one.values[2],
+            "difference": one.error,
+            "of it the mesh's": one.own,
+        }
+        for one in found
+    ]
+    table = pd.DataFrame(rows)
+    made = []
+    for name in dict.fromkeys(one.name for one in found):
+        own = [one for one in found if one.name == name]
+        figure = traction_figure() if name == "cattaneo" else None
+        part = table[table["number"] == name].drop(columns="number")
+        made.append(Finding(name, max(one.error for one in own), NOTES.get(name, ""), figure, part))
+    return [*made, Finding("own", max(one.own / limits[one.name] for one in found))]
+
+
+NOTES = {
+    "roller": f"Published with linear elements {ROLLER[1, 0.0]:g} and {ROLLER[1, 0.1]:g} mm, with quadratic ones, "
+    f"judged here, {ROLLER[2, 0.0]:g} and {ROLLER[2, 0.1]:g} mm, all with large displacements.",
+    "punch": f"Published with linear elements {PUNCH[1, 0.0]:g} and {PUNCH[1, 0.1]:g} mm, with quadratic ones, "
+    f"judged here, {PUNCH[2, 0.0]:g} and {PUNCH[2, 0.1]:g} mm: the finer, the softer.",
+}
+
+STUDY = Study(
+    order=82,
+    title="Published benchmarks",
+    claim=(
+        "The contact solver, given the compliance of bodies that are no sheets, finds what others published of them: "
+        "sticking, sliding, partial slip, contacts that grow."
+    ),
+    reference=(
+        "code_aster's validation cases SSNV503 (closed form), SSNV128 (average of codes), SSNP154 and SSNA122 (NAFEMS "
+        "contact benchmarks 1 and 2); Hertz, Cattaneo and Mindlin. Each on three meshes of quadratic triangles."
+    ),
+    acceptance=(
+        Acceptance(
+            "shoe",
+            "SSNV503, a shoe on a plane: largest error of its displacements over the 9 mm that it slides.",
+            0.004,
+        ),
+        Acceptance("shoe-force", "SSNV503: largest error of normal and friction force over 12 000 and 3600 N.", 4e-5),
+        Acceptance(
+            "plate", "SSNV128, a plate pressed and pushed along a plane: largest relative error of its motion.", 0.05
+        ),
+        Acceptance("hertz", "SSNP154, a roller on a block: relative error of half width and pressure by Hertz.", 0.015),
+        Acceptance("roller", "SSNP154: relative error of the displacement of the block's top.", 0.027),
+        Acceptance(
+            "punch", "SSNA122, a punch with a rounded edge: relative error of the displacement below it.", 0.017
+        ),
+        Acceptance("punch-friction", "SSNA122: relative error of what friction changes in that displacement.", 0.015),
+        Acceptance(
+            "cattaneo",
+            "Cylinders pressed and sheared: relative error of the half widths of contact and of stick.",
+            0.007,
+        ),
+        Acceptance("own", "What the meshes leave of each of these numbers, as a share of its limit.", 0.2),
+    ),
+    seconds=(8, 8),
+    run=run,
+)
