@@ -106,7 +106,7 @@ class ContactSolver:
         self.contacts = len(self.S) // dimension
         friction = self._rub(mu)
         # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
-        self._sliding = self.S + np.diag(self._series)
+        self._sliding = self.S + np.diag(self._series) if self._series.any() else self.S
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
         self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.ravel()))
         self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
@@ -133,10 +133,12 @@ class ContactSolver:
     @one_thread
     def take(self, own: np.ndarray) -> ContactSolver:
         """The same for the contacts `own` (m,) alone, as if the others were not there; what is prepared is kept."""
-        rows = np.repeat(own, self.dimension)
-        some, both = copy(self), np.ix_(rows, rows)
-        some.contacts, some.S, some._sliding = int(own.sum()), self.S[both], self._sliding[both]
-        some._rigid, some._strange = not some.S.any(), bool(beyond(some.S.ravel()))
+        rows = np.flatnonzero(np.repeat(own, self.dimension))
+        some = copy(self)
+        some.contacts, some.S = int(own.sum()), self.S.take(rows, 0).take(rows, 1)
+        some._sliding = some.S if self._sliding is self.S else self._sliding.take(rows, 0).take(rows, 1)
+        diagonal = some.S.diagonal()  # S is semidefinite: its largest entry lies there
+        some._rigid, some._strange = not diagonal.any(), bool(beyond(diagonal))
         some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]
         some._series, some._stiffness = self._series[rows], self._stiffness[own]
         some.backend = self.backend.take(own)

@@ -96,7 +96,7 @@ EVEN, STRETCH = 0.3, 1e4
 #: Contacts that close in a step are looked at one by one, but those after so many.
 ONE_BY_ONE = 8
 #: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
-HELP, PATIENCE = 6, 12
+HELP, PATIENCE = 6, 40
 
 STEPS, FACTORISATIONS, RESCUES, FAILED, CUT = range(5)  #: columns of the counts
 

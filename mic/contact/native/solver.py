@@ -83,7 +83,7 @@ class NativeSolver:
         some.scaling = self.scaling[rows]
         some.problem = replace(
             problem,
-            W=problem.W[np.ix_(rows, rows)],
+            W=problem.W.take(rows, 0).take(rows, 1),
             parameters=problem.parameters[own],
             factors=None if problem.factors is None else problem.factors[own],
         )
