@@ -167,6 +167,21 @@ def test_points_on_a_skin_are_off_by_half_the_thickness_less(angle):
     assert np.median(np.abs(found.value - off)) < 1e-9
 
 
+@pytest.mark.parametrize("skin", [0.0, 0.75, -0.75])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_points_beside_a_fold_are_sure_where_they_are_of_the_face_that_they_are_told_of(angle, skin, sign):
+    """One face lies above, the other below."""
+    _, at, _ = scanned(angle, np.random.default_rng(3))
+    n = angle.normals[angle.project(at).triangle]
+    off = sign * np.where(np.abs(n[:, 2]) > 0.9, 0.3, -0.2)
+    found = deviations("a.csv", Cloud(at + (off + skin)[:, None] * n, None), angle, skin, False, 5.0)
+    wrong = np.abs(found.value - off) > 0.01
+    assert (wrong.sum() > 3 or skin < 0) and not wrong[found.sure].any()  # on the outer side none can be
+    assert 0.9 < found.sure.mean() < 1.0
+    flat = Surface(*extrude([(0, 0), (60, 0)], 0.0, 120.0, 6.0)[:2])
+    assert deviations("a.csv", Cloud(scanned(flat, np.random.default_rng(3))[0], None), flat, 0, False, 5.0).sure.all()
+
+
 def test_a_cloud_of_another_part_is_refused(angle):
     far = np.random.default_rng(0).uniform(200, 300, (500, 3))
     with pytest.raises(FormatError, match=r"door.csv: 500 of 500 points lie more than 5 mm off the part.*correct the"):

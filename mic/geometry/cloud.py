@@ -1,7 +1,9 @@
 """Measured points of a part: read from files, fitted to the nominal surface, told as deviations along its normals.
 
 A *deviation* of a sheet at a point x of its nominal surface is how far the measured sheet lies off x along the normal
-n of the mesh there. Of a cloud of points p it is ``(p − x)·n``, x the point of the surface nearest to p.
+n of the mesh there. Of a cloud of points p it is ``(p − x)·n``, x the point of the surface nearest to p. Beside a fold
+that need not be the face that was measured: where the other face lies d off, its sheet ends d beside the fold, and what
+is within d may be either's.
 """
 
 from __future__ import annotations
@@ -11,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from mic.errors import FormatError
 from mic.geometry.deck import UNITS, Deck
 from mic.geometry.readers import READERS, read_raw
 from mic.geometry.surface import Surface
 
-__all__ = ["Cloud", "Deviations", "Fit", "deviations", "read_cloud", "sheet_normals", "spread"]
+__all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_cloud", "sheet_normals", "spread"]
 
 TEXT = (".csv", ".txt", ".xyz", ".asc")
 AXES = ("x", "y", "z")
@@ -25,6 +28,8 @@ SEPARATORS = (";", "\t", ",")  # of cells; else blanks
 FITS = 50  # repetitions of the best fit: each finds the nearest points anew
 STILL = 1e-9  # of the part's size: a fit that moves by less is found
 OFF = 0.05  # share of the points that may be left out
+FACING = 0.85  # cosine between normals of one side of a fold
+ROUND = 24  # points about one that tell how far off the faces of a fold lie there
 OTHER = 20.0  # times as small, or as large: no part that was measured all over
 LIKELY = 0.5  # logarithm of the ratio of two spans: what is nearer may be one part
 
@@ -75,12 +80,15 @@ class Deviations:
     value : (n,) array
         Along the normals of the mesh, mm.
     fit : Fit
+    sure : (n,) bool array
+        Whether the point is on the face that was measured, whatever the other face of a fold beside it deviates by.
     """
 
     points: np.ndarray
     normal: np.ndarray
     value: np.ndarray
     fit: Fit
+    sure: np.ndarray
 
 
 def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cloud:
@@ -229,7 +237,8 @@ def deviations(
         foot, n = sheet_normals(surface, cloud.points)
         near = np.linalg.norm(foot - cloud.points, axis=1) <= within
         _refuse(path, near, cloud.points, foot, within, surface, unit)
-        return Deviations(foot[near], n[near], cloud.deviation[near], Fit(0.0, 0.0, int((~near).sum())))
+        fit, sure = Fit(0.0, 0.0, int((~near).sum())), np.ones(int(near.sum()), dtype=bool)
+        return Deviations(foot[near], n[near], cloud.deviation[near], fit, sure)
     points, turn = cloud.points, np.eye(3)
     for _ in range(FITS if align else 0):
         foot, n = sheet_normals(surface, points)
@@ -249,7 +258,22 @@ def deviations(
     _refuse(path, near, points, foot, within, surface, unit)
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
     moved = float(np.linalg.norm(points.mean(axis=0) - cloud.points.mean(axis=0)))
-    return Deviations(foot[near], n[near], off[near], Fit(moved, float(angle), int((~near).sum())))
+    fit = Fit(moved, float(angle), int((~near).sum()))
+    return Deviations(foot[near], n[near], off[near], fit, _of_their_face(surface, foot[near], off[near] + skin))
+
+
+def _of_their_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """(n,) bool: which measured points lie on the face on which their nearest points (n, 3) do, whatever the other face
+    of a fold beside them lies off by, as far as the points about them tell: `off` (n,), mm."""
+    triangle, opposite = surface.edges(np.arccos(FACING))
+    inner = ~surface.border[triangle, opposite]
+    if not inner.any():
+        return np.ones(len(foot), dtype=bool)
+    spacing = float(np.median(surface.edge_lengths)) / 4
+    fold = surface.at(*surface.sample_edges(triangle[inner], opposite[inner], spacing)[:2])
+    away = np.sqrt(np.maximum(cKDTree(fold).query(foot)[0] ** 2 - (spacing / 2) ** 2, 0.0))
+    about = cKDTree(foot).query(foot, min(ROUND, len(foot)))[1].reshape(len(foot), -1)
+    return away >= np.abs(off)[about].max(axis=1)
 
 
 def _refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:

@@ -32,7 +32,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import shapiro
 
 from mic.errors import FormatError, Problems, SceneError
-from mic.geometry.cloud import Deviations, deviations, read_cloud, sheet_normals, spread
+from mic.geometry.cloud import FACING, Deviations, deviations, read_cloud, sheet_normals, spread
 from mic.geometry.deck import Deck
 from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
@@ -53,7 +53,6 @@ PER_LENGTH = 3.0  # points within a correlation length
 PER_EDGE = 4.0  # lengths of edges within a correlation length, at least
 ABOUT = 0.75  # spacings from a point within which measured ones are fitted
 FEW = 6  # measured points to which a plane is fitted
-FACING = 0.85  # cosine between normals of one side of a fold
 TOLD = 3  # files at fault that are told one by one
 AMONG = 24.0  # measured points about one, where they are sparse: at an edge half of them, of some pieces fewer
 COVERED = 0.5  # of the points of a part must have measured ones about them
@@ -277,7 +276,9 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
                 f"{at}: files: {len(first.points)} measured points do not tell a shape: fewer than seven are met by "
                 "moving the part as it is; measure more"
             )
-        return first.points, np.array([piece.value for piece in pieces]).T, np.ones(len(first.points))
+        sure = np.logical_and.reduce([piece.sure for piece in pieces])
+        sure |= sure.sum() <= 6
+        return first.points[sure], np.array([piece.value for piece in pieces]).T[sure], np.ones(int(sure.sum()))
     area = float(surface.areas.sum())
     spacing = item.spacing or np.sqrt(SPREAD * area / USUAL)
     if SPREAD * area / spacing**2 > MOST:
@@ -312,14 +313,14 @@ def _taken(surface: Surface, pieces: list[Deviations], spacing: float):
 def _at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """A piece's deviations (c,) at points of the surface, and their share (c,) of a measured point's noise.
 
-    They are read from planes that are fitted to the measured points about them that face the same way; NaN where these
-    are too few.
+    They are read from planes that are fitted to the measured points about them that face the same way, surely on their
+    face; NaN where these are too few.
     """
     value, share = np.full(len(centres), np.nan), np.full(len(centres), np.nan)
     tree = cKDTree(piece.points)
     for k, near in enumerate(tree.query_ball_point(centres, radius)):
         own = np.sort(np.array(near, dtype=np.int64))
-        own = own[piece.normal[own] @ normals[k] > FACING]
+        own = own[piece.sure[own] & (piece.normal[own] @ normals[k] > FACING)]
         if len(own) >= FEW:
             away = (piece.points[own] - centres[k]) / radius
             plane = np.column_stack([np.ones(len(own)), away @ null_space(normals[k][None])])
