@@ -109,7 +109,7 @@ class Cache:
             self._close()
             if reason := _not_own(path.parent):
                 raise PermissionError(f"its folder {reason}")
-            save_arrays(path, self.format, {**header, "identity": identity}, arrays)
+            save_arrays(path, self.format, {**header, "identity": identity}, arrays, lasting=False)
             path.chmod(0o600)  # whatever the user's mask lets others do
             if self.most is not None:
                 old = sorted(path.parent.glob("*.npz"), key=lambda one: -one.stat().st_mtime)[self.most :]

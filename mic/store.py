@@ -83,11 +83,18 @@ class Format:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, lasting: bool = True) -> Iterator[Path]:
     """A temporary path beside `path`, of the same suffix, that takes its place once the block has ended well.
 
     The content is on disk before the name changes, and the new name is on disk when this ends; after an error the old
     file stands untouched and nothing is left behind.
+
+    Parameters
+    ----------
+    path : Path
+    lasting : bool
+        Whether to wait for the name too. Of a file that is made again where it is missing, or that another which
+        follows vouches for, a failure of power may else take the name, never a part of the content.
 
     Raises
     ------
@@ -101,7 +108,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         _to_disk(temporary)
         temporary.replace(path)
-        _to_disk(path.parent)
+        if lasting:
+            _to_disk(path.parent)
     except OSError as problem:
         raise StorageError(
             f"{path}: cannot be written ({_reason(problem)}); what is finished stays, make room or give permission and "
@@ -240,14 +248,19 @@ def load_json(path: Path, format: Format) -> dict[str, Any]:
     return {key: value for key, value in document.items() if key not in ("kind", "format")}
 
 
-def save_arrays(path: Path, format: Format, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays, and a JSON-ready header beside them, to one ``.npz`` file with a checksum over all of it."""
+def save_arrays(
+    path: Path, format: Format, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray], lasting: bool = True
+) -> None:
+    """Write named arrays, and a JSON-ready header beside them, to one ``.npz`` file with a checksum over all of it.
+
+    `lasting` as :func:`replacing` takes it.
+    """
     arrays = {name: np.asarray(array) for name, array in arrays.items()}
     document = {"kind": format.kind, "format": format.version, **header}
     document["checksum"] = _checksum(document, arrays)
     # Not by numpy's savez: on a full disk it leaves its archive to the interpreter to close, who complains aloud. Nor
     # compressed: of compliance and forces that saves 4 %, at 2 s for 100 MB.
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+    with replacing(path, lasting) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in ({"header": np.array(json.dumps(document))} | arrays).items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)

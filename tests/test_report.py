@@ -119,6 +119,14 @@ def page(lap_scene, cache, folder):
     return _results(scene, cache, folder, samples=40)
 
 
+@pytest.fixture
+def drawn(monkeypatch):
+    """The pictures, by name, that pages show in this test, which is about their words: drawing takes seconds."""
+    shown = {}
+    monkeypatch.setattr("mic.report.page.draw_all", lambda *_: shown)
+    return shown
+
+
 def test_the_page_loads_nothing(page):
     assert page.loads
     for target in page.loads:
@@ -240,7 +248,7 @@ def test_what_was_found_to_be_best_is_told(page):
     assert "force C1 60 75" in page.words and {"optimum-table", "orders", "misses", "optimum"} <= page.ids
 
 
-def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, tmp_path):
+def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, drawn, tmp_path):
     """Nothing is known of the placeholder's errors; so they are written into a copy."""
     copy = shutil.copytree(folder, tmp_path / "copy")
     whole = read_outcome(copy)
@@ -259,11 +267,11 @@ def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, tmp
     errors.loc[errors["law"] == "coulomb", ["estimate", "measured"]] = [0.006, 0.002]
     errors.to_csv(copy / PATH_ERRORS.place, index=False)
     outcome = read_outcome(copy)
+    picture = drawn["path-error"] = draw("path-error", outcome, read_context(outcome))
     words = _Page(write_report(copy)).words
     share = outcome.summary()["laws"]["coulomb"]["measurements"]["M1"]["mean_path_share"]
     assert f"path +12 µm (+{percent(share, 1)})" in words
     assert "rescued" in words and outcome.rescued["coulomb"] == [2, 5, 7]
-    picture = draw("path-error", outcome, read_context(outcome))
     assert "largest 17 µm in clamp" in picture.caption and "covers what a tighter path changes in 24" in picture.caption
     assert "3.0 times that in the median" in picture.caption
     assert picture.caption in words
@@ -386,7 +394,7 @@ def test_published_figures_stand_beside_those_of_their_zones(folder, page, tmp_p
 
 
 @pytest.mark.slow
-def test_failed_and_missing_samples_are_named_with_advice(folder, page, tmp_path):
+def test_failed_and_missing_samples_are_named_with_advice(folder, page, drawn, tmp_path):
     spoilt = tmp_path / "spoilt"
     shutil.copytree(folder, spoilt)
     fail(spoilt, "associated", {7: ("clamp", "not converged"), 11: ("release", "overflow in a product")})
@@ -399,7 +407,7 @@ def test_failed_and_missing_samples_are_named_with_advice(folder, page, tmp_path
 
 
 @pytest.mark.slow
-def test_wall_time_and_versions_are_told(folder, page, tmp_path):
+def test_wall_time_and_versions_are_told(folder, page, drawn, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     record = json.loads((copy / "run.json").read_text())
     (copy / "run.json").write_text(json.dumps(record | {"wall_time": {"Monte Carlo": 12.34}}))

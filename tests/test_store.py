@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,3 +110,18 @@ def test_json_comes_back_and_refuses_what_json_does_not_know(tmp_path):
     with pytest.raises(ValueError):
         store.save_json(tmp_path / "run.json", THING, {"x": float("nan")})
     assert store.load_json(tmp_path / "run.json", THING)["samples"] == 3
+
+
+@pytest.mark.parametrize("lasting", [True, False])
+def test_content_is_on_disk_before_its_name_and_the_name_where_it_must_last(tmp_path, monkeypatch, lasting):
+    events, path = [], tmp_path / "table.txt"
+    sync = os.fsync
+
+    def told(descriptor):
+        events.append((Path(os.readlink(f"/proc/self/fd/{descriptor}")) == tmp_path, path.exists()))
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", told)
+    with store.replacing(path, lasting) as temporary:
+        temporary.write_text("content", encoding="utf-8")
+    assert events == [(False, False), (True, True)][: 1 + lasting]  # (of the folder, once the name stands)

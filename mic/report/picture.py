@@ -151,6 +151,10 @@ def _joined(*tenths: int) -> str:
 
 def _save(fig, title, caption, kind, dpi, metadata):
     buffer = io.BytesIO()
+    for ax in fig.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.5, 0.5)  # else all ticks are laid out, time and again, to find its place
     engine = fig.get_layout_engine()
     if engine is not None:  # once and for all: saving would draw everything once more to find it
         engine.execute(fig)

@@ -309,9 +309,9 @@ class RunFolder:
             As :data:`mic.results.schema.FORCES` declares them.
         """
         if forces is not None:
-            save_arrays(self._path(FORCES, block), _FORCES, {"identity": identity}, forces)
-        for table in DATASETS:  # the samples last: they mark the block done
-            write_table(self._path(table, block), table, tables[table.name], identity)
+            save_arrays(self._path(FORCES, block), _FORCES, {"identity": identity}, forces, lasting=False)
+        for table in DATASETS:  # the samples last: they mark the block done, and what is missing is computed anew
+            write_table(self._path(table, block), table, tables[table.name], identity, lasting=table is SAMPLES)
         for other in self._found(block.law):  # the last block of a shorter run: its samples stand in this one now
             if other != block and block.contains(other) and self._identity(other) == identity:
                 self._remove(other)

@@ -25,8 +25,10 @@ _ARROW = {
 _NAMES = pa.dictionary(pa.int32(), pa.string())
 
 
-def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str) -> None:
+def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, lasting: bool = True) -> None:
     """Write a table as Parquet, with its units, its format and the identity of its run in the metadata.
+
+    `lasting` as :func:`mic.store.replacing` takes it.
 
     Raises
     ------
@@ -48,7 +50,7 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str) ->
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
     content = content.replace_schema_metadata(header)
     repeating = [column.name for column in table.columns if column.dtype != "float64"]  # numbers hardly ever are
-    with replacing(path) as temporary:
+    with replacing(path, lasting) as temporary:
         pq.write_table(content, temporary, write_page_checksum=True, use_dictionary=repeating)
 
 

@@ -35,7 +35,7 @@ def write_vtu(
     point_data : mapping of str to (n,) or (n, m) array, optional
     """
     mesh = meshlane.Mesh(points, [("triangle", triangles)], point_data=dict(point_data or {}))
-    with replacing(Path(path)) as temporary:
+    with replacing(Path(path), lasting=False) as temporary:
         meshlane.vtu.write(temporary, mesh)
 
 
