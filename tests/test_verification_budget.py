@@ -270,3 +270,24 @@ def test_an_order_that_the_scene_states_is_no_error_of_it(tmp_path):
     stated = replace(case, model=replace(springs, scene=springs.scene.model_copy(update={"stages": stages})))
     (closed,) = budget.estimate(stated, tmp_path, "other", Team(), ["order of the process"], lambda line: None)
     assert open_.counts and not closed.counts and "states its own order" in closed.how
+
+
+@pytest.mark.slow
+def test_every_node_tells_what_pairs_that_stand_off_leave(cache):
+    """24 pairs of the coarse lap joint err by a hundredth of a millimetre; with all gaps off by 0.1 mm by far more."""
+    own, assembly = reduced_and_assembly(lap(), cache)
+    off = replace(own, contacts=replace(own.contacts, gap=own.contacts.gap + 0.1))
+    errors = []
+    for one in (own, off):
+        how, table = budget.SOURCES[budget.NODES](budget.Case(assembly, one, "coulomb", cache, samples=8))
+        assert list(table.index) == ["measurement:M1", "measurement:M2"] and "96 nodes" in how
+        errors.append(table["mean"].abs().max())
+    assert errors[0] < 0.03 and errors[1] > 3 * errors[0]
+
+
+def test_scenes_of_too_many_nodes_are_not_held_against_every_node(cache, monkeypatch, tmp_path):
+    own, assembly = reduced_and_assembly(lap(), cache)
+    monkeypatch.setattr(budget, "MOST", 50)
+    case = budget.Case(assembly, own, "coulomb", cache, samples=4)
+    (found,) = budget.estimate(case, tmp_path, "key", Team(), [budget.NODES], lambda line: None)
+    assert found.table is None and not found.counts and "96 nodes" in found.how

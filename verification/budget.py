@@ -34,9 +34,9 @@ from mpi4py import MPI
 from mic.compliance.cache import influence_coefficients
 from mic.contact.laws import LAWS
 from mic.contact.path import Increments
-from mic.errors import MicError
+from mic.errors import MicError, SceneError
 from mic.model.accuracy import on_halved_meshes
-from mic.model.assembly import Assembly
+from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.paired import jackknife, mean_change, six_sigma_change
@@ -70,6 +70,8 @@ __all__ = [
 SAMPLES = 30  # that each source is estimated on: the same for all
 DEVIATED = 10  # of these, that are given the stiffness of their own shape: each takes influence coefficients of its own
 ORDER, STIFFNESS, SAMPLING = "order of the process", "nominal stiffness", "sampling"
+NODES = "every node"
+FEW, MOST = 6, 1500  # samples that get contact at every node, and how many nodes may face each other
 HALF = 0.5  # of the distance between pairs; 0.7 was seen to tell too little where candidates stand on bends
 UNSEEN = (
     3.0  # over n: what happens to a smaller share of all assemblies is likely to happen to none of n (rule of three)
@@ -329,6 +331,24 @@ def _pairs(case: Case) -> tuple[str, pd.DataFrame]:
     )
 
 
+def _every_node(case: Case) -> tuple[str, pd.DataFrame]:
+    """The pairs once more, not extrapolated; of key characteristics, since slips of other points are other figures."""
+    if not len(case.assembly.contacts):
+        return "the scene has no contact pairs", case.none()
+    assembly = assemble(case.assembly.scene, case.cache, every_node=True)
+    pairs = len(assembly.contacts)
+    if pairs > MOST:
+        raise SceneError(f"{pairs} nodes of the zones face the other sheet, of which {MOST} are solved at most")
+    model = ReducedModel.build(assembly, influence_coefficients(assembly, case.cache, comm=MPI.COMM_SELF)[0])
+    few = case.deviations[:FEW]
+    dear = values(model, model.process(case.law).attempt(few)).filter(like="measurement:")
+    return (
+        f"{len(few)} samples again with contact at each of {pairs} nodes, beside {case.samples} with "
+        f"{len(case.assembly.contacts)} pairs (two levels)",
+        two_levels(case.production.filter(like="measurement:"), dear),
+    )
+
+
 def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
     finer = on_halved_meshes(case.assembly)
     if all(part.superelement is not None for part in finer.parts):
@@ -363,9 +383,16 @@ SOURCES: dict[str, Callable[[Case], tuple[str, pd.DataFrame]]] = {
     "path": _path,
     ORDER: _order,
     "pairs": _pairs,
+    NODES: _every_node,
     "mesh and element": _mesh,
 }
 
+
+#: Why the sum does not contain a source.
+OUTSIDE = {
+    ORDER: "the scene states its own order, so that this is no error of it, and the sum does not contain it",
+    NODES: "the sum contains what the pairs at half the distance say of the same error",
+}
 
 #: All that :func:`estimate` knows.
 EVERY = (*SOURCES, STIFFNESS)
@@ -449,7 +476,7 @@ def _stored(path: Path, work: Callable[[], dict]) -> dict:
 
 
 def _kept(case: Case, source: str, folder: Path, key: str, say) -> Item:
-    counts = source != ORDER or not stated_order(case.model.scene)
+    counts = source != NODES and (source != ORDER or not stated_order(case.model.scene))
     path = folder / f"{_mark(case, source, key)}.json"
 
     def solve() -> dict:
@@ -466,5 +493,5 @@ def _kept(case: Case, source: str, folder: Path, key: str, say) -> Item:
         say(f"  {source}: {found['seconds']:.1f} s")
     how = found["how"]
     if not counts:
-        how += "; the scene states its own order, so that this is no error of it, and the sum does not contain it"
+        how += f"; {OUTSIDE[source]}"
     return Item(source, how, found["seconds"], pd.DataFrame(**found["table"]).astype(float), counts)

@@ -103,7 +103,8 @@ class Factorisation:
             raise _failure(problem) from problem
         if self._factors.negative_pivots:
             raise FactorisationError(
-                "the stiffness is not positive definite: the part holds a mechanism, or is too thin for its size"
+                "the stiffness is not positive definite: the part holds a mechanism, is too thin for its size, or has "
+                "elements so narrow beside the others that digits are lost: mesh it anew"
             )
         self.memory = self._factors.memory
 

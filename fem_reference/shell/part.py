@@ -367,8 +367,8 @@ class ShellPart:
         if not error < RIGID_MOTION_TOLERANCE:
             raise FactorisationError(
                 f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed "
-                f"{RIGID_MOTION_TOLERANCE:.0e}): the part holds a mechanism, or is too thin for its size in double "
-                "precision"
+                f"{RIGID_MOTION_TOLERANCE:.0e}): the part holds a mechanism, is too thin for its size in double "
+                "precision, or has elements so narrow beside the others that digits are lost: mesh it anew"
             )
 
     def solve(self, nodal_forces: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from mic.geometry.structured import extrude
 from mic.scene import Locator, SceneError
 from verification import strips
 from verification.analytic.sheet import Sheet, incline_reaction, stop_force
+from verification.extremes import design
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
 
@@ -240,6 +241,41 @@ def tile(x, y, colour):
     return Rectangle((x + 0.02, y + 0.03), 0.96, 0.94, facecolor=colour, edgecolor="none")
 
 
+def try_drawn(context, cell):
+    """A drawn cell's outcome; where it was refused, also that of the cell with its remedy, and with that of what then
+    refuses it, until a remedy was there already."""
+    family = design.FAMILIES[cell.family]
+
+    def solve(one):
+        return attempt(context, one.family, family.error, one.values, family.right)
+
+    outcome = solve(cell)
+    row = {"family": cell.family, "cell": cell.number} | {key: outcome[key] for key in ("error", "outcome", "reason")}
+    if outcome["outcome"] != "refused":
+        return row
+    while outcome["outcome"] == "refused":
+        mended = design.remedied(cell, outcome["reason"])
+        if mended is None or mended == cell:
+            return row | {"with its remedy": "refused"}
+        cell, outcome = mended, solve(mended)
+    return row | {"with its remedy": outcome["outcome"]}
+
+
+def drawn(context):
+    """The cells of the design over all axes at once."""
+    rows = context.team.map(lambda cell: try_drawn(context, cell), design.cells(context.quick))
+    table = pd.DataFrame(rows, columns=["family", "cell", "outcome", "error", "reason", "with its remedy"])
+    refused = table[table["outcome"] == "refused"].drop(columns=["outcome", "error"])
+    worked = (refused["with its remedy"] == "right").mean() if len(refused) else 1.0
+    said = ", ".join(f"{n} {kind}" for kind, n in table["outcome"].value_counts().items())
+    wrong = table[table["outcome"] == "wrong"].drop(columns=["outcome", "with its remedy"])
+    return [
+        Finding("drawn-wrong", len(wrong), f"{len(table)} cells: {said}.", table=wrong if len(wrong) else None),
+        Finding("drawn-refused", len(refused) / len(table), table=refused if len(refused) else None),
+        Finding("remedies", float(worked), f"{len(refused)} refusals."),
+    ]
+
+
 def run(context):
     cells = [
         (name, function, value, right) for name, function, values, right in sweeps(context.quick) for value in values
@@ -258,6 +294,7 @@ def run(context):
             table.drop(columns="reason"),
         ),
         Finding("refused", int(outcome.get("refused", 0)) / len(table), table=refused if len(refused) else None),
+        *drawn(context),
     ]
 
 
@@ -275,7 +312,15 @@ STUDY = Study(
     acceptance=(
         Acceptance("wrong", "Cells whose answer is neither right nor refused with a reason: their number.", 0),
         Acceptance("refused", "Refusals are the exception: their share of all cells.", 0.15),
+        Acceptance("drawn-wrong", "Cells drawn over all axes at once that are silently wrong: their number.", 0),
+        Acceptance("drawn-refused", "Cells drawn over all axes at once that are refused: their share.", 0.03),
+        Acceptance(
+            "remedies",
+            "Refused cells that are right once done to them what their refusal advises: their share.",
+            1.0,
+            bound="at least",
+        ),
     ),
-    seconds=(250, 10),
+    seconds=(310, 30),
     run=run,
 )

@@ -1,0 +1,70 @@
+"""Cells drawn over all axes at once: what the design holds, and that a cell that is silently wrong is found."""
+
+import numpy as np
+import pytest
+
+from verification.extremes import design, study
+from verification.study import Context, Team
+
+pytestmark = pytest.mark.fem
+
+
+def test_the_design_fills_every_axis():
+    cells = design.cells(quick=False)
+    assert len(cells) >= 400
+    for name, family in design.FAMILIES.items():
+        own = [cell.values for cell in cells if cell.family == name]
+        assert len(own) == family.cells
+        for axis, read in family.axes.items():
+            ends = {read(0.0), read(1 - 1e-9)}
+            values = [values[axis] for values in own]
+            if isinstance(read, design.Choice):
+                assert set(values) == set(read.values) or len(read.values) > len(own), axis
+            else:
+                least, most = np.quantile(values, [0.02, 0.98])
+                assert least <= min(ends) * 10 or read.else_ in values, axis
+                assert most >= max(ends) / 10, axis
+
+
+@pytest.fixture(scope="module")
+def context(tmp_path_factory):
+    return Context(True, tmp_path_factory.mktemp("extremes"), Team())
+
+
+def cell(family, **change):
+    """A mild cell of a family."""
+    mild = {name: read(0.6) for name, read in design.FAMILIES[family].axes.items()}
+    return design.Cell(family, 0, mild | change)
+
+
+STRIP = {"t/L": 0.005, "E": 210e3, "friction": 0.3, "gap / L": 5e-4, "load / closing load": 2.0, "stages": 2}
+STRIP |= {"element size / width": 0.5, "sliver": 1.0, "pairs apart": -1.0, "unit of length": 1e2, "law": "coulomb"}
+
+
+def test_cells_are_right_and_refusals_remedied(context):
+    right = study.try_drawn(context, cell("strip on a stop", **STRIP))
+    assert right["outcome"] == "right" and "with its remedy" not in right
+    twice = STRIP | {"pairs apart": 1e-9, "sliver": 1e-8, "t/L": 1e-5}
+    refused = study.try_drawn(context, cell("strip on a stop", **twice))
+    assert refused["outcome"] == "refused" and refused["with its remedy"] == "right", refused
+
+
+@pytest.mark.parametrize("law", ["coulomb", "associated", "micro-slip"])
+def test_a_force_that_breaks_the_law_is_wrong(law, context, monkeypatch):
+    values = {"contacts": 5.0, "friction": 0.3, "law": law, "compliance": 1e-3, "load": 1e3, "condition": 1e3}
+    assert study.try_drawn(context, cell("contact problem", **values))["outcome"] == "right"
+    solve = design.ContactSolver.solve
+
+    def off(self, b):
+        solution = solve(self, b)
+        solution.force[:, 1::3] *= -1  # friction drives the slip
+        return solution
+
+    monkeypatch.setattr(design.ContactSolver, "solve", off)
+    assert study.try_drawn(context, cell("contact problem", **values))["outcome"] == "wrong"
+
+
+def test_a_stop_that_is_off_is_wrong(context, monkeypatch):
+    force = design.stop_force
+    monkeypatch.setattr(design, "stop_force", lambda *given: (1.02 * force(*given)[0], force(*given)[1]))
+    assert study.try_drawn(context, cell("strip on a stop", **STRIP))["outcome"] == "wrong"

@@ -1,0 +1,179 @@
+"""The pairs that shipped scenes get, held against contact at every node of the facing zones, sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from mpi4py import MPI
+
+from mic.compliance.cache import influence_coefficients
+from mic.examples import folder
+from mic.model.assembly import assemble
+from mic.model.nuggets import nuggets
+from mic.process.model import ReducedModel
+from mic.sampling.draw import draw
+from mic.scene import Scene, load_scene
+from verification.plots import panels
+from verification.study import Acceptance, Finding, Study
+
+LEAST = 2e-3  # mm: what coordinate measuring machines tell apart on sheets
+SHARE = 0.05  # of 6σ: less than what 500 samples leave unsure of it, 6.2 %
+BEYOND = 3.0  # radii of a nugget: nearer to it, sums of nodal forces do not settle
+SEED = 777  # not that of the scenes
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What samples gave with one set of pairs.
+
+    Attributes
+    ----------
+    pairs : int
+    nodes : int
+        Of all meshes.
+    measurements : (n, k) array
+        Key characteristics, mm; NaN in samples that failed.
+    force : (n, s) array
+        Sum of the normal forces beyond the nuggets in each stage that resolves contact, N.
+    work : (n, z) array
+        Of friction in each zone, in all stages, N mm.
+    """
+
+    pairs: int
+    nodes: int
+    measurements: np.ndarray
+    force: np.ndarray
+    work: np.ndarray
+
+
+def outcome(scene: Scene, cache, samples: int, every_node: bool, alter=lambda model: model) -> Outcome:
+    """Samples of a scene, with its own pairs or one at every node; `alter` may change the model first."""
+    assembly = assemble(scene, cache, every_node=every_node)
+    model = alter(ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]))
+    found = model.evaluate(draw(model.scene, SEED, 0, samples))
+    contacts = model.contacts
+    beyond = nuggets(scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], BEYOND) < 0
+    stages = list(found.resolutions.values())
+    work = sum(one.trace.work for one in stages)
+    values = found.measurements.astype(float).copy()
+    values[found.failed] = np.nan
+    return Outcome(
+        len(contacts),
+        sum(len(part.surface.points) for part in assembly.parts),
+        values,
+        np.column_stack([one.force[:, beyond, 0].sum(axis=1) for one in stages]),
+        np.column_stack([work[:, contacts.zone == z].sum(axis=1) for z in range(len(scene.zones))]),
+    )
+
+
+def compared(name: str, own: Outcome, every: Outcome) -> dict:
+    """Errors of a scene's own pairs: of key characteristics over what can be borne, of forces and work as shares of the
+    largest."""
+    kept = np.isfinite(own.measurements).all(axis=1) & np.isfinite(every.measurements).all(axis=1)
+    mine, truth = own.measurements[kept], every.measurements[kept]
+    six = 6 * truth.std(axis=0, ddof=1)
+    borne = np.maximum(LEAST, SHARE * six)
+    means = abs(mine.mean(axis=0) - truth.mean(axis=0))
+    spreads = abs(6 * mine.std(axis=0, ddof=1) - six)
+    worst = int(np.argmax(means / borne))
+    return {
+        "scene": name,
+        "pairs": own.pairs,
+        "every node": every.pairs,
+        "nodes of the meshes": f"{own.nodes}, {every.nodes}",
+        "samples": int(kept.sum()),
+        "mean, µm": 1e3 * means[worst],
+        "of 6σ, µm": 1e3 * six[worst],
+        "mean": (means / borne).max(),
+        "6σ": (spreads / borne).max(),
+        "force": _largest(own.force[kept], every.force[kept]),
+        "work": _largest(own.work[kept], every.work[kept]),
+    }
+
+
+def _largest(mine, truth) -> float:
+    """Largest difference of means over the largest mean."""
+    return float(abs(mine.mean(axis=0) - truth.mean(axis=0)).max() / abs(truth.mean(axis=0)).max())
+
+
+def scene_of(name: str, size: str | None = None, watched: bool = False) -> Scene:
+    """A shipped scene as it is, or meshed at another size, or with candidates in place of the pairs that it states."""
+    scene = load_scene(folder(name))
+    report = scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
+    change = {"report": report}
+    if size:
+        change["parts"] = [part.model_copy(update={"size": size}) for part in scene.parts]
+    if watched:
+        change["zones"] = [zone.model_copy(update={"pairs": None, "points": None}) for zone in scene.zones]
+    return scene.model_copy(update=change)
+
+
+#: Name in the table, the folder, its size, whether candidates replace stated pairs, samples; the last is not judged.
+SCENES = (
+    ("lap joint", "lap_joint", None, False, 40),
+    ("bracket", "bracket", None, False, 20),
+    ("hat on plate", "hat_on_plate", None, False, 10),
+    ("wheelhouse, candidates, coarse", "wheelhouse", "coarse", True, 10),
+    ("wheelhouse, the paper's 34 pairs a zone, coarse", "wheelhouse", "coarse", False, 10),
+)
+QUICK = (("lap joint", "lap_joint", None, False, 20), ("bracket", "bracket", None, False, 8))
+
+
+def judge(context, task) -> dict:
+    """The row of one scene."""
+    name, where, size, watched, samples = task
+    scene = scene_of(where, size, watched)
+    return compared(name, *(outcome(scene, context.cache, samples, every) for every in (False, True)))
+
+
+def run(context):
+    tasks = QUICK if context.quick else SCENES
+    table = pd.DataFrame(context.team.map(lambda task: judge(context, task), tasks))
+    judged = table if context.quick else table.iloc[:-1]
+    figure, (axis,) = panels(1, width=7.0, height=0.5 * len(table) + 1.0)
+    for shift, (column, limit) in zip((-0.3, -0.1, 0.1, 0.3), LIMITS.items()):
+        axis.barh(np.arange(len(table)) + shift, table[column] / limit, height=0.18, label=column)
+    axis.axvline(1.0, color="k", lw=1)
+    axis.set(xlabel="error over its limit", xscale="log", yticks=np.arange(len(table)))
+    axis.set_yticklabels(table["scene"])
+    axis.invert_yaxis()
+    axis.legend()
+    other = (
+        ""
+        if context.quick
+        else (
+            f" Not judged, the wheelhouse's stated pairs: mean {table['mean'].iloc[-1]:.3g} times what can be borne, "
+            f"{table['mean, µm'].iloc[-1]:.3g} µm."
+        )
+    )
+    return [
+        Finding("mean", float(judged["mean"].max()), "Over the larger of 2 µm and 5 % of 6σ." + other, figure, table),
+        *(
+            Finding(name, float(judged[column].max()))
+            for name, column in (("spread", "6σ"), ("force", "force"), ("work", "work"))
+        ),
+    ]
+
+
+LIMITS = {"mean": 1.0, "6σ": 1.0, "force": 0.02, "work": 0.07}
+
+STUDY = Study(
+    order=42,
+    title="Pairs against every node",
+    claim="The pairs that a shipped scene gets stand for contact at every node of its facing zones.",
+    reference="The same samples of the same scene with a pair at every node of both sheets in its zones.",
+    acceptance=(
+        Acceptance(
+            "mean",
+            "Means of key characteristics: largest difference over the larger of 2 µm and 5 % of 6σ.",
+            LIMITS["mean"],
+        ),
+        Acceptance("spread", "6σ of key characteristics: the same.", LIMITS["6σ"]),
+        Acceptance("force", "Sum of normal forces beyond the nuggets: difference over the largest.", LIMITS["force"]),
+        Acceptance("work", "Work of friction in a zone: difference over the largest.", LIMITS["work"]),
+    ),
+    seconds=(600, 35),
+    run=run,
+)
