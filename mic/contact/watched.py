@@ -40,7 +40,8 @@ PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may pen
 ON_THE_WAY = 1e-4  # mm: and how far it may before the path's end, where an error does not stay but for friction's
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
 ROUNDS = 40  # in which a working set may grow
-MANY = 300  # contacts that a sample may begin a path with unasked, and that are prepared for all samples together
+MANY = 300  # contacts that a sample may begin a path with unasked
+PREPARED = 1500  # contacts that are prepared for all samples together: some 0.3 GB
 TOGETHER = 5000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
 CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
 
@@ -219,9 +220,11 @@ class WatchedSolver:
 
     def _prepare(self, joining: np.ndarray) -> None:
         """What is had once for all the candidates `joining` (m,), of any sample, serves every working set among them;
-        not of more than :data:`MANY`."""
+        not of more than :data:`PREPARED`, nor, where all share one, of more than :data:`MANY`."""
         joined = self._joined | joining
-        if joined.sum() <= MANY and (self._prepared is None or (joined != self._joined).any()):
+        if joined.sum() <= (MANY if self._guessing else PREPARED) and (
+            self._prepared is None or (joined != self._joined).any()
+        ):
             self._joined, self._prepared = joined, self._made(joined)
 
     def _solver(self, own: np.ndarray) -> ContactSolver:
