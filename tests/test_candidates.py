@@ -141,9 +141,14 @@ def test_once_a_weld_is_made_what_lies_within_its_nugget_carries_nothing(model):
     for k in np.flatnonzero(inside):
         weld = model.scene.welds[model.contacts.nugget[k]]
         assert sideways(model.contacts.point[[k]], weld.point)[0] <= weld.radius
-    found = model.evaluate(model.deviations({})).resolutions
-    assert not found["release"].force[0, inside].any()
-    assert model.contacts.out([]).sum() == 0
+    sigma = np.array([one.sigma for one in model.scene.deviations])
+    samples = model.deviations({}) + sigma * np.random.default_rng(5).standard_normal((4, len(sigma)))
+    found = model.evaluate(samples).resolutions
+    assert found["clamp"].force[:, inside, 0].any()  # before the weld they press
+    assert not found["release"].force[:, inside].any()
+    assert not model.contacts.out([]).any()
+    for weld in range(len(model.scene.welds)):
+        np.testing.assert_array_equal(model.contacts.out([weld]), model.contacts.nugget == weld)
 
 
 def test_a_model_is_read_back_with_its_candidates(model, tmp_path):
