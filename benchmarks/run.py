@@ -28,22 +28,19 @@ from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 IMPORTS, REPORT, IN_ALL, WALL = "start and imports", "report", "processor time in all", "wall time"
-#: s by phase of the wheelhouse as it is shipped, 500 samples under three laws; followed and with one step per stage
-BEFORE: dict[bool, dict[str, float]] = {
-    False: {},
-    True: {
-        IMPORTS: 2.82,
-        "meshes and pairs": 3.33,
-        "influence coefficients": 0.02,
-        "reduced model": 0.08,
-        "Monte Carlo": 3.24,
-        "statistics": 1.75,
-        "error of the path": 0.41,
-        "fields": 6.26,
-        REPORT: 6.93,
-        IN_ALL: 24.86,
-        WALL: 33.92,
-    },
+#: s by phase of the wheelhouse with one step per stage, 500 samples under three laws
+BEFORE = {
+    IMPORTS: 2.82,
+    "meshes and pairs": 3.33,
+    "influence coefficients": 0.02,
+    "reduced model": 0.08,
+    "Monte Carlo": 3.24,
+    "statistics": 1.75,
+    "error of the path": 0.41,
+    "fields": 6.26,
+    REPORT: 6.93,
+    IN_ALL: 24.86,
+    WALL: 33.92,
 }
 
 
@@ -69,8 +66,8 @@ def main() -> None:
             done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, text=True)
             runs.append(json.loads(done.stdout.splitlines()[-1]) | {WALL: time.perf_counter() - start})
         warm = runs if arguments.cold else runs[1:]  # the first fills the caches
-    known = arguments.scene.name == "wheelhouse" and arguments.samples is None and not arguments.cold
-    before = BEFORE[arguments.one_step] if known else {}
+    known = arguments.scene.name == "wheelhouse" and arguments.samples is None
+    before = BEFORE if known and arguments.one_step and not arguments.cold else {}
     shown = Table("phase", "s", "before", title=f"{arguments.scene.name}, {'cold' if arguments.cold else 'warm'}")
     best = {phase: min(run[phase] for run in warm) for phase in warm[0]}
     wall = best.pop(WALL)
