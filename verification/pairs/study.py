@@ -117,7 +117,7 @@ def scene_of(name: str, size: str | None = None, watched: bool = False) -> Scene
 SCENES = (
     ("lap joint", "lap_joint", None, False, 40),
     ("bracket", "bracket", None, False, 40),
-    ("hat on plate", "hat_on_plate", None, False, 10),
+    ("hat on plate, coarse", "hat_on_plate", "coarse", False, 20),
     ("wheelhouse, candidates, coarse", "wheelhouse", "coarse", True, 10),
     ("wheelhouse, the paper's 34 pairs a zone, coarse", "wheelhouse", "coarse", False, 10),
 )
@@ -177,6 +177,6 @@ STUDY = Study(
         Acceptance("force", "Sum of normal forces beyond the nuggets: difference over the largest.", LIMITS["force"]),
         Acceptance("work", "Work of friction in a zone: difference over the largest.", LIMITS["work"]),
     ),
-    seconds=(900, 5),
+    seconds=(300, 5),
     run=run,
 )
