@@ -1,5 +1,6 @@
 """The list of planted errors is one of this program as it stands, and planting tells what it should."""
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -50,3 +51,17 @@ def test_an_error_is_caught_survives_or_is_none(right, wrong, word, tmp_path, mo
     found = judged(Mutation("it subtracts", "sums.py", right, wrong, ["test_sums.py"]), tmp_path / "copy")
     assert found.word == word, found.by
     assert (tmp_path / "copy" / "sums.py").read_text() == (tmp_path / "own" / "sums.py").read_text()
+
+
+def test_a_copy_is_made_over_an_older_one(tmp_path, monkeypatch):
+    own, copy = tmp_path / "own", tmp_path / "copy"
+    (own / "mic").mkdir(parents=True)
+    (own / "scenes").mkdir()
+    (own / "mic" / "sums.py").write_text("right")
+    (own / "mic" / "scenes").symlink_to("../scenes")
+    subprocess.run(["git", "init", "-q", str(own)], check=True)
+    monkeypatch.setattr(mutations, "ROOT", own)
+    for _ in range(2):
+        mutations.copied(copy)
+        assert (copy / "mic" / "sums.py").read_text() == "right" and (copy / "mic" / "scenes").is_symlink()
+        (copy / "mic" / "sums.py").write_text("wrong")

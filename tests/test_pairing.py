@@ -374,6 +374,20 @@ def test_equals_are_chosen_by_the_landmarks():
     assert np.abs(turned - first).max() > 1
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-9, 1e-3])
+def test_points_that_coincide_share_their_area(apart):
+    bodies = Side(plane(0), 1.0), Side(plane(1.5, n=7), 0.8)
+    once = find_pairs(zone(pairs=None, points=[(4, 10, 0), (16, 10, 0)]), *bodies)
+    often = find_pairs(zone(pairs=None, points=[(4, 10, 0), (16, 10, 0), (4 + apart, 10, 0), (4, 10, 0)]), *bodies)
+    assert often[1].area == pytest.approx(once[1].area)
+    assert sum(pair.area for pair in often) == pytest.approx(400)
+    shared = [often[i].area for i in (0, 2, 3)]
+    assert min(shared) > 0 and sum(shared) == pytest.approx(once[0].area)
+    for i in (0, 2, 3):
+        assert often[i].gap == pytest.approx(once[0].gap)
+        np.testing.assert_allclose(often[i].frame, once[0].frame, atol=1e-12)
+
+
 def test_given_points_are_met_exactly():
     bodies = Side(plane(0, n=7), 1.0), Side(plane(1, n=5), 1.0)
     wanted = np.array([(5.123, 5.321, 0.0), (15.01, 4.97, 0.0), (10.77, 15.2, 0.0)])

@@ -173,6 +173,10 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     ValueError
         If the zone is empty or has no room for its pairs, a given point faces nothing, or candidates are asked for that
         are finer than the elements.
+
+    Notes
+    -----
+    Given points that coincide, or lie closer than the area is sampled, are pairs that share their area.
     """
     swap = first.rigid  # sample the deformable body; a rigid fixture's mesh may be as coarse as it likes
     sampled, other = (second, first) if swap else (first, second)
@@ -200,15 +204,15 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     for one in np.unique(face):
         own = np.flatnonzero(face == one)
         of = np.flatnonzero(number == one)
-        cell = _nearest(centres[of], cloud.point[own], tie) if len(of) else own
-        for k, i in enumerate(of):
+        if not len(of):
+            continue
+        cell = _nearest(centres[of], cloud.point[own], tie)
+        held = _held(centres[of], cell)
+        sharers = np.bincount(held, minlength=len(of))
+        for i, k in zip(of, held):
             member = cloud.take(own[cell == k])
-            if not len(member.area):
-                raise ValueError(
-                    f"pair {i} has no area of its own: its point coincides with another's; remove one of them"
-                )
             reading = _reading(zone, sampled, other, member, centres[i], tie)
-            pairs[i] = _pair(reading, member.area.sum(), sampled, other, swap)
+            pairs[i] = _pair(reading, member.area.sum() / sharers[k], sampled, other, swap)
     _set_tangents(pairs)
     return pairs
 
@@ -229,6 +233,16 @@ def _given(zone, cloud, face, farthest, tie):
     ahead = np.einsum("ikj,ikj->ik", centres[:, None] - cloud.point[near], cloud.normal[near])
     ahead[away > away[:, :1] + tie] = -np.inf
     return face[near[np.arange(len(near)), ahead.argmax(1)]], centres
+
+
+def _held(centres, cell):
+    """(k,) the centre whose cell each centre holds: its own or, where no point is nearest to it, as where two coincide,
+    that of the nearest one that has a cell. Those that hold one cell share its area."""
+    own, there = np.arange(len(centres)), np.unique(cell)
+    without = np.setdiff1d(own, there)
+    if len(without):
+        own[without] = there[cKDTree(centres[there]).query(centres[without])[1]]
+    return own
 
 
 def _shared(cloud, face, count, tie):

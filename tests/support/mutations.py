@@ -102,6 +102,7 @@ def copied(folder: Path) -> Path:
     for name in filter(None, listed.stdout.split("\0")):
         if (ROOT / name).exists():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).unlink(missing_ok=True)  # a link is not written over
             shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
     for path in (ROOT / "mic").rglob("__pycache__/*.nb[ic]"):
         (folder / path.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
