@@ -39,6 +39,7 @@ __all__ = ["PENETRATION", "WatchedSolver"]
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
 ON_THE_WAY = 1e-4  # mm: and how far it may before the path's end, where an error does not stay but for friction's
 EQUAL = 1e-6  # of the depth: candidates that penetrate as much but for rounding
+BESIDE = 0.1  # neighbourhoods: so near two candidates may read the same, and one is enough
 ROUNDS = 40  # in which a working set may grow
 MANY = 300  # contacts that a sample may begin a path with unasked
 PREPARED = 1500  # contacts that are prepared for all samples together: some 0.3 GB
@@ -96,6 +97,7 @@ class WatchedSolver:
         self._crowd = law.frictional and len(start) > CROWD
         self.carried = np.zeros(len(start), dtype=bool)
         self._neighbours = cKDTree(point).query_ball_point(point, reach)
+        self._twins = cKDTree(point).query_ball_point(point, BESIDE * np.asarray(reach))
         # What joins lies mostly beside what takes part: samples that need more share this set, and its solver.
         self._beside = self._start.copy()
         for candidate in np.flatnonzero(self._start):
@@ -144,6 +146,7 @@ class WatchedSolver:
             working = self._touching(b, force, anchor) | self._allowed & _loaded(normal)
         recorded = path is not None and path.recorded
         looking = self._looking(path)
+        many = looking or self._crowd and not self._guessing  # a path costs what touches, and another round as much
         way = replace(path, recorded=True) if path is not None and looking else path
         found, passed = self._open(n, m, recorded), np.zeros((n, m))
         todo = np.arange(n)
@@ -170,7 +173,7 @@ class WatchedSolver:
             if self._guessing and round_ < ROUNDS // 2:
                 working = self._start | _loaded(found.force.reshape(n, m, d)[:, :, 0])
             for sample, depth in zip(todo, unseen):
-                working[sample, self._joining(depth)] = True
+                working[sample, self._joining(depth, many)] = True
                 if path is None:
                     working[sample] |= self._beside
         found.converged[todo] = False
@@ -324,17 +327,26 @@ class WatchedSolver:
             depth[sample, rest] = -u.min(axis=0)
         return np.where(depth > ON_THE_WAY, depth, 0.0)
 
-    def _joining(self, depth) -> list[int]:
-        """The deepest candidate of each neighbourhood; the first of those that are as deep but for rounding. Of a crowd
-        all that penetrate, and the neighbours of each: a path costs what touches, and another round as much."""
-        if self._crowd and not self._guessing:
-            deep = np.flatnonzero(depth > PENETRATION)
-            near = {int(one) for candidate in deep for one in self._neighbours[candidate]}
-            return [one for one in sorted(near) if self._allowed[one]]
+    def _joining(self, depth, many: bool) -> list[int]:
+        """The deepest candidate of each neighbourhood; the first of those that are as deep but for rounding.
+
+        Where `many` may join, all that penetrate and the neighbours of each: a path costs what touches, and another
+        round as much. Of those nearer to each other than :data:`BESIDE` neighbourhoods one joins even then.
+        """
+        near = self._twins if many else self._neighbours
         chosen, left = [], np.where(depth > PENETRATION, depth, 0.0)
         while left.any():
             chosen.append(int(np.argmax(left >= (1 - EQUAL) * left.max())))
-            left[self._neighbours[chosen[-1]]] = 0.0
+            left[near[chosen[-1]]] = 0.0
+        if not many:
+            return chosen
+        free = self._allowed.copy()
+        for candidate in chosen:
+            free[near[candidate]] = False
+        for candidate in sorted({one for each in chosen for one in self._neighbours[each]}):
+            if free[candidate]:
+                chosen.append(candidate)
+                free[near[candidate]] = False
         return chosen
 
 
