@@ -305,7 +305,6 @@ FAMILIES: dict[str, Family] = {
 #: What a refusal's reason advises, or the documentation (`docs/contact.md` of friction of 10 and more): a piece of its
 #: text, and what is done to the cell's values.
 REMEDIES: dict[str, Callable[[dict], dict]] = {
-    "remove one of them": lambda values: {"pairs apart": -1.0},
     "mesh it anew": lambda values: {"sliver": 1.0},
     "did not converge": lambda values: {"friction": min(values["friction"], 5.0)},
 }
