@@ -44,8 +44,10 @@ STRIP |= {"element size / width": 0.5, "sliver": 1.0, "pairs apart": -1.0, "unit
 def test_cells_are_right_and_refusals_remedied(context):
     right = study.try_drawn(context, cell("strip on a stop", **STRIP))
     assert right["outcome"] == "right" and "with its remedy" not in right
-    twice = STRIP | {"pairs apart": 1e-9, "sliver": 1e-8, "t/L": 1e-5}
-    refused = study.try_drawn(context, cell("strip on a stop", **twice))
+    twins = study.try_drawn(context, cell("strip on a stop", **STRIP | {"pairs apart": 1e-9}))
+    assert twins["outcome"] == "right"
+    narrow = STRIP | {"sliver": 2.5e-5, "t/L": 1e-4, "element size / width": 1.0}
+    refused = study.try_drawn(context, cell("strip on a stop", **narrow))
     assert refused["outcome"] == "refused" and refused["with its remedy"] == "right", refused
 
 
