@@ -2,18 +2,18 @@
 
 All candidates share one compliance, ``u = S f + b``. Each sample has a working set W of its own: it is solved, or its
 path followed, with the contacts of W alone, f = 0 elsewhere; then the gap at *all* candidates is computed, one product.
-Where candidates outside of W penetrate by more than `PENETRATION`, the deepest of each neighbourhood joins W, and the
-sample goes from the start of its path again. Sets only grow, so that this ends; then every contact outside of W obeys
-the law with f = 0, and the solution is that of all candidates at once, to `PENETRATION`, at the cost of those that
-touch.
+Where candidates outside of W penetrate by more than `PENETRATION`, the deepest of each neighbourhood joins W, on a path
+of several steps all and their neighbours, and the sample goes from the start of its path again. Sets only grow, so that
+this ends; then every contact outside of W obeys the law with f = 0, and the solution is that of all candidates at once,
+to `PENETRATION`, at the cost of those that touch.
 
 Where friction acts, what a contact has been through counts: candidates that penetrate by more than `ON_THE_WAY` where
 a step of the path ended join as well, though they may be apart at its end. Of several legs that is seen of the last.
 
 A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples;
 of a set of more than `MANY`, with those that carry force where its path begins or ends. Of a crowd (`CROWD`) who
-carries force is guessed without friction, and what penetrates joins with all its neighbours. The outcome of a sample
-does not depend on what it is solved together with.
+carries force is guessed without friction, and what penetrates joins as on a path. The outcome of a sample does not
+depend on what it is solved together with.
 """
 
 from __future__ import annotations
