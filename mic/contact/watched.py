@@ -96,8 +96,9 @@ class WatchedSolver:
         self._start, self._allowed, self._guessing = start & allowed, allowed, guessing
         self._crowd = law.frictional and len(start) > CROWD
         self.carried = np.zeros(len(start), dtype=bool)
-        self._neighbours = cKDTree(point).query_ball_point(point, reach)
-        self._twins = cKDTree(point).query_ball_point(point, BESIDE * np.asarray(reach))
+        tree = cKDTree(point)
+        self._neighbours = tree.query_ball_point(point, reach)
+        self._twins = tree.query_ball_point(point, BESIDE * np.asarray(reach))
         # What joins lies mostly beside what takes part: samples that need more share this set, and its solver.
         self._beside = self._start.copy()
         for candidate in np.flatnonzero(self._start):
