@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numba import boolean, cfunc, float64, int64, njit, types, void
 
-from mic.contact.states import OPEN, STICK
+from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = [
     "BLOCKS",
@@ -48,6 +48,8 @@ COUNTS = int64[::1]
 #: slips 1.5 times as dear.
 EQUATION = void(MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS, boolean)
 EQUATION_POINTER = types.FunctionType(EQUATION)
+#: Of a contact's own matrix: what is less is rounding.
+RANK = 1e-10
 
 
 def _kept(decorator):
@@ -352,32 +354,128 @@ def system(W, A, B, own, damping):
     return J
 
 
+@jit(void(VECTOR, MATRIX))
+def _across(l, N):
+    """The columns of N (3, 2) become unit vectors perpendicular to l (3,) and to each other."""
+    i = 0
+    for j in range(1, 3):
+        if abs(l[j]) < abs(l[i]):
+            i = j
+    length = np.sqrt(l[0] * l[0] + l[1] * l[1] + l[2] * l[2])
+    n0, n1, n2 = l[0] / length, l[1] / length, l[2] / length
+    along = l[i] / length
+    u0, u1, u2 = -along * n0, -along * n1, -along * n2
+    if i == 0:
+        u0 += 1.0
+    elif i == 1:
+        u1 += 1.0
+    else:
+        u2 += 1.0
+    size = np.sqrt(u0 * u0 + u1 * u1 + u2 * u2)
+    u0, u1, u2 = u0 / size, u1 / size, u2 / size
+    N[0, 0], N[1, 0], N[2, 0] = u0, u1, u2
+    N[0, 1], N[1, 1], N[2, 1] = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
+
+
+@jit(int64(MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR))
+def _unknowns(A, B, phi, M, N, x):
+    """How many unknowns ``A x + B p = -Φ`` of one contact leaves where p hangs on others, 2 or 3.
+
+    A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then ``x`` (3,)
+    receives one that obeys it, N (3, 2) what may be added to it, and M (3, 2) the combinations of rows that are left.
+    """
+    l, largest = np.zeros(3), 0.0
+    for j in range(3):
+        i = (j + 1) % 3
+        c0 = B[1, i] * B[2, j] - B[2, i] * B[1, j]
+        c1 = B[2, i] * B[0, j] - B[0, i] * B[2, j]
+        c2 = B[0, i] * B[1, j] - B[1, i] * B[0, j]
+        size = np.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+        if size > largest:
+            largest, l[0], l[1], l[2] = size, c0 / size, c1 / size, c2 / size
+    g, ahead = np.zeros(3), 0.0
+    for row in range(3):
+        ahead -= l[row] * phi[row]
+        for j in range(3):
+            g[j] += l[row] * A[row, j]
+    square = g[0] * g[0] + g[1] * g[1] + g[2] * g[2]
+    full = largest == 0.0 or square < RANK * RANK
+    for j in range(3):
+        size = np.sqrt(B[0, j] ** 2 + B[1, j] ** 2 + B[2, j] ** 2)
+        full = full or abs(l[0] * B[0, j] + l[1] * B[1, j] + l[2] * B[2, j]) > RANK * size
+    if full:
+        x[:] = 0.0
+        return 3
+    for j in range(3):
+        x[j] = ahead / square * g[j]
+    _across(l, M)
+    _across(g, N)
+    return 2
+
+
 @jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR, VECTOR))
 def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
-    Fills ``x`` and ``product = W x``.
+    Fills ``x`` and ``product = W x``.  Contacts that slide have two unknowns, others three.
     """
     m = len(state)
     unknown = np.flatnonzero(state != known)
+    count = len(unknown)
     for k in range(m):
         for i in range(3 * k, 3 * k + 3):
             x[i] = -z[i] if state[k] == known else 0.0
-    times(W, x, product)
-    count = len(unknown)
-    if count == 0:
-        return
-    r = np.empty(3 * count)
+    M, N, first = np.zeros((count, 3, 2)), np.zeros((count, 3, 2)), np.zeros(count + 1, np.int64)
     for a in range(count):
         k = unknown[a]
-        i = 3 * k
-        for row in range(3):
-            b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
-            r[3 * a + row] = -phi[i + row] - b0 * product[i] - b1 * product[i + 1] - b2 * product[i + 2]
-    d = _solve_dense(system(W, A, B, unknown, damping), r)
+        some = 3
+        if state[k] == SLIP:
+            some = _unknowns(A[k], B[k], phi[3 * k : 3 * k + 3], M[a], N[a], x[3 * k : 3 * k + 3])
+        first[a + 1] = first[a] + some
+    times(W, x, product)
+    size = first[count]
+    if size == 0:
+        return
+    r, J, line, rest, row = np.zeros(size), np.zeros((size, size)), np.empty(len(x)), np.empty(3), np.empty(3)
     for a in range(count):
-        i = 3 * unknown[a]
-        x[i], x[i + 1], x[i + 2] = d[3 * a], d[3 * a + 1], d[3 * a + 2]
+        k, i = unknown[a], 3 * unknown[a]
+        W0, W1, W2 = W[i], W[i + 1], W[i + 2]
+        reduced = first[a + 1] - first[a] == 2
+        for c in range(3):
+            rest[c] = -phi[i + c]
+            for j in range(3):
+                rest[c] -= A[k, c, j] * x[i + j] + B[k, c, j] * product[i + j]
+        for p in range(first[a], first[a + 1]):
+            c = p - first[a]
+            b0, b1, b2 = B[k, c, 0], B[k, c, 1], B[k, c, 2]
+            r[p] = rest[c]
+            row[0], row[1], row[2] = A[k, c, 0], A[k, c, 1], A[k, c, 2]
+            if reduced:
+                m0, m1, m2 = M[a, 0, c], M[a, 1, c], M[a, 2, c]
+                r[p] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
+                b0 = m0 * B[k, 0, 0] + m1 * B[k, 1, 0] + m2 * B[k, 2, 0]
+                b1 = m0 * B[k, 0, 1] + m1 * B[k, 1, 1] + m2 * B[k, 2, 1]
+                b2 = m0 * B[k, 0, 2] + m1 * B[k, 1, 2] + m2 * B[k, 2, 2]
+                for j in range(3):
+                    row[j] = m0 * A[k, 0, j] + m1 * A[k, 1, j] + m2 * A[k, 2, j]
+            for j in range(len(x)):
+                line[j] = b0 * W0[j] + b1 * W1[j] + b2 * W2[j]
+            line[i] += row[0] + damping * b0
+            line[i + 1] += row[1] + damping * b1
+            line[i + 2] += row[2] + damping * b2
+            target = J[p]
+            for b in range(count):
+                j, o = 3 * unknown[b], first[b]
+                if first[b + 1] - o == 2:
+                    target[o] = line[j] * N[b, 0, 0] + line[j + 1] * N[b, 1, 0] + line[j + 2] * N[b, 2, 0]
+                    target[o + 1] = line[j] * N[b, 0, 1] + line[j + 1] * N[b, 1, 1] + line[j + 2] * N[b, 2, 1]
+                else:
+                    target[o], target[o + 1], target[o + 2] = line[j], line[j + 1], line[j + 2]
+    d = _solve_dense(J, r)
+    for a in range(count):
+        i, o = 3 * unknown[a], first[a]
+        for c in range(3):
+            x[i + c] += N[a, c, 0] * d[o] + N[a, c, 1] * d[o + 1] if first[a + 1] - o == 2 else d[o + c]
     times(W, x, product)
 
 
