@@ -27,6 +27,7 @@ __all__ = [
     "MATRIX",
     "NUMBER",
     "VECTOR",
+    "block",
     "compiled",
     "derivative",
     "force_scale",
@@ -333,6 +334,17 @@ def responses(S, T, at, F, out):
                 row[j] += S0[j] * f0 + S1[j] * f1 + S2[j] * f2 + S3[j] * f3
 
 
+@jit(MATRIX(MATRIX, COUNTS))
+def block(S, rows):
+    """``S[rows][:, rows]``, a fraction of the cost where the rows are few of many."""
+    out = np.empty((len(rows), len(rows)))
+    for a in range(len(rows)):
+        line, target = S[rows[a]], out[a]
+        for b in range(len(rows)):
+            target[b] = line[rows[b]]
+    return out
+
+
 @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS, NUMBER))
 def system(W, A, B, own, damping):
     """Matrix of ``A_k x_k + B_k (W x)_k`` over the contacts ``own``; ``damping`` is added to the diagonal of ``W``."""
@@ -356,7 +368,7 @@ def system(W, A, B, own, damping):
 
 @jit(void(VECTOR, MATRIX))
 def _across(l, N):
-    """The columns of N (3, 2) become unit vectors perpendicular to l (3,) and to each other."""
+    """The first two columns of N (3, 3) become unit vectors perpendicular to l (3,) and to each other."""
     i = 0
     for j in range(1, 3):
         if abs(l[j]) < abs(l[i]):
@@ -382,7 +394,8 @@ def _unknowns(A, B, phi, M, N, x):
     """How many unknowns ``A x + B p = -Φ`` of one contact leaves where p hangs on others, 2 or 3.
 
     A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then ``x`` (3,)
-    receives one that obeys it, N (3, 2) what may be added to it, and M (3, 2) the combinations of rows that are left.
+    receives one that obeys it, N what may be added to it, and M the combinations of rows that are left, both (3, 3) in
+    their first two columns.
     """
     l, largest = np.zeros(3), 0.0
     for j in range(3):
@@ -425,9 +438,10 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     for k in range(m):
         for i in range(3 * k, 3 * k + 3):
             x[i] = -z[i] if state[k] == known else 0.0
-    M, N, first = np.zeros((count, 3, 2)), np.zeros((count, 3, 2)), np.zeros(count + 1, np.int64)
+    M, N, first = np.empty((count, 3, 3)), np.empty((count, 3, 3)), np.zeros(count + 1, np.int64)
     for a in range(count):
         k = unknown[a]
+        M[a], N[a] = np.eye(3), np.eye(3)
         some = 3
         if state[k] == SLIP:
             some = _unknowns(A[k], B[k], phi[3 * k : 3 * k + 3], M[a], N[a], x[3 * k : 3 * k + 3])
@@ -436,46 +450,46 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     size = first[count]
     if size == 0:
         return
-    r, J, line, rest, row = np.zeros(size), np.zeros((size, size)), np.empty(len(x)), np.empty(3), np.empty(3)
+    moved, line = np.empty((3 * count, size)), np.empty(len(x))  # what each unknown moves
+    for a in range(count):
+        i = 3 * unknown[a]
+        W0, W1, W2 = W[i], W[i + 1], W[i + 2]
+        for p in range(first[a], first[a + 1]):
+            n0, n1, n2 = N[a, 0, p - first[a]], N[a, 1, p - first[a]], N[a, 2, p - first[a]]
+            for j in range(len(x)):
+                line[j] = n0 * W0[j] + n1 * W1[j] + n2 * W2[j]
+            line[i] += damping * n0
+            line[i + 1] += damping * n1
+            line[i + 2] += damping * n2
+            for b in range(count):
+                j = 3 * unknown[b]
+                moved[3 * b, p], moved[3 * b + 1, p], moved[3 * b + 2, p] = line[j], line[j + 1], line[j + 2]
+    r, J, rest = np.empty(size), np.empty((size, size)), np.empty(3)
     for a in range(count):
         k, i = unknown[a], 3 * unknown[a]
-        W0, W1, W2 = W[i], W[i + 1], W[i + 2]
-        reduced = first[a + 1] - first[a] == 2
+        W0, W1, W2 = moved[3 * a], moved[3 * a + 1], moved[3 * a + 2]
         for c in range(3):
             rest[c] = -phi[i + c]
             for j in range(3):
                 rest[c] -= A[k, c, j] * x[i + j] + B[k, c, j] * product[i + j]
         for p in range(first[a], first[a + 1]):
-            c = p - first[a]
-            b0, b1, b2 = B[k, c, 0], B[k, c, 1], B[k, c, 2]
-            r[p] = rest[c]
-            row[0], row[1], row[2] = A[k, c, 0], A[k, c, 1], A[k, c, 2]
-            if reduced:
-                m0, m1, m2 = M[a, 0, c], M[a, 1, c], M[a, 2, c]
-                r[p] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
-                b0 = m0 * B[k, 0, 0] + m1 * B[k, 1, 0] + m2 * B[k, 2, 0]
-                b1 = m0 * B[k, 0, 1] + m1 * B[k, 1, 1] + m2 * B[k, 2, 1]
-                b2 = m0 * B[k, 0, 2] + m1 * B[k, 1, 2] + m2 * B[k, 2, 2]
-                for j in range(3):
-                    row[j] = m0 * A[k, 0, j] + m1 * A[k, 1, j] + m2 * A[k, 2, j]
-            for j in range(len(x)):
-                line[j] = b0 * W0[j] + b1 * W1[j] + b2 * W2[j]
-            line[i] += row[0] + damping * b0
-            line[i + 1] += row[1] + damping * b1
-            line[i + 2] += row[2] + damping * b2
+            m0, m1, m2 = M[a, 0, p - first[a]], M[a, 1, p - first[a]], M[a, 2, p - first[a]]
+            r[p] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
+            b0 = m0 * B[k, 0, 0] + m1 * B[k, 1, 0] + m2 * B[k, 2, 0]
+            b1 = m0 * B[k, 0, 1] + m1 * B[k, 1, 1] + m2 * B[k, 2, 1]
+            b2 = m0 * B[k, 0, 2] + m1 * B[k, 1, 2] + m2 * B[k, 2, 2]
             target = J[p]
-            for b in range(count):
-                j, o = 3 * unknown[b], first[b]
-                if first[b + 1] - o == 2:
-                    target[o] = line[j] * N[b, 0, 0] + line[j + 1] * N[b, 1, 0] + line[j + 2] * N[b, 2, 0]
-                    target[o + 1] = line[j] * N[b, 0, 1] + line[j + 1] * N[b, 1, 1] + line[j + 2] * N[b, 2, 1]
-                else:
-                    target[o], target[o + 1], target[o + 2] = line[j], line[j + 1], line[j + 2]
+            for j in range(size):
+                target[j] = b0 * W0[j] + b1 * W1[j] + b2 * W2[j]
+            for c in range(3):
+                own = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
+                for q in range(first[a], first[a + 1]):
+                    target[q] += own * N[a, c, q - first[a]]
     d = _solve_dense(J, r)
     for a in range(count):
-        i, o = 3 * unknown[a], first[a]
-        for c in range(3):
-            x[i + c] += N[a, c, 0] * d[o] + N[a, c, 1] * d[o + 1] if first[a + 1] - o == 2 else d[o + c]
+        for q in range(first[a], first[a + 1]):
+            for c in range(3):
+                x[3 * unknown[a] + c] += N[a, c, q - first[a]] * d[q]
     times(W, x, product)
 
 
