@@ -133,10 +133,12 @@ class ContactSolver:
     @one_thread
     def take(self, own: np.ndarray) -> ContactSolver:
         """The same for the contacts `own` (m,) alone, as if the others were not there; what is prepared is kept."""
+        from mic.contact.native.kernels import block  # compiles, or reads the cache, when it is imported
+
         rows = np.flatnonzero(np.repeat(own, self.dimension))
         some = copy(self)
-        some.contacts, some.S = int(own.sum()), self.S.take(rows, 0).take(rows, 1)
-        some._sliding = some.S if self._sliding is self.S else self._sliding.take(rows, 0).take(rows, 1)
+        some.contacts, some.S = int(own.sum()), block(self.S, rows)
+        some._sliding = some.S if self._sliding is self.S else block(self._sliding, rows)
         diagonal = some.S.diagonal()  # S is semidefinite: its largest entry lies there
         some._rigid, some._strange = not diagonal.any(), bool(beyond(diagonal))
         some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]

@@ -866,6 +866,7 @@ def _compile(digest):
             NUMBER,
             int64,
             int64,
+            boolean,
             *LAST_PROBLEM,
             COUNTS,
         )
@@ -883,6 +884,7 @@ def _compile(digest):
         scale,
         sweeps,
         calls,
+        near,
         kept,
         stretch,
         A,
@@ -893,7 +895,8 @@ def _compile(digest):
     ):
         """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
 
-        `calls` for help are made before it is given up.  The rest as :func:`newton_by_pivots`.
+        Newton's method with pivots comes first where the solution is `near`; where it is not, its pivots are wasted on
+        four problems in five.  `calls` for help are made before it is given up.  The rest as :func:`newton_by_pivots`.
         """
         digest  # noqa: B018
         m = len(parameters)
@@ -902,11 +905,12 @@ def _compile(digest):
         slip = np.zeros(m)
         if sweeps > 0:
             sweep(W, P, parameters, y, w, q, slip, sweeps)
-        solved, own, inverse = newton_by_pivots(
-            equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
-        )
-        if solved == 1:
-            return 1, own, inverse
+        if near:
+            solved, own, inverse = newton_by_pivots(
+                equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
+            )
+            if solved == 1:
+                return 1, own, inverse
         run, halvings = sweeps, 0 if sweeps > 0 else 20
         for call in range(calls + 1):
             error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, PATIENCE, halvings, m)
@@ -1290,6 +1294,7 @@ def _compile(digest):
                     scale,
                     sweeps,
                     HELP,
+                    True,
                     kept,
                     stretch,
                     A,
@@ -1391,6 +1396,7 @@ def _compile(digest):
                             starting_scale(q) if end else scale,
                             sweeps,
                             HELP if last or order == 1 or _motion(motion, unit) <= allowed else 0,
+                            order == 2,
                             kept,
                             stretch,
                             A,

@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numba import boolean, cfunc, float64, int64, njit, types, void
 
-from mic.contact.states import OPEN, STICK
+from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = [
     "BLOCKS",
@@ -27,6 +27,7 @@ __all__ = [
     "MATRIX",
     "NUMBER",
     "VECTOR",
+    "block",
     "compiled",
     "derivative",
     "force_scale",
@@ -48,6 +49,8 @@ COUNTS = int64[::1]
 #: slips 1.5 times as dear.
 EQUATION = void(MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS, boolean)
 EQUATION_POINTER = types.FunctionType(EQUATION)
+#: Of a contact's own matrix: what is less is rounding.
+RANK = 1e-10
 
 
 def _kept(decorator):
@@ -331,6 +334,17 @@ def responses(S, T, at, F, out):
                 row[j] += S0[j] * f0 + S1[j] * f1 + S2[j] * f2 + S3[j] * f3
 
 
+@jit(MATRIX(MATRIX, COUNTS))
+def block(S, rows):
+    """``S[rows][:, rows]``, a fraction of the cost where the rows are few of many."""
+    out = np.empty((len(rows), len(rows)))
+    for a in range(len(rows)):
+        line, target = S[rows[a]], out[a]
+        for b in range(len(rows)):
+            target[b] = line[rows[b]]
+    return out
+
+
 @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS, NUMBER))
 def system(W, A, B, own, damping):
     """Matrix of ``A_k x_k + B_k (W x)_k`` over the contacts ``own``; ``damping`` is added to the diagonal of ``W``."""
@@ -352,32 +366,130 @@ def system(W, A, B, own, damping):
     return J
 
 
+@jit(void(VECTOR, MATRIX))
+def _across(l, N):
+    """The first two columns of N (3, 3) become unit vectors perpendicular to l (3,) and to each other."""
+    i = 0
+    for j in range(1, 3):
+        if abs(l[j]) < abs(l[i]):
+            i = j
+    length = np.sqrt(l[0] * l[0] + l[1] * l[1] + l[2] * l[2])
+    n0, n1, n2 = l[0] / length, l[1] / length, l[2] / length
+    along = l[i] / length
+    u0, u1, u2 = -along * n0, -along * n1, -along * n2
+    if i == 0:
+        u0 += 1.0
+    elif i == 1:
+        u1 += 1.0
+    else:
+        u2 += 1.0
+    size = np.sqrt(u0 * u0 + u1 * u1 + u2 * u2)
+    u0, u1, u2 = u0 / size, u1 / size, u2 / size
+    N[0, 0], N[1, 0], N[2, 0] = u0, u1, u2
+    N[0, 1], N[1, 1], N[2, 1] = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
+
+
+@jit(int64(MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR))
+def _unknowns(A, B, phi, M, N, x):
+    """How many unknowns ``A x + B p = -Φ`` of one contact leaves where p hangs on others, 2 or 3.
+
+    A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then ``x`` (3,)
+    receives one that obeys it, N what may be added to it, and M the combinations of rows that are left, both (3, 3) in
+    their first two columns.
+    """
+    l, largest = np.zeros(3), 0.0
+    for j in range(3):
+        i = (j + 1) % 3
+        c0 = B[1, i] * B[2, j] - B[2, i] * B[1, j]
+        c1 = B[2, i] * B[0, j] - B[0, i] * B[2, j]
+        c2 = B[0, i] * B[1, j] - B[1, i] * B[0, j]
+        size = np.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+        if size > largest:
+            largest, l[0], l[1], l[2] = size, c0 / size, c1 / size, c2 / size
+    g, ahead = np.zeros(3), 0.0
+    for row in range(3):
+        ahead -= l[row] * phi[row]
+        for j in range(3):
+            g[j] += l[row] * A[row, j]
+    square = g[0] * g[0] + g[1] * g[1] + g[2] * g[2]
+    full = largest == 0.0 or square < RANK * RANK
+    for j in range(3):
+        size = np.sqrt(B[0, j] ** 2 + B[1, j] ** 2 + B[2, j] ** 2)
+        full = full or abs(l[0] * B[0, j] + l[1] * B[1, j] + l[2] * B[2, j]) > RANK * size
+    if full:
+        x[:] = 0.0
+        return 3
+    for j in range(3):
+        x[j] = ahead / square * g[j]
+    _across(l, M)
+    _across(g, N)
+    return 2
+
+
 @jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR, VECTOR))
 def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
-    Fills ``x`` and ``product = W x``.
+    Fills ``x`` and ``product = W x``.  Contacts that slide have two unknowns, others three.
     """
     m = len(state)
     unknown = np.flatnonzero(state != known)
+    count = len(unknown)
     for k in range(m):
         for i in range(3 * k, 3 * k + 3):
             x[i] = -z[i] if state[k] == known else 0.0
-    times(W, x, product)
-    count = len(unknown)
-    if count == 0:
-        return
-    r = np.empty(3 * count)
+    M, N, first = np.empty((count, 3, 3)), np.empty((count, 3, 3)), np.zeros(count + 1, np.int64)
     for a in range(count):
         k = unknown[a]
-        i = 3 * k
-        for row in range(3):
-            b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
-            r[3 * a + row] = -phi[i + row] - b0 * product[i] - b1 * product[i + 1] - b2 * product[i + 2]
-    d = _solve_dense(system(W, A, B, unknown, damping), r)
+        M[a], N[a] = np.eye(3), np.eye(3)
+        some = 3
+        if state[k] == SLIP:
+            some = _unknowns(A[k], B[k], phi[3 * k : 3 * k + 3], M[a], N[a], x[3 * k : 3 * k + 3])
+        first[a + 1] = first[a] + some
+    times(W, x, product)
+    size = first[count]
+    if size == 0:
+        return
+    moved, line = np.empty((3 * count, size)), np.empty(len(x))  # what each unknown moves
     for a in range(count):
         i = 3 * unknown[a]
-        x[i], x[i + 1], x[i + 2] = d[3 * a], d[3 * a + 1], d[3 * a + 2]
+        W0, W1, W2 = W[i], W[i + 1], W[i + 2]
+        for p in range(first[a], first[a + 1]):
+            n0, n1, n2 = N[a, 0, p - first[a]], N[a, 1, p - first[a]], N[a, 2, p - first[a]]
+            for j in range(len(x)):
+                line[j] = n0 * W0[j] + n1 * W1[j] + n2 * W2[j]
+            line[i] += damping * n0
+            line[i + 1] += damping * n1
+            line[i + 2] += damping * n2
+            for b in range(count):
+                j = 3 * unknown[b]
+                moved[3 * b, p], moved[3 * b + 1, p], moved[3 * b + 2, p] = line[j], line[j + 1], line[j + 2]
+    r, J, rest = np.empty(size), np.empty((size, size)), np.empty(3)
+    for a in range(count):
+        k, i = unknown[a], 3 * unknown[a]
+        W0, W1, W2 = moved[3 * a], moved[3 * a + 1], moved[3 * a + 2]
+        for c in range(3):
+            rest[c] = -phi[i + c]
+            for j in range(3):
+                rest[c] -= A[k, c, j] * x[i + j] + B[k, c, j] * product[i + j]
+        for p in range(first[a], first[a + 1]):
+            m0, m1, m2 = M[a, 0, p - first[a]], M[a, 1, p - first[a]], M[a, 2, p - first[a]]
+            r[p] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
+            b0 = m0 * B[k, 0, 0] + m1 * B[k, 1, 0] + m2 * B[k, 2, 0]
+            b1 = m0 * B[k, 0, 1] + m1 * B[k, 1, 1] + m2 * B[k, 2, 1]
+            b2 = m0 * B[k, 0, 2] + m1 * B[k, 1, 2] + m2 * B[k, 2, 2]
+            target = J[p]
+            for j in range(size):
+                target[j] = b0 * W0[j] + b1 * W1[j] + b2 * W2[j]
+            for c in range(3):
+                own = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
+                for q in range(first[a], first[a + 1]):
+                    target[q] += own * N[a, c, q - first[a]]
+    d = _solve_dense(J, r)
+    for a in range(count):
+        for q in range(first[a], first[a + 1]):
+            for c in range(3):
+                x[3 * unknown[a] + c] += N[a, c, q - first[a]] * d[q]
     times(W, x, product)
 
 

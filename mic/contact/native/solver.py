@@ -12,7 +12,7 @@ import numpy as np
 from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
-from mic.contact.native import batch, follower, patience
+from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
@@ -83,7 +83,7 @@ class NativeSolver:
         some.scaling = self.scaling[rows]
         some.problem = replace(
             problem,
-            W=problem.W.take(rows, 0).take(rows, 1),
+            W=kernels.block(problem.W, rows),
             parameters=problem.parameters[own],
             factors=None if problem.factors is None else problem.factors[own],
         )
