@@ -129,6 +129,21 @@ def test_a_motion_that_is_less_than_may_be_in_error_takes_one_step():
         assert np.linalg.norm(found.anchor - exact) < found.trace.error[0] < floor
 
 
+def test_contacts_that_touch_at_no_load_are_followed_from_there():
+    """Two touch as the load begins, a third closes later and takes over from one of them: what slips, since when."""
+    random = np.random.default_rng(1)
+    off, moved = 0.0, 0.0
+    for _ in range(500):
+        A = random.normal(size=(9, 9))
+        start, end = np.zeros((2, 9))
+        start[6] = end[6] = random.uniform(0.05, 0.5)
+        end[[0, 3]] = -random.uniform(0.2, 1, 2)
+        paths = Followed(least=0.02), Followed(1e-7, 1e-3)
+        found, exact = (follow([start, end], path, A @ A.T + 0.1 * np.eye(9), mu=0.3).trace.slip for path in paths)
+        off, moved = max(off, abs(found - exact).max()), max(moved, abs(exact).max())
+    assert off < 0.02 * moved
+
+
 def test_overlap_at_the_start_is_resolved_before_the_load_moves():
     """Pressed together first, the contact sticks under a drag that it could not hold while the force still grew."""
     found = follow([[-1, 0, 0], [-1, 0.4, 0]])
