@@ -29,7 +29,7 @@ from mic.results.condensed import Condensed
 from mic.results.digest import BlockSamples
 from mic.results.fields import write_fields
 from mic.results.folder import Block, RunFolder, keeps, versions
-from mic.results.forecast import forecast
+from mic.results.forecast import duration, forecast
 from mic.results.identity import identity, inputs
 from mic.results.lock import locked
 from mic.results.outcome import Outcome, read_outcome
@@ -271,8 +271,15 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
         write_evaluation(store, Block(law, first, len(evaluation.deviations)), whose, model, evaluation)
 
+    def expect(seconds: float) -> None:
+        if seconds > LONG:
+            listener.say(
+                f"By the first assemblies, the samples that are left take about {duration(seconds)}. What is finished "
+                'is kept whenever the run is stopped; path = "one-step" in the stages takes a fraction.'
+            )
+
     with listener.sampling(laws, samples) as advance:
-        return monte_carlo(model, laws, samples, seed, sink, done, advance)
+        return monte_carlo(model, laws, samples, seed, sink, done, advance, expect)
 
 
 def write_evaluation(

@@ -260,3 +260,11 @@ def test_a_folder_of_before_that_kept_every_pair_and_no_sums_is_read(long_and_sh
     shutil.rmtree(tmp_path / "run" / "sums")
     for one, other in zip(statistics_of(long_and_short[0]), statistics_of(tmp_path / "run")):
         pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+@pytest.mark.parametrize("long, said", [(0.0, True), (1e9, False)])
+def test_a_run_that_takes_long_says_so_after_its_first_samples(lap_model, tmp_path, monkeypatch, long, said):
+    monkeypatch.setattr("mic.runs.LONG", long)
+    heard = Heard()
+    sample_into(tmp_path, lap_model, ["frictionless"], 3, 4, listener=heard)
+    assert any("samples that are left take about" in sentence for sentence in heard.sentences) == said

@@ -12,7 +12,7 @@ from mic.contact.laws import LAWS
 from mic.errors import RunError
 from mic.process.plan import plan_stages
 
-__all__ = ["Forecast", "forecast"]
+__all__ = ["Forecast", "duration", "forecast"]
 
 # Least figures: dense assemblies and hard contact problems take several times as long.
 SECONDS = 1e-5  # one contact pair in one increment of one sample, on one core
@@ -40,7 +40,7 @@ class Forecast:
     size: float
 
     def __str__(self) -> str:
-        return f"at least {_time(self.seconds)} and {_size(self.size)} on disk"
+        return f"at least {duration(self.seconds)} and {_size(self.size)} on disk"
 
     def check(self, folder: Path) -> None:
         """Raise :class:`RunError` for a run that would never end, or whose results do not fit on the disk."""
@@ -78,7 +78,8 @@ def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecas
     return Forecast(samples, samples * seconds / cores, float(len(laws) * size))
 
 
-def _time(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time in words."""
     for unit, name in ((365.25 * 86400, "years"), (86400, "days"), (3600, "hours"), (60, "minutes")):
         if seconds >= 2 * unit:
             return f"{_rounded(seconds / unit)} {name}"
