@@ -32,8 +32,7 @@ from mic.process.model import ReducedModel
 from mic.report.page import write_report
 from mic.results.folder import Block, RunFolder, versions
 from mic.results.identity import identity, inputs
-from mic.results.tables import tables
-from mic.runs import conclude, sample_into
+from mic.runs import conclude, sample_into, write_evaluation
 from mic.sampling.draw import draw
 from mic.sampling.montecarlo import blocks
 
@@ -93,8 +92,7 @@ def write(folder: Path, assembly, model: ReducedModel, evaluation: Evaluation, s
     store.write_record(record | {"identity": whose, "inputs": inputs(model, 1), "versions": versions()})
     for law, first, count in blocks([LAW], samples, len(model.contacts)):
         block = rows(evaluation, (first + np.arange(count)) % len(evaluation.deviations))
-        forces = {"force": block.functional_force, "motion": block.motion} if model.scene.report.fields else None
-        store.write_block(Block(law, first, count), whose, tables(model, block, first), forces)
+        write_evaluation(store, Block(law, first, count), whose, model, block)
 
 
 def rows(evaluation: Evaluation, number: np.ndarray) -> Evaluation:

@@ -7,6 +7,8 @@
 
 Seconds of processor time of one process, its threads together, the less of two runs; wall time of the whole. Warm:
 meshes, contact pairs, influence coefficients and compiled code are kept from a first run, the results folder is new.
+The last table is of processes of their own: the import alone, the help, and the first evaluation of a model that is
+loaded, all in the environment of the run.
 *before* are figures of commit 34ad457, taken in turns with this one on a machine that others kept busy: there the
 same run of the same commit takes up to twice as long from one minute to the next.
 """
@@ -16,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -74,7 +77,33 @@ def main() -> None:
     # phases that begin with what others loaded before them take its time: code is read where it is first asked for
     for phase, seconds in [*best.items(), (IN_ALL, sum(best.values())), (WALL, wall)]:
         shown.add_row(phase, f"{seconds:.2f}", f"{before[phase]:.2f}" if phase in before else "")
-    Console(width=100).print(shown)
+    console = Console(width=100)
+    console.print(shown)
+    console.print(starts(environment, arguments.scene))
+
+
+def starts(environment: dict[str, str], scene: Path) -> Table:
+    """Processor seconds of what a user waits for before anything is computed, the less of two."""
+    reads = "import mic, sys; mic.reduce(mic.load_scene(sys.argv[1]))"
+    loaded, evaluated = ([sys.executable, "-c", code, str(scene)] for code in (reads, f"{reads}.evaluate({{}})"))
+    shown = Table("start", "s")
+    took = {}
+    for name, command in (
+        ("nothing", [sys.executable, "-c", "pass"]),
+        ("import mic", [sys.executable, "-c", "import mic"]),
+        ("mic --help", [sys.executable, "-m", "mic.cli", "--help"]),
+        ("a model of what is kept", loaded),
+        ("it and a first evaluation", evaluated),
+    ):
+        runs = []
+        for _ in range(2):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=True)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            runs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        took[name] = min(runs)
+        shown.add_row(name, f"{took[name]:.2f}")
+    return shown
 
 
 def spent(arguments: argparse.Namespace) -> dict[str, float]:

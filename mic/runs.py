@@ -25,20 +25,24 @@ from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.results.accuracy import write_accuracy
+from mic.results.condensed import Condensed
+from mic.results.digest import BlockSamples
 from mic.results.fields import write_fields
-from mic.results.folder import Block, RunFolder, versions
-from mic.results.forecast import forecast
+from mic.results.folder import Block, RunFolder, keeps, versions
+from mic.results.forecast import duration, forecast
 from mic.results.identity import identity, inputs
 from mic.results.lock import locked
 from mic.results.outcome import Outcome, read_outcome
+from mic.results.schema import CONTACTS
 from mic.results.summary import write_path_study, write_summary, write_tables
+from mic.results.sums import Sums
 from mic.results.tables import tables
 from mic.sampling.montecarlo import blocks, monte_carlo
 from mic.sampling.ranks import communicator, on_first, shared
 from mic.scene import Scene
 from mic.store import clean
 
-__all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into"]
+__all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
 
 GROWTH = 1.3  # of the samples, from one look at what they leave to the next
 LONG = 3600.0  # s; a run that takes longer says so before it begins
@@ -215,7 +219,7 @@ def _prepare(
         "versions": versions(),
         "warnings": list(warnings),
     }
-    for sentence in RunFolder(folder).prepare(record, source.scene.report.fields, replace):
+    for sentence in RunFolder(folder).prepare(record, source.scene.report, replace):
         listener.say(sentence)
 
 
@@ -251,12 +255,12 @@ def _sampled(folder, model: ReducedModel, laws, samples, seed, listener) -> dict
 def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:
     """The samples that a folder lacks; it was made ready by the first process."""
     store, world = RunFolder(folder), communicator()
-    whose, fields = identity(model, seed), model.scene.report.fields
+    whose = identity(model, seed)
     there: dict[str, np.ndarray] = {}
 
     def start() -> None:
         model.save(store.path / "model.npz")
-        there.update({law: store.finished(law) for law in laws})
+        there.update({law: store.finished(law, samples) for law in laws})
 
     on_first(world, start)
 
@@ -265,12 +269,36 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[
         return bool(stop - start == count)
 
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
-        forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if fields else None
-        block = Block(law, first, len(evaluation.deviations))
-        store.write_block(block, whose, tables(model, evaluation, first), forces)
+        write_evaluation(store, Block(law, first, len(evaluation.deviations)), whose, model, evaluation)
+
+    def expect(seconds: float) -> None:
+        if seconds > LONG:
+            listener.say(
+                f"By the first assemblies, the samples that are left take about {duration(seconds)}. What is finished "
+                'is kept whenever the run is stopped; path = "one-step" in the stages takes a fraction.'
+            )
 
     with listener.sampling(laws, samples) as advance:
-        return monte_carlo(model, laws, samples, seed, sink, done, advance)
+        return monte_carlo(model, laws, samples, seed, sink, done, advance, expect)
+
+
+def write_evaluation(
+    store: RunFolder, block: Block, identity: str, model: ReducedModel, evaluation: Evaluation
+) -> None:
+    """Write what a block of samples gave: its tables, what its contact pairs add up to and, where fields are asked for,
+    its forces; pairs and forces themselves of the first samples alone (:attr:`mic.scene.schema.Report.contacts`)."""
+    found, report = tables(model, evaluation, block.first), model.scene.report
+    samples = BlockSamples(found, len(model.contacts), block.first + block.count)
+    sums, forces, condensed = Sums.of(samples, model), None, None
+    if not keeps(report, block):
+        del found[CONTACTS.name]
+    if report.fields and keeps(report, block):
+        forces = {"force": evaluation.functional_force, "motion": evaluation.motion}
+    elif report.fields:
+        force, motion, own = evaluation.functional_force, evaluation.motion, samples.valid
+        each = zip(model.compliance.functionals, model.compliance.motions)
+        condensed = tuple(Condensed.of(force[own, rows], motion[own, columns]) for rows, columns in each)
+    store.write_block(block, identity, found, sums, forces, condensed)
 
 
 @contextmanager
@@ -295,7 +323,7 @@ def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
 def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
     """How many of the samples that were asked for are finished in a results folder, over all laws."""
     store = RunFolder(Path(folder))
-    return sum(int((store.finished(law) < samples).sum()) for law in laws)
+    return sum(int((store.finished(law, samples) < samples).sum()) for law in laws)
 
 
 def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: Listener | None = None) -> Outcome:

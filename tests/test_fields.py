@@ -8,7 +8,8 @@ import mic
 from mic.compliance import provider
 from mic.errors import FormatError, MissingProvider
 from mic.model.assembly import assemble
-from mic.results.fields import Condenser, compute_fields, low_rank, read_fields, write_fields
+from mic.results.condensed import Condensed, Condenser
+from mic.results.fields import compute_fields, low_rank, read_fields, write_fields
 from mic.results.folder import RunFolder
 from mic.results.outcome import read_outcome
 from mic.runs import sample_into
@@ -100,6 +101,23 @@ def condensed(force, motion, pieces=1, **room):
     for part, other in zip(np.array_split(force, pieces), np.array_split(motion, pieces)):
         condenser.add(part, other)
     return condenser.centred()
+
+
+def test_what_stands_for_blocks_of_samples_has_their_factor():
+    """Whether a block has more samples than columns, fewer, or none."""
+    rng = np.random.default_rng(5)
+    C = rng.normal(size=(7, 7))
+    force, motion = 3 + rng.normal(size=(60, 7)), rng.normal(size=(60, 6))
+    condenser = Condenser()
+    for first, last in ((0, 40), (40, 40), (40, 45), (45, 60)):
+        condenser.join(Condensed.of(force[first:last], motion[first:last]))
+    whole, few = condensed(force, motion), condenser.centred()
+    assert few.samples == 60 and len(Condensed.of(force[:40], motion[:40]).rows) == 14
+    np.testing.assert_allclose(few.mean, whole.mean, rtol=1e-12)
+    np.testing.assert_allclose(few.rows.T @ few.rows, whole.rows.T @ whole.rows, atol=1e-10)
+    one, other = (low_rank(samples, C @ C.T) for samples in (whole, few))
+    covariances = [own.force @ own.gram[:7, :7] @ own.force.T for own in (one, other)]
+    np.testing.assert_allclose(*covariances, rtol=1e-8)
 
 
 def test_the_factor_keeps_the_energy_it_promises():

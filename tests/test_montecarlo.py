@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 from mic.results import statistics
+from mic.sampling import montecarlo
 from mic.sampling.draw import draw
-from mic.sampling.montecarlo import BLOCK, ROOM, SIZES, blocks, monte_carlo
+from mic.sampling.montecarlo import BLOCK, CROWD, FEW, ROOM, SIZES, blocks, monte_carlo
 from mic.scene import Scene
 from mic.scene.samples import DESIGNS
 
@@ -201,3 +202,30 @@ def test_blocks_grow_with_their_place_as_far_as_memory_allows():
     assert all(count <= max(BLOCK, first / 20) for _, first, count in small)
     assert len(small) < 400 and max(count for *_, count in small) == SIZES[-1]
     assert max(count for *_, count in large) * 500 <= ROOM
+
+
+def test_where_samples_take_long_they_are_told_of_one_by_one_and_stay_the_same(lap_model, monkeypatch):
+    whole, _ = collected(lap_model, ["coulomb"], 6, 4)
+    monkeypatch.setattr(montecarlo, "SIGN", 0.0)  # any sample takes long
+    told, expected = [], []
+    advance = lambda law, count: told.append((law, count))
+    pieces, _ = collected(lap_model, ["coulomb"], 6, 4, advance=advance, expect=expected.append)
+    assert told == [("coulomb", 1)] * 6 and len(expected) == 1 and 0 < expected[0] < 60
+    ((_, _, one),), ((_, _, other),) = whole, pieces
+    for name in ("measurements", "deviations", "functional_force", "motion"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for stage, resolution in one.resolutions.items():
+        np.testing.assert_array_equal(resolution.force, other.resolutions[stage].force)
+
+
+def test_what_is_expected_of_a_run_leaves_out_what_the_first_sample_prepares(lap_model, monkeypatch):
+    """It loads and compiles; the others are judged by each other."""
+    ticks = iter([0.0, 0.0, 1000.0, 1000.0, 1006.0])
+    monkeypatch.setattr(montecarlo.time, "perf_counter", lambda: next(ticks))
+    expected = []
+    collected(lap_model, ["frictionless"], 2, 4, expect=expected.append)
+    assert expected == [12.0]  # 6 s each
+
+
+def test_many_contact_pairs_make_small_blocks():
+    assert [block[2] for block in blocks(["coulomb"], 12, CROWD + 1)] == [FEW, FEW, 2]

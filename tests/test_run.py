@@ -1,6 +1,7 @@
 """Runs that lose nothing, use nothing of another run, and delete nothing that is not theirs."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -171,3 +172,99 @@ def test_ranks_share_the_samples(lap_model, tmp_path):
     for table in ("samples", "measurements"):
         pd.testing.assert_frame_equal(read(tmp_path / "one", table), read(tmp_path / "two", table))
     assert np.isfinite(read(tmp_path / "two", "measurements")["value"]).all()
+
+
+def keeping(model, contacts, **report):
+    """The same model, of which so many samples keep their contact pairs."""
+    asked = model.scene.report.model_copy(update={"contacts": contacts, **report})
+    return replace(model, scene=model.scene.model_copy(update={"report": asked}))
+
+
+def statistics_of(folder):
+    outcome = read_run(folder)
+    return [getattr(outcome, f"{name}_statistics") for name in ("zone", "contact", "measurement")]
+
+
+@pytest.fixture(scope="module")
+def long_and_short(lap_model, tmp_path_factory):
+    """Folders of 120 samples: all keep their pairs, or only the first block."""
+    place = tmp_path_factory.mktemp("pairs")
+    for name, contacts in (("all", 2000), ("few", 0)):
+        sample_into(place / name, keeping(lap_model, contacts), LAWS, 120, 4)
+    return place / "all", place / "few"
+
+
+def test_statistics_do_not_hang_on_how_many_samples_keep_their_pairs(long_and_short, lap_model):
+    whole, few = long_and_short
+    assert read(few, "contacts")["sample"].unique().tolist() == list(range(50))  # the first block, as always
+    assert len(list((few / "forces").rglob("*.npz"))) == 2 and len(list((few / "condensed").rglob("*.npz"))) == 4
+    for one, other in zip(statistics_of(whole), statistics_of(few)):
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+    contacts = read(whole, "contacts")  # and they are those of the table
+    clamp = contacts[contacts["stage"] == "clamp"].groupby("contact")["f_n"]
+    statistics = statistics_of(few)[1]
+    found = statistics[(statistics["law"] == "coulomb") & (statistics["stage"] == "clamp")]
+    np.testing.assert_allclose(found["mean_f_n"], clamp.mean(), rtol=1e-12)
+    np.testing.assert_allclose(found["six_sigma_f_n"], 6 * clamp.std(), rtol=1e-9, atol=1e-12)
+    state = contacts[contacts["stage"] == "clamp"].groupby("contact")["state"]
+    np.testing.assert_allclose(found["open"], state.apply(lambda own: (own == "open").mean()), rtol=1e-12)
+
+
+def test_pairs_that_are_not_kept_are_refused_in_words(long_and_short):
+    outcome = read_run(long_and_short[1])
+    kept = outcome.with_pairs("coulomb")
+    assert kept.tolist() == list(range(50))
+    assert outcome.contact("coulomb", "clamp", "f_n", kept).shape == (50, len(outcome.model.contacts))
+    for samples in (None, [49, 50]):
+        with pytest.raises(RunError, match=r"pairs of 50 samples under coulomb.*more contacts in \[report\]"):
+            outcome.contact("coulomb", "clamp", "f_n", samples)
+
+
+@pytest.mark.parametrize("contacts", [0, 2000])
+def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, tmp_path, contacts):
+    model = keeping(lap_model, contacts)
+    for name, counts in (("first", [90]), ("again", [100, 90, 100])):
+        for count in counts:
+            sample_into(tmp_path / name, model, ["coulomb"], count, 4)
+            if name == "again" and count == 90:
+                for one, other in zip(statistics_of(tmp_path / "first"), statistics_of(tmp_path / "again")):
+                    pd.testing.assert_frame_equal(one, other, check_exact=True)
+    assert read_run(tmp_path / "again").sample_numbers("coulomb").tolist() == list(range(100))
+
+
+def test_pairs_asked_for_afterwards_are_computed(long_and_short, lap_model, tmp_path):
+    shutil.copytree(long_and_short[1], tmp_path / "run")
+    found = sample_into(tmp_path / "run", keeping(lap_model, 60), LAWS, 120, 4)
+    assert found == dict.fromkeys(LAWS, 70)
+    assert read_run(tmp_path / "run").with_pairs("coulomb").tolist() == list(range(100))
+
+
+@pytest.mark.parametrize("table", ["sums", "condensed"])
+@pytest.mark.parametrize("wound", ["cut", "gone"])
+def test_a_block_without_what_stands_for_its_pairs_is_computed_anew(long_and_short, lap_model, tmp_path, table, wound):
+    shutil.copytree(long_and_short[1], tmp_path / "run")
+    path = sorted((tmp_path / "run" / table / "law=coulomb").iterdir())[-1]
+    if wound == "cut":
+        path.write_bytes(path.read_bytes()[:300])
+    else:
+        path.unlink()
+    heard = Heard()
+    assert sample_into(tmp_path / "run", keeping(lap_model, 0), LAWS, 120, 4, listener=heard)["coulomb"] == 100
+    assert "computed anew" in " ".join(heard.sentences)
+    for one, other in zip(statistics_of(long_and_short[1]), statistics_of(tmp_path / "run")):
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+def test_a_folder_of_before_that_kept_every_pair_and_no_sums_is_read(long_and_short, tmp_path):
+    shutil.copytree(long_and_short[0], tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "sums")
+    for one, other in zip(statistics_of(long_and_short[0]), statistics_of(tmp_path / "run")):
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+@pytest.mark.parametrize("long, said", [(0.0, True), (1e9, False)])
+def test_a_run_that_takes_long_says_so_after_its_first_samples(lap_model, tmp_path, monkeypatch, long, said):
+    monkeypatch.setattr("mic.runs.LONG", long)
+    heard = Heard()
+    sample_into(tmp_path, lap_model, ["frictionless"], 3, 4, listener=heard)
+    assert any("samples that are left take about" in sentence for sentence in heard.sentences) == said

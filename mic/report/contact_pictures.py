@@ -110,7 +110,7 @@ def sample_picture(outcome: Outcome, context: Context, quantity: Literal["f", "u
     laws = [law for law in (context.frictional, context.frictionless) if law]
     if not (len(outcome.model.contacts) and stage and laws):
         return None
-    common = reduce(np.intersect1d, [outcome.sample_numbers(law) for law in laws])
+    common = reduce(np.intersect1d, [outcome.with_pairs(law) for law in laws])
     if not len(common):
         return None
     axes_names = ("n", "t1", "t2") if outcome.has_slip else ("n",)

@@ -65,8 +65,7 @@ def law_cost(outcome: Outcome, stage: str) -> LawCost | None:
     """Numbers behind :func:`law_cost_picture`; None unless both laws were run, with slip, and share a valid sample."""
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws):
         return None
-    numbers = {law: outcome.sample_numbers(law) for law in ("coulomb", "associated")}
-    common = np.intersect1d(numbers["coulomb"], numbers["associated"])[:SHOWN]
+    common = np.intersect1d(outcome.with_pairs("coulomb"), outcome.with_pairs("associated"))[:SHOWN]
     if not len(common):
         return None
     get = lambda law, column: outcome.contact(law, stage, column, common)

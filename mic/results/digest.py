@@ -10,16 +10,13 @@ import numpy as np
 import pandas as pd
 
 from mic.contact.states import STATES
-from mic.model.nuggets import nuggets
 from mic.results.capability import outside
 from mic.results.regression import Regression
 from mic.results.schema import SLIPS
 from mic.results.statistics import Moments
+from mic.results.sums import Sums
 
 __all__ = ["BlockSamples", "Digest"]
-
-CLEAR = 3.0  # nugget radii from a weld: there the sum of the normal forces converges, nearer it grows with the pairs
-_CONTACT = ("f_n", "u_n", "f_t", "u_t", "path_stick", "path_slip")  # the last four where tangential motion is modelled
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class BlockSamples:
     Attributes
     ----------
     tables : dict of str to DataFrame
-        By name, the datasets of :data:`mic.results.schema.DATASETS`.
+        By name, the datasets of :data:`mic.results.schema.DATASETS`; not all blocks have their contact pairs.
     contacts : int
         Number of contact pairs, m.
     samples : int
@@ -188,13 +185,15 @@ class Digest:
         table = pd.concat(self._failures, ignore_index=True)
         return table.sort_values("sample", kind="stable", ignore_index=True)
 
-    def add(self, block: BlockSamples, model) -> None:
+    def add(self, block: BlockSamples, model, sums: Sums | None = None) -> None:
         """Take a block in; the blocks of a law come in ascending order.
 
         Parameters
         ----------
         block : BlockSamples
         model : mic.model.reduction.Reduction
+        sums : Sums, optional
+            Of all its valid samples; without them it has its contact pairs.
         """
         self.found += block.found
         self.stages |= set(block.stages)
@@ -215,9 +214,11 @@ class Digest:
                 self._join(("profiles", item.name), block.profile(item.name))
         tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
         rescued = np.zeros(len(block.numbers), dtype=bool)
-        contacts = model.contacts
-        zone_of = np.equal.outer(contacts.zone, np.arange(len(model.scene.zones))).astype(float)
-        clear = nuggets(model.scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], CLEAR) < 0
+        sums = sums or Sums.of(block, model)
+        for key, moments in sums.moments:
+            self._merge(key, moments)
+        for key, count in sums.counts:
+            self._count(key, count)
         for stage in block.stages:
             rescued |= block.column("resolutions", "rescued", stage=stage)
             depth = block.column("resolutions", "unseen", stage=stage)
@@ -230,13 +231,6 @@ class Digest:
             for column in SLIPS.names[3:] if tangential else ():
                 zones = [block.column("slips", column, stage=stage, zone=zone.name) for zone in model.scene.zones]
                 self._join(("slips", stage, column), np.column_stack(zones))
-            for column in _CONTACT if tangential else _CONTACT[:2]:
-                self._join(("contacts", stage, column), block.contact(stage, column))
-            pressed = block.contact(stage, "f_n")
-            self._join(("pressed", stage, "all"), pressed @ zone_of)
-            self._join(("pressed", stage, "clear"), pressed[:, clear] @ zone_of[clear])
-            state = block.contact(stage, "state")
-            self._count(("states", stage), np.stack([(state == code).sum(axis=0) for code in range(len(STATES))]))
         self.unbuilt += [int(number) for number in block.unbuilt]
         limited = block.tables["limits"][["stage", "name"]].drop_duplicates()
         for stage, name in limited.itertuples(index=False):
@@ -254,7 +248,9 @@ class Digest:
             self.regression.add(block.numbers, np.column_stack(x), y)
 
     def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:
-        moments = Moments.of(x)
+        self._merge(key, Moments.of(x))
+
+    def _merge(self, key: tuple[str, ...], moments: Moments) -> None:
         self.moments[key] = self.moments[key].merged(moments) if key in self.moments else moments
 
     def _count(self, key: tuple[str, ...], count: np.ndarray) -> None:

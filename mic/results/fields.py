@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mic.compliance import provider
 from mic.errors import FormatError, MissingProvider
 from mic.geometry.readers.vtu import write_vtu
+from mic.results.condensed import Centred, Condenser
 from mic.results.folder import RunFolder
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import FIELDS
@@ -30,8 +30,6 @@ from mic.store import Format, load_arrays, save_arrays
 
 __all__ = [
     "DISCARDED_ENERGY",
-    "Centred",
-    "Condenser",
     "Factor",
     "PartField",
     "compute_fields",
@@ -44,7 +42,6 @@ STORE = "fields.npz"
 _FORMAT = Format("set of displacement fields", 1, "call `mic report` on the run folder")
 _NUMBERS = ("law", "part", "rank", "samples", "discarded", "error")
 _ARRAYS = ("mean", "six_sigma", "six_sigma_normal")
-ROOM = 8_000_000  # bytes of samples that are kept as they are, by part and law
 DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
 
 
@@ -115,76 +112,6 @@ class PartField:
     def six_sigma_magnitude(self) -> np.ndarray:
         """(v,) root of the summed squares of the three components, mm."""
         return np.linalg.norm(self.six_sigma, axis=1)
-
-
-class Condenser:
-    """Forces and motions of one part in all samples, kept as few rows however many samples there are.
-
-    Beyond some room the rows that were added are replaced by the triangle R of ``[1, F, Q] = Z R``, Z orthogonal.
-    Without its first row and column it is what is left of the samples once they are centred: ``Z`` drops out of every
-    product of two columns, and these are all that :class:`Factor` needs.
-
-    Parameters
-    ----------
-    room : int
-        Bytes.
-    """
-
-    def __init__(self, room: int = ROOM) -> None:
-        self.samples = 0
-        self._room = room
-        self._largest = 0.0
-        self._rows: list[np.ndarray] = []
-        self._condensed = False
-
-    def add(self, force: np.ndarray, motion: np.ndarray) -> None:
-        """Take in (n, F) forces and (n, 6) motions."""
-        self.samples += len(force)
-        self._largest = max(self._largest, float(np.abs(force).max(initial=0.0)))
-        self._rows.append(np.hstack([np.ones((len(force), 1)), force, motion]))
-        held, width = sum(len(rows) for rows in self._rows), self._rows[0].shape[1]
-        if held > max(2 * width, self._room // (8 * width)):
-            self._rows = [_triangle(np.concatenate(self._rows))]
-            self._condensed = True
-
-    def centred(self) -> Centred:
-        """All that was added, about its mean."""
-        rows = np.concatenate(self._rows)
-        if not self._condensed:
-            mean = rows[:, 1:].mean(axis=0)
-            return Centred(mean, rows[:, 1:] - mean, self.samples, self._largest)
-        R = _triangle(rows)
-        return Centred(R[0, 1:] / R[0, 0], R[1:, 1:], self.samples, self._largest * np.sqrt(self.samples))
-
-
-@dataclass(frozen=True)
-class Centred:
-    """Rows that have the products of the centred samples, see :class:`Condenser`.
-
-    Attributes
-    ----------
-    mean : (F + 6,) array
-        Forces, then motions.
-    rows : (r, F + 6) array
-    samples : int
-    size : float
-        Of the forces: what their rounding is measured by.
-    """
-
-    mean: np.ndarray
-    rows: np.ndarray
-    samples: int
-    size: float
-
-    @property
-    def force(self) -> np.ndarray:
-        """(r, F) array."""
-        return self.rows[:, :-6]
-
-    @property
-    def motion(self) -> np.ndarray:
-        """(r, 6) array."""
-        return self.rows[:, -6:]
 
 
 def low_rank(samples: Centred, H, discarded: float = DISCARDED_ENERGY) -> Factor:
@@ -350,9 +277,15 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
 def _condensed(outcome, law) -> list[Centred] | None:
     """Forces and motions of the valid samples, by part; None where the run kept none."""
     folder, compliance, numbers = RunFolder(outcome.folder), outcome.model.compliance, outcome.sample_numbers(law)
+    whose = outcome.record["identity"]
     parts = [Condenser() for _ in compliance.functionals]
     for block in outcome.blocks[law]:
-        arrays = folder.read_forces(block, outcome.record["identity"])
+        few = folder.read_condensed(block, whose)
+        if few is not None:
+            for part, rows in zip(parts, few):
+                part.join(rows)
+            continue
+        arrays = folder.read_forces(block, whose)
         if arrays is None:
             return None
         first, last = np.searchsorted(numbers, [block.first, block.first + block.count])
@@ -362,11 +295,6 @@ def _condensed(outcome, law) -> list[Centred] | None:
     if not len(numbers):
         return None
     return [part.centred() for part in parts]
-
-
-def _triangle(rows) -> np.ndarray:
-    R: Any = np.linalg.qr(rows, mode="r")  # an array, which the stubs do not know
-    return R
 
 
 def _six_sigma(basis, factor):

@@ -10,12 +10,16 @@ What another run or anybody else has left here is never removed, unless the user
 ``model.npz``                             the reduced model
 ``parts.npz``, ``paper.toml``             what fields and report need beside the results
 ``TABLE/law=LAW/FIRST-LAST.parquet``      the datasets of :data:`mic.results.schema.DATASETS`, one file per block
+``sums/law=LAW/FIRST-LAST.npz``           what the contact pairs of a block add up to
 ``forces/law=LAW/FIRST-LAST.npz``         forces and motions in the last stage, only where fields are asked for
+``condensed/law=LAW/FIRST-LAST.npz``      in their place, where a block keeps no contact pairs: fewer rows
 ``tables/*.csv``, ``summary.json``        statistics
 ``fields/``                               displacement fields
 ========================================= ==============================================================================
 
-A block is finished once its file under ``samples`` stands: that one is written last.
+A block is finished once its file under ``samples`` stands: that one is written last. The first blocks keep their
+contact pairs and forces (:func:`keeps`). Another one counts as a whole or not at all: of a run that is asked for fewer
+samples than stand here, the last ones are evaluated again.
 """
 
 from __future__ import annotations
@@ -39,9 +43,25 @@ from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.geometry.surface import Patch, Surface
+from mic.kept import pack, unpack
+from mic.results.condensed import Condensed
 from mic.results.identity import differences
 from mic.results.parquet import read_identity, read_table, write_table
-from mic.results.schema import ACCURACY, DATASETS, FORCES, SAMPLES, STATISTICS, STUDIES, Table
+from mic.results.schema import (
+    ACCURACY,
+    CONDENSED,
+    CONTACTS,
+    DATASETS,
+    FORCES,
+    SAMPLES,
+    STATISTICS,
+    STUDIES,
+    SUMS,
+    Table,
+)
+from mic.results.statistics import Moments
+from mic.results.sums import Sums
+from mic.scene.schema import Report
 from mic.store import (
     DAMAGED,
     Format,
@@ -56,7 +76,7 @@ from mic.store import (
     set_aside,
 )
 
-__all__ = ["EXCEL", "FOREIGN", "PUBLISHED", "Block", "RunFolder", "versions"]
+__all__ = ["EXCEL", "FOREIGN", "PUBLISHED", "Block", "RunFolder", "keeps", "versions"]
 
 PUBLISHED = "paper.toml"  # published figures beside a scene, to set beside its results
 EXCEL = "tables.xlsx"  # the tables in one workbook
@@ -70,6 +90,9 @@ _TABLES = tuple(table.place for table in (*STATISTICS, ACCURACY, *STUDIES))
 _FIELDS = "fields/fields.npz"
 _PARTS = Format("set of parts", 2, _AGAIN)
 _FORCES = Format("block of forces", 1, _AGAIN)
+_SUMS = Format("sums of a block", 1, _AGAIN)
+_CONDENSED = Format("block of condensed forces", 1, _AGAIN)
+_FILES = (*DATASETS, SUMS, FORCES, CONDENSED)  # that a block may have
 _BLOCK_NAME = re.compile(r"(\d{6,})-(\d{6,})")
 
 
@@ -151,7 +174,7 @@ class RunFolder:
 
     # ---------------------------------------------------------------------------------------------- blocks of samples
 
-    def prepare(self, record: Mapping[str, Any], forces: bool, replace: bool = False) -> list[str]:
+    def prepare(self, record: Mapping[str, Any], report: Report, replace: bool = False) -> list[str]:
         """Make the folder ready for a run, or refuse it; to be called under its lock, before anything else is written.
 
         Finished samples of the same run stay, however many are asked for and under which laws. What cannot be read is
@@ -161,8 +184,8 @@ class RunFolder:
         ----------
         record : dict
             The new ``run.json``, with its ``"identity"`` and ``"inputs"``.
-        forces : bool
-            Whether the run's blocks keep forces.
+        report : mic.scene.schema.Report
+            What the run's blocks keep of forces and contact pairs.
         replace : bool
             Whether results of another run may be removed.
 
@@ -189,7 +212,7 @@ class RunFolder:
             path = self.path / name
             if path.is_file() and not arrays_header(path):
                 sentences.append(_aside(path))
-        sentences += self._check_blocks(record, forces)
+        sentences += self._check_blocks(record, report)
         kept = (
             {"wall_time": old["wall_time"]}
             if old and "wall_time" in old and old.get("identity") == record["identity"]
@@ -239,10 +262,10 @@ class RunFolder:
     def _another(self, what: Sequence[str]) -> str:
         return f"{self.path}: holds another run ({'; '.join(what) or 'of another identity'}); {_REPLACE}"
 
-    def _check_blocks(self, record: Mapping[str, Any], forces: bool) -> list[str]:
+    def _check_blocks(self, record: Mapping[str, Any], report: Report) -> list[str]:
         """Set aside what is not whole, or not of this run, among the blocks that the run would use."""
         sentences = []
-        for law, name in sorted({key for table in (*DATASETS, FORCES) for key in self._files(table)}):
+        for law, name in sorted({key for table in _FILES for key in self._files(table)}):
             block = _parsed(law, name)
             if law not in record["laws"] or block.first >= record["samples"]:
                 continue
@@ -254,25 +277,34 @@ class RunFolder:
                     self._set_block_aside(block, FOREIGN)
                     sentences.append(f"{path}: belongs to another run; set aside ({FOREIGN}).")
                     continue
-                self.read_block(block, record["identity"])
-                if forces and self.read_forces(block, record["identity"]) is None:
-                    raise FormatError(f"{self._path(FORCES, block)}: this file of a finished block is missing")
+                self._check_whole(block, record["identity"], report)
             except FormatError as problem:
                 self._set_block_aside(block)
                 sentences.append(f"{problem}. The block is set aside and computed anew.")
         return sentences
 
+    def _check_whole(self, block: Block, identity: str, report: Report) -> None:
+        """Raise FormatError unless a finished block has all that a report is made of."""
+        found = self.read_block(block, identity)
+        self.read_sums(block, identity)
+        condensed, forces = self.read_condensed(block, identity), self.read_forces(block, identity)
+        missing = [CONTACTS] if keeps(report, block) and CONTACTS.name not in found else []
+        if report.fields and forces is None and (condensed is None or keeps(report, block)):
+            missing.append(FORCES)
+        if missing:
+            raise FormatError(f"{self._path(missing[0], block)}: this file of a finished block is missing")
+
     def _refuse_links(self) -> None:
         """A link below the folder could lead out of it."""
         places = [self.path / name for name in ("run.json", *_SINGLE, "tables", "fields")]
-        for table in (*DATASETS, FORCES):
+        for table in _FILES:
             places += [self.path / table.name, *(self.path / table.name).glob("law=*")]
         for place in places:
             if place.is_symlink():
                 raise RunError(f"{place}: is a link, and a run follows none out of its folder; remove the link")
 
     def _folders(self) -> list[Path]:
-        below = [path for table in (*DATASETS, FORCES) for path in (self.path / table.name).glob("law=*")]
+        below = [path for table in _FILES for path in (self.path / table.name).glob("law=*")]
         return [self.path, self.path / "tables", self.path / "fields", *below]
 
     def _clear(self) -> list[str]:
@@ -280,21 +312,25 @@ class RunFolder:
         for name in arrays_header(self.path / _FIELDS).get("files", []):
             if Path(name).name == name and name.endswith(".vtu"):
                 (self.path / "fields" / name).unlink(missing_ok=True)
-        blocks = sorted({key for table in (*DATASETS, FORCES) for key in self._files(table)})
+        blocks = sorted({key for table in _FILES for key in self._files(table)})
         for law, name in blocks:
             self._remove(_parsed(law, name))
         for name in (*_SINGLE, *_TABLES, _FIELDS, "run.json"):
             (self.path / name).unlink(missing_ok=True)
-        for folder in sorted(
-            {*self._folders(), *(self.path / table.name for table in (*DATASETS, FORCES))}, reverse=True
-        ):
+        for folder in sorted({*self._folders(), *(self.path / table.name for table in _FILES)}, reverse=True):
             if folder != self.path:
                 with suppress(OSError):  # what is not empty holds files of somebody else
                     folder.rmdir()
         return [f"{self.path}: the results of another run were removed."]
 
     def write_block(
-        self, block: Block, identity: str, tables: Mapping[str, pd.DataFrame], forces: Mapping[str, np.ndarray] | None
+        self,
+        block: Block,
+        identity: str,
+        tables: Mapping[str, pd.DataFrame],
+        sums: Sums,
+        forces: Mapping[str, np.ndarray] | None = None,
+        condensed: Sequence[Condensed] | None = None,
     ) -> None:
         """Write a finished block; a reader sees the whole of it or nothing.
 
@@ -304,14 +340,24 @@ class RunFolder:
         identity : str
             Of the run.
         tables : dict of str to DataFrame
-            One for each of :data:`mic.results.schema.DATASETS`.
+            One for each of :data:`mic.results.schema.DATASETS`; the contact pairs may be left out.
+        sums : Sums
         forces : dict of str to array, optional
             As :data:`mic.results.schema.FORCES` declares them.
+        condensed : sequence of Condensed, optional
+            In place of them, by part.
         """
+        own = {"identity": identity}
         if forces is not None:
-            save_arrays(self._path(FORCES, block), _FORCES, {"identity": identity}, forces, lasting=False)
+            save_arrays(self._path(FORCES, block), _FORCES, own, forces, lasting=False)
+        for table, form, content in ((SUMS, _SUMS, sums), (CONDENSED, _CONDENSED, condensed)):
+            if content is not None:
+                header, arrays = pack(content, {})
+                save_arrays(self._path(table, block), form, own | {"content": header}, arrays, lasting=False)
         for table in DATASETS:  # the samples last: they mark the block done, and what is missing is computed anew
-            write_table(self._path(table, block), table, tables[table.name], identity, lasting=table is SAMPLES)
+            if table.name in tables:
+                frame = tables[table.name]
+                write_table(self._path(table, block), table, frame, identity, lasting=table is SAMPLES)
         for other in self._found(block.law):  # the last block of a shorter run: its samples stand in this one now
             if other != block and block.contains(other) and self._identity(other) == identity:
                 self._remove(other)
@@ -325,11 +371,11 @@ class RunFolder:
         ----------
         law : str
         samples : int, optional
-            Only blocks with samples below this number.
+            Only blocks with samples below this number, and of those that have others, too, such as have their pairs.
         """
         chosen: list[Block] = []
         for block in sorted(self._found(law), key=lambda block: (-block.count, block.first)):
-            if samples is not None and block.first >= samples:
+            if samples is not None and (block.first >= samples or not self._divides(block, samples)):
                 continue
             place = bisect(chosen, block)
             before, after = chosen[max(place - 1, 0) : place], chosen[place : place + 1]
@@ -339,20 +385,47 @@ class RunFolder:
                 chosen.insert(place, block)
         return chosen
 
-    def finished(self, law: str) -> np.ndarray:
-        """Numbers of the finished samples of a law, ascending."""
-        runs = [np.arange(block.first, block.first + block.count) for block in self.blocks(law)]
+    def _divides(self, block: Block, samples: int) -> bool:
+        """Whether a block tells its samples below a number from the others."""
+        return block.first + block.count <= samples or self.keeps_pairs(block)
+
+    def keeps_pairs(self, block: Block) -> bool:
+        """Whether a block has its contact pairs."""
+        return self._path(CONTACTS, block).is_file()
+
+    def finished(self, law: str, samples: int) -> np.ndarray:
+        """Numbers of the finished samples of a law, ascending, where so many are asked for."""
+        runs = [np.arange(block.first, block.first + block.count) for block in self.blocks(law, samples)]
         return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
     def read_block(self, block: Block, identity: str) -> dict[str, pd.DataFrame]:
-        """Read a finished block by table.
+        """Read a finished block by table; its contact pairs where it kept them.
 
         Raises
         ------
         FormatError
             If a file is missing, cannot be read, or belongs to another run.
         """
-        return {table.name: self.read_dataset(block, table.name, identity) for table in DATASETS}
+        kept = self.keeps_pairs(block) or not self._path(SUMS, block).is_file()
+        tables = [table for table in DATASETS if table is not CONTACTS or kept]
+        return {table.name: self.read_dataset(block, table.name, identity) for table in tables}
+
+    def read_sums(self, block: Block, identity: str) -> Sums | None:
+        """What a block's contact pairs add up to; None where it does not say. Errors as :meth:`read_block`."""
+        return self._unpacked(SUMS, _SUMS, block, identity, (Sums, Moments))
+
+    def read_condensed(self, block: Block, identity: str) -> tuple[Condensed, ...] | None:
+        """What stands for the forces of a block, by part; None where nothing does. Errors as :meth:`read_block`."""
+        return self._unpacked(CONDENSED, _CONDENSED, block, identity, (Condensed,))
+
+    def _unpacked(self, table: Table, form: Format, block: Block, identity: str, classes: Sequence[type]) -> Any:
+        path = self._path(table, block)
+        if not path.is_file():
+            return None
+        header, arrays = load_arrays(path, form)
+        if header["identity"] != identity:
+            raise FormatError(f"{path}: this block belongs to another run; {_AGAIN}")
+        return unpack(header["content"], arrays, classes, {})
 
     def read_dataset(self, block: Block, name: str, identity: str) -> pd.DataFrame:
         """Read one of the datasets of a finished block; errors as :meth:`read_block`."""
@@ -464,16 +537,21 @@ class RunFolder:
             return None
 
     def _remove(self, block: Block) -> None:
-        for table in reversed(DATASETS):  # the samples first: half a block never looks finished
+        for table in _SAMPLES_FIRST:  # half a block never looks finished
             self._path(table, block).unlink(missing_ok=True)
-        self._path(FORCES, block).unlink(missing_ok=True)
 
     def _set_block_aside(self, block: Block, mark: str = DAMAGED) -> None:
-        for table in (*reversed(DATASETS), FORCES):
+        for table in _SAMPLES_FIRST:
             set_aside(self._path(table, block), mark, prefix="_")
 
 
 _PATCH = ("triangle", "barycentric", "weight")
+_SAMPLES_FIRST = sorted(_FILES, key=lambda table: table is not SAMPLES)
+
+
+def keeps(report: Report, block: Block) -> bool:
+    """Whether a block of samples keeps its contact pairs, and its forces as they are: the first one always does."""
+    return block.first == 0 or block.first < report.contacts
 
 
 def versions() -> dict[str, str]:

@@ -12,11 +12,11 @@ from mic.contact.laws import LAWS
 from mic.errors import RunError
 from mic.process.plan import plan_stages
 
-__all__ = ["Forecast", "forecast"]
+__all__ = ["Forecast", "duration", "forecast"]
 
 # Least figures: dense assemblies and hard contact problems take several times as long.
 SECONDS = 1e-5  # one contact pair in one increment of one sample, on one core
-BYTES = 40  # one contact pair of one sample in one stage
+BYTES = 40  # one contact pair of one sample in one stage, where it is kept
 PER_SAMPLE = 300  # bytes, whatever the scene
 LONGEST = 365.25 * 86400  # s
 LARGEST = 2**31 - 1  # the results number samples in 32 bits
@@ -40,7 +40,7 @@ class Forecast:
     size: float
 
     def __str__(self) -> str:
-        return f"at least {_time(self.seconds)} and {_size(self.size)} on disk"
+        return f"at least {duration(self.seconds)} and {_size(self.size)} on disk"
 
     def check(self, folder: Path) -> None:
         """Raise :class:`RunError` for a run that would never end, or whose results do not fit on the disk."""
@@ -70,14 +70,16 @@ def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecas
     contacts = assembly.contacts
     resolved = [plan for plan in plan_stages(assembly.scene, assembly.weld_size) if plan.resolves and len(contacts)]
     solves = [len(contacts) * sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
-    stored = BYTES * len(contacts) * len(resolved) + PER_SAMPLE
+    kept = BYTES * len(contacts) * len(resolved)
     if assembly.scene.report.fields:
-        stored += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))
+        kept += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))
     seconds = sum(1e-5 + SECONDS * pairs for pairs in solves)
-    return Forecast(samples, samples * seconds / cores, float(samples * len(laws) * stored))
+    size = samples * PER_SAMPLE + min(samples, assembly.scene.report.contacts) * kept
+    return Forecast(samples, samples * seconds / cores, float(len(laws) * size))
 
 
-def _time(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time in words."""
     for unit, name in ((365.25 * 86400, "years"), (86400, "days"), (3600, "hours"), (60, "minutes")):
         if seconds >= 2 * unit:
             return f"{_rounded(seconds / unit)} {name}"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SCALES", "SAMPLES", "read_friction", "study_friction"]
 
-SAMPLES = 12  # evenly spread over the valid ones
+SAMPLES = 12  # evenly spread over the valid ones whose pairs are kept
 SCALES = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
 THREADS = 2
 
@@ -39,7 +39,7 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
     contacts = outcome.model.contacts
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.frictional:
         return None
-    numbers = outcome.sample_numbers("coulomb")
+    numbers = outcome.with_pairs("coulomb")
     n = len(numbers)
     if not n or not outcome.stages:
         return None

@@ -29,7 +29,7 @@ from mic.results.folder import Block, RunFolder
 from mic.results.identity import differences, inputs
 from mic.results.law_comparison import read_friction
 from mic.results.path_study import PathStudy, read_path_study
-from mic.results.schema import DATASETS, Table
+from mic.results.schema import CONTACTS, DATASETS, Table
 from mic.scene.samples import DESIGNS
 
 __all__ = ["Outcome", "read_outcome"]
@@ -188,9 +188,30 @@ class Outcome:
             ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.contact.states.STATES``), or
             the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts; ``path_stick`` and ``path_slip``, the
             shares of the stage's path.
+
+        Raises
+        ------
+        RunError
+            For samples whose pairs are not kept, see :meth:`with_pairs`.
         """
+        wanted, kept = self.sample_numbers(law) if samples is None else np.asarray(samples), self.with_pairs(law)
+        if not np.isin(wanted, kept).all():
+            raise RunError(
+                f"{self.folder}: keeps the contact pairs of {len(kept)} samples under {law}, and others are asked for; "
+                "ask for those (Outcome.with_pairs), or run again with more contacts in [report]"
+            )
         width = len(self.model.contacts)
         return self._gathered(law, samples, lambda block: block.contact(stage, column), (width,))
+
+    def with_pairs(self, law: str) -> np.ndarray:
+        """(n,) numbers of the valid samples whose contact pairs are kept: the first ones, as many as the scene's report
+        asks for under ``contacts``."""
+        numbers, kept = self.sample_numbers(law), np.zeros(0, dtype=int)
+        for block in self.blocks[law]:
+            if RunFolder(self.folder).keeps_pairs(block):
+                own = (numbers >= block.first) & (numbers < block.first + block.count)
+                kept = np.append(kept, numbers[own])
+        return kept
 
     def failures(self, law: str) -> pd.DataFrame:
         """Why samples failed: ``sample, stage, residual, status``.
@@ -294,7 +315,8 @@ class Outcome:
 
     @property
     def tables(self) -> dict[str, dict[str, pd.DataFrame]]:
-        """Deprecated: all datasets of :data:`mic.results.schema.DATASETS` by law, failed samples included."""
+        """Deprecated: all datasets of :data:`mic.results.schema.DATASETS` by law, failed samples included; of the
+        contact pairs those that are kept."""
         warnings.warn("Outcome.tables is deprecated: read the datasets, or use accessors", DeprecationWarning, 2)
         return {law: self._whole(law) for law in self.blocks}
 
@@ -311,10 +333,10 @@ class Outcome:
         return wide[wide["sample"].isin(self.sample_numbers(law))]
 
     def _whole(self, law):
-        blocks = [self._block(block).tables for block in self.blocks[law]]
-        whole = {}
+        store, whole = RunFolder(self.folder), {}
         for table in DATASETS:
-            frames = [block[table.name] for block in blocks]
+            own = [block for block in self.blocks[law] if table is not CONTACTS or store.keeps_pairs(block)]
+            frames = [self._block(block).tables[table.name] for block in own]
             frame = pd.concat(frames, ignore_index=True) if frames else table.empty()
             for column in table.columns:  # blocks in which other names occur
                 if column.dtype == "category":
@@ -360,10 +382,12 @@ def read_outcome(folder) -> Outcome:
         for block in store.blocks(law, record["samples"]):
             try:
                 tables = store.read_block(block, record["identity"])
+                sums = store.read_sums(block, record["identity"])
             except FormatError as problem:
                 damaged.append(f"{problem}.")
                 continue
-            digests[law].add(BlockSamples(tables, len(model.contacts), record["samples"]), model)
+            samples = BlockSamples(tables, len(model.contacts), record["samples"])
+            digests[law].add(samples, model, sums if block.first + block.count <= record["samples"] else None)
             blocks[law].append(block)
             kept[block] = {}
             for name, frame in tables.items():

@@ -132,10 +132,10 @@ def study_path(outcome: Outcome) -> PathStudy | None:
     PathStudy or None
         None where no path is followed: without contacts, friction or valid samples.
     """
-    laws = [law for law in outcome.laws if LAWS[law].frictional and len(outcome.sample_numbers(law))]
+    laws = [law for law in outcome.laws if LAWS[law].frictional and len(outcome.with_pairs(law))]
     if not (outcome.has_slip and outcome.stages and laws):
         return None
-    found = [_repeat(outcome, law, outcome.sample_numbers(law)[:SAMPLES]) for law in laws]
+    found = [_repeat(outcome, law, outcome.with_pairs(law)[:SAMPLES]) for law in laws]
     pairs, errors = (pd.concat(frames, ignore_index=True) for frames in zip(*found))
     return PathStudy(pairs, errors)
 

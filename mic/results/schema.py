@@ -21,6 +21,7 @@ __all__ = [
     "ACCURACY",
     "COMPARISON",
     "CONTACTS",
+    "CONDENSED",
     "CONTACT_STATISTICS",
     "CONTRIBUTORS",
     "DATASETS",
@@ -57,6 +58,7 @@ __all__ = [
     "SPREADS",
     "STATISTICS",
     "STUDIES",
+    "SUMS",
     "ZONE_STATISTICS",
     "Column",
     "Table",
@@ -368,7 +370,8 @@ CONTACTS = _dataset(
         Column("path_slip", "float32", "1", "share of the stage's path that it slipped", optional=True),
     ),
     "Forces and displacements of the contact pairs at the end of a stage, and their states on the way: where a pair "
-    "neither stuck nor slipped, it was open. The shares of the path are NaN without friction.",
+    "neither stuck nor slipped, it was open. The shares of the path are NaN without friction. Of the first samples "
+    "only, as many as the scene's report asks for under `contacts`; what all add up to is in `sums`.",
     version=2,
 )
 LIMITS = _dataset(
@@ -401,8 +404,25 @@ FORCES = Table(
         Column("force", "float64", "N, N mm", "forces on the retained functionals in the last stage", shape="F"),
         Column("motion", "float64", "mm, rad", "rigid-body motions of the parts in the last stage", shape="6P"),
     ),
-    "What the fields are computed from; kept only where the scene asks for fields.",
+    "What the fields are computed from; kept only where the scene asks for fields, and of the samples whose contact "
+    "pairs are kept.",
     "forces/law=LAW/FIRST-LAST.npz",
+)
+#: What stands for the contact pairs and the forces of many samples; arrays of the program's own.
+SUMS = Table(
+    "sums",
+    "one block",
+    (),
+    "What the contact pairs of a block's valid samples add up to: moments and counts, from which the statistics of all "
+    "samples come.",
+    "sums/law=LAW/FIRST-LAST.npz",
+)
+CONDENSED = Table(
+    "condensed",
+    "one block",
+    (),
+    "In place of `forces`, where a block keeps no contact pairs: as few rows for each part as have the same products.",
+    "condensed/law=LAW/FIRST-LAST.npz",
 )
 FIELDS = Table(
     "fields",
@@ -1004,7 +1024,10 @@ def reference() -> str:
         "| `report.html`, `assembly.png` | the report, and its picture of the assembly |",
         "| `tables.xlsx` | the tables in one workbook, where `mic report --excel` was called |",
     ]
-    lines += [f"| `{table.place}` | {table.description} |" for table in (*_samples_first(DATASETS), FORCES, FIELDS)]
+    lines += [
+        f"| `{table.place}` | {table.description} |"
+        for table in (*_samples_first(DATASETS), SUMS, FORCES, CONDENSED, FIELDS)
+    ]
     lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY, *STUDIES)]
     lines += [
         "",

@@ -6,7 +6,10 @@ Where an evaluated block goes is not known here: it is handed over before the ne
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
@@ -17,6 +20,9 @@ __all__ = ["BLOCK", "ROOM", "SIZES", "blocks", "monte_carlo"]
 BLOCK = 50  # samples in each of the first blocks
 SIZES = (BLOCK, 100, 250, 500, 1000, 2500, 5000)
 SHARE = 20  # a block is at most this part of what stands before it: little is lost, and processes finish together
+CROWD = 1000  # contact pairs from which on a sample takes so long that few of them make a block
+FEW = 5
+SIGN = 10.0  # s: where samples take long, one is told of them about so often
 ROOM = 200_000  # samples × contact pairs that a block may hold: some hundred megabytes while it is evaluated or read
 
 
@@ -37,7 +43,7 @@ def blocks(laws: Sequence[str], samples: int, pairs: int) -> list[tuple[str, int
     found, first = [], 0
     while first < samples:
         most = min(first // SHARE, ROOM // max(pairs, 1))
-        size = max((size for size in SIZES if size <= most), default=BLOCK)
+        size = max((size for size in SIZES if size <= most), default=BLOCK if pairs <= CROWD else FEW)
         found.append((first, min(size, samples - first)))
         first += size
     return [(law, *block) for law in laws for block in found]
@@ -51,6 +57,7 @@ def monte_carlo(
     sink: Callable[[str, int, Evaluation], None],
     done: Callable[[str, int, int], bool] | None = None,
     advance: Callable[[str, int], None] | None = None,
+    expect: Callable[[float], None] | None = None,
 ) -> dict[str, int]:
     """Evaluate all samples under all laws; under MPI a collective call that shares the blocks out.
 
@@ -66,7 +73,9 @@ def monte_carlo(
         first process alone asks, before any block is evaluated: all share out the same blocks, and each has its share.
     advance : callable, optional
         Called with (law, number of samples) for each block that is done; under MPI on each process, for the blocks of
-        all, as it advances itself.
+        all, as it advances itself. Where samples take long, for those of its own block as they are done.
+    expect : callable, optional
+        Called once by the first process with the seconds that all will take, as its first samples let expect.
 
     Returns
     -------
@@ -77,22 +86,68 @@ def monte_carlo(
     rank, size = (world.rank, world.size) if world else (0, 1)
     every = blocks(laws, samples, len(model.contacts))
     missing = on_first(world, lambda: [block for block in every if done is None or not done(*block)])
-    left = set(missing)
+    not_done, left = set(missing), sum(count for _, _, count in missing)
     reused = dict.fromkeys(laws, 0)
     for law, first, count in every:
-        if (law, first, count) not in left:
+        if (law, first, count) not in not_done:
             reused[law] += count
             if advance is not None:
                 advance(law, count)
     threads = max(1, len(os.sched_getaffinity(0)) // size)
     processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
+    pace = _Pace(advance, (lambda each: expect(each * left / size)) if expect is not None and rank == 0 else None)
     for i in range(0, len(missing), size):
         together = missing[i : i + size]  # what the processes evaluate side by side
+        told = 0
         if rank < len(together):
             law, first, count = together[rank]
-            sink(law, first, processes[law].attempt(draw(model.scene, seed, first, count)))
+            evaluation, told = pace.evaluate(law, processes[law].attempt, draw(model.scene, seed, first, count))
+            sink(law, first, evaluation)
         if advance is not None:
-            for law, _, count in together:
-                advance(law, count)
+            for number, (law, _, count) in enumerate(together):
+                advance(law, count - told if number == rank else count)
     wait(world)
     return reused
+
+
+class _Pace:
+    """Evaluates the samples of a block together, or where each takes long in pieces, so that one is told of them; a
+    sample is the same in whatever piece it comes.
+
+    Parameters
+    ----------
+    advance : callable, optional
+        As :func:`monte_carlo` takes it.
+    expect : callable, optional
+        Called once with the seconds that a sample takes: not the first one, which loads and compiles.
+    """
+
+    def __init__(
+        self, advance: Callable[[str, int], None] | None, expect: Callable[[float], None] | None = None
+    ) -> None:
+        self._advance = advance or (lambda law, count: None)
+        self._expect = expect
+        self._each: dict[str, float] = {}  # by law, s a sample
+
+    def evaluate(
+        self, law: str, attempt: Callable[[np.ndarray], Evaluation], deviations: np.ndarray
+    ) -> tuple[Evaluation, int]:
+        """The samples of a block, and of how many one was told."""
+        pieces: list[Evaluation] = []
+        done = told = 0
+        start = time.perf_counter()
+        while done < len(deviations):
+            each = self._each.get(law)
+            count = 1 if each is None else max(1, int(min(len(deviations), SIGN / max(each, 1e-9))))
+            begun = time.perf_counter()
+            pieces.append(attempt(deviations[done : done + count]))
+            now, size = time.perf_counter(), len(pieces[-1].deviations)
+            self._each[law] = (now - begun) / size
+            done += size
+            if self._expect is not None and done > 1:
+                self._expect(self._each[law])
+                self._expect = None
+            if now - start > SIGN and done < len(deviations):
+                self._advance(law, done - told)
+                told, start = done, now
+        return (pieces[0] if len(pieces) == 1 else Evaluation.join(pieces)), told

@@ -45,6 +45,11 @@ class Report(Table):
         description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
     )
     fields: Flag = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
+    contacts: Annotated[Count, Field(ge=0)] = Field(
+        2000,
+        description="of how many samples under each law the results keep every contact pair (`contacts/`: forces, "
+        "gaps, states), in whole blocks, the first always; statistics are of all samples, whatever is kept",
+    )
     positions: list[str] = Field(
         [],
         description="`welds.NAME`, `locators.NAME` and `clamps.NAME` whose places in their sheets are inputs of "
