@@ -114,6 +114,25 @@ def test_quick_runs_may_have_their_own_limit():
     )
 
 
+@pytest.mark.parametrize("name", studies())
+def test_every_limit_has_a_reason_that_is_not_what_was_measured(name):
+    for acceptance in studies()[name].acceptance:
+        reason = acceptance.reason
+        assert len(reason.split()) >= 3 and reason.endswith("."), (
+            f"{name}/{acceptance.name} is declared without a reason"
+        )
+        assert not re.search(r"measured|first run|was found|turned out|so far", reason), (name, acceptance.name)
+
+
+def test_the_report_shows_why_a_limit_is_what_it_is(tmp_path):
+    study = cheap_studies(tmp_path)[0]
+    limits = tuple(replace(one, reason=f"Because of {one.name}.") for one in study.acceptance)
+    found = [Finding("mean", 0.0), Finding("sum", 0.0)]
+    runs.run([replace(study, acceptance=limits, run=lambda context: found)], tmp_path, False, Team(), lambda line: None)
+    page = write_report(tmp_path).read_text()
+    assert all(f"Why this number: Because of {one.name}." in page for one in limits)
+
+
 def test_each_acceptance_number_must_be_measured(tmp_path):
     study = replace(cheap_studies(tmp_path)[0], run=lambda context: [Finding("mean", 0.0)])
     with pytest.raises(ValueError, match="'sum'"):

@@ -93,8 +93,11 @@ def test_relative_difference():
 
 
 def test_zone_slip_by_hand():
-    contacts = SimpleNamespace(zone=np.array([0, 0, 1]))
-    assert zone_slip([[9, 3, 4], [9, 0, 0], [9, 0, 2]], contacts, 2) == pytest.approx([np.sqrt(12.5), 2])
+    contacts = SimpleNamespace(zone=np.array([0, 0, 1]), watched=np.zeros(3, bool), area=np.array([1.0, 3.0, 7.0]))
+    motion = [[9, 3, 4], [9, 0, 0], [9, 0, 2]]
+    assert zone_slip(motion, contacts, 2) == pytest.approx([np.sqrt(12.5), 2])
+    contacts.watched[:] = True  # candidates count by the area that they stand for
+    assert zone_slip(motion, contacts, 2) == pytest.approx([2.5, 2])
 
 
 @pytest.fixture(scope="module")

@@ -111,7 +111,8 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
 
 
 def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
-    """RMS slip over the pairs of each zone, mm.
+    """RMS tangential displacement of each zone, mm, as a report prints it: pairs that are stated count alike, candidates
+    by their area.
 
     Parameters
     ----------
@@ -124,4 +125,6 @@ def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
     (..., zones) array
     """
     square = (np.asarray(displacement)[..., 1:] ** 2).sum(-1)
-    return np.stack([np.sqrt(square[..., contacts.zone == z].mean(-1)) for z in range(zones)], axis=-1)
+    weight = np.where(contacts.watched, contacts.area, 1.0)
+    own = [contacts.zone == z for z in range(zones)]
+    return np.stack([np.sqrt(square[..., mine] @ weight[mine] / weight[mine].sum()) for mine in own], axis=-1)

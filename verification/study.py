@@ -40,6 +40,9 @@ class Acceptance:
     bound : {"at most", "at least"}
     quick : float or None
         The limit of the quick version where its coarser meshes need another.
+    reason : str
+        Why this number and no other: what theory gives, what a peer or a standard reaches, or what a user can bear.
+        What was measured is none. Limits of the quick version show that a study runs, and validate nothing.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Acceptance:
     unit: str = "1"
     bound: Literal["at most", "at least"] = "at most"
     quick: float | None = None
+    reason: str = ""
 
     def at(self, quick: bool) -> float:
         """The limit of the full or the quick version."""
@@ -212,7 +216,7 @@ class Study:
 
     def opening(self) -> str:
         """The lines with which the study's page opens."""
-        rows = [f"| {a.name} | {a.claim} | {a.words()} |" for a in self.acceptance]
+        rows = [f"| {a.name} | {a.claim} | {a.words()} | {a.reason} |" for a in self.acceptance]
         return (
             "\n".join(
                 [
@@ -222,8 +226,8 @@ class Study:
                     "",
                     f"**Reference.** {self.reference}",
                     "",
-                    "| accepted | claim | number |",
-                    "| --- | --- | --- |",
+                    "| accepted | claim | number | why this number |",
+                    "| --- | --- | --- | --- |",
                     *rows,
                 ]
             )

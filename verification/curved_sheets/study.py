@@ -22,12 +22,24 @@ def off(ratio):
     return lambda *arguments: ratio(*arguments) - 1
 
 
+GRADE = "MacNeal and Harder's best grade is 2 %"
+SHEAR = "and 0.3 % of shear, which the reference has and the element has not"
+#: Why a case has its limit; those that are not named keep half of the best grade on their authors' own meshes.
+REASONS = {
+    "cylinder 1.2 t": f"{GRADE}.",
+    "cylinder 5 t": f"{GRADE}.",
+    "cylinder 12 t": f"{GRADE}.",
+    "panel 10 mm": "MacNeal and Harder's second grade, for the coarsest mesh that is of use.",
+    "panel 5 mm": f"Second order from the tenth at 10 mm, 2.5 %, {SHEAR}.",
+    "panel 2.5 mm": f"Second order from the tenth at 10 mm, 0.63 %, {SHEAR}.",
+}
+
 #: (name, what it is, error as a function of element, normals and seed, its limit or None where it is only shown)
 CASES = (
     ("hemisphere", "pinched hemisphere, 16 × 16", off(sheets.hemisphere), 0.01),
     ("cylinder 1.2 t", "quarter cylinder, rise h²/8R = 1.2 t", off(partial(sheets.cylinder, rise=1.2)), 0.02),
     ("cylinder 5 t", "quarter cylinder, rise 5 t", off(partial(sheets.cylinder, rise=5.0)), 0.02),
-    ("cylinder 12 t", "quarter cylinder, rise 12 t", off(partial(sheets.cylinder, rise=12.0)), 0.03),
+    ("cylinder 12 t", "quarter cylinder, rise 12 t", off(partial(sheets.cylinder, rise=12.0)), 0.02),
     ("beam across", "twisted beam 24 × 4, t = 0.0032, across", off(partial(sheets.twisted_beam, direction=1)), 0.01),
     (
         "beam in plane",
@@ -36,8 +48,8 @@ CASES = (
         0.01,
     ),
     ("panel 10 mm", "panel with a hole, 10 mm, regular", partial(sheets.panel_error, h=10.0, jitter=0.0), 0.10),
-    ("panel 5 mm", "panel with a hole, 5 mm, regular", partial(sheets.panel_error, h=5.0, jitter=0.0), 0.03),
-    ("panel 2.5 mm", "panel with a hole, 2.5 mm, regular", partial(sheets.panel_error, h=2.5, jitter=0.0), 0.013),
+    ("panel 5 mm", "panel with a hole, 5 mm, regular", partial(sheets.panel_error, h=5.0, jitter=0.0), 0.028),
+    ("panel 2.5 mm", "panel with a hole, 2.5 mm, regular", partial(sheets.panel_error, h=2.5, jitter=0.0), 0.0093),
     ("askew 10 mm", "panel with a hole, 10 mm, jittered", partial(sheets.panel_error, h=10.0), None),
     ("askew 5 mm", "panel with a hole, 5 mm, jittered", partial(sheets.panel_error, h=5.0), None),
     (
@@ -96,7 +108,12 @@ STUDY = Study(
         "those of the panel that is judged are not."
     ),
     acceptance=tuple(
-        Acceptance(name, f"{text[0].upper()}{text[1:]}: largest error, exact and estimated normals.", limit)
+        Acceptance(
+            name,
+            f"{text[0].upper()}{text[1:]}: largest error, exact and estimated normals.",
+            limit,
+            reason=REASONS.get(name, f"{GRADE}: half of it."),
+        )
         for name, text, _, limit in JUDGED
     ),
     seconds=(30, 8),

@@ -151,16 +151,34 @@ STUDY = Study(
             "mean",
             "A mean errs by no more than a gauge may: a tenth of the tolerance (AIAG, Measurement Systems Analysis).",
             0.1,
+            reason=(
+                "AIAG's Measurement Systems Analysis accepts a gauge that takes a tenth of the tolerance; a computed "
+                "figure is no better than that."
+            ),
         ),
-        Acceptance("six-sigma", "A 6σ errs by no more than a gauge may: a tenth of the tolerance.", 0.1),
-        Acceptance("cpk", "A Cpk errs by less than the tenth to which it is agreed on.", 0.1),
         Acceptance(
-            "slip", "6σ of a zone's slip errs by no more than a tenth of itself, as a key characteristic's.", 0.1
+            "six-sigma",
+            "A 6σ errs by no more than a gauge may: a tenth of the tolerance.",
+            0.1,
+            reason="The same tenth of the tolerance that is granted a gauge.",
+        ),
+        Acceptance(
+            "cpk",
+            "A Cpk errs by less than the tenth to which it is agreed on.",
+            0.1,
+            reason="Cpk is agreed on to a tenth: 1.33 is not 1.4.",
+        ),
+        Acceptance(
+            "slip",
+            "6σ of a zone's slip errs by no more than a tenth of itself, as a key characteristic's.",
+            0.1,
+            reason="A slip has no tolerance: the gauge's tenth, of itself.",
         ),
         Acceptance(
             "force",
             "A contact force errs by no more than tongs and clamps repeat theirs: a tenth of the largest.",
             0.1,
+            reason="A tenth, to which tongs and clamps are set.",
         ),
         Acceptance(
             "coverage",
@@ -168,6 +186,7 @@ STUDY = Study(
             "would happen once in 170 times.",
             0.75,
             bound="at least",
+            reason="Of eight intervals of 95 % six hold or more in 169 cases of 170 (binomial).",
         ),
     ),
     seconds=(900, 60),

@@ -310,15 +310,36 @@ STUDY = Study(
         "check of Coulomb's law that is written anew here."
     ),
     acceptance=(
-        Acceptance("wrong", "Cells whose answer is neither right nor refused with a reason: their number.", 0),
-        Acceptance("refused", "Refusals are the exception: their share of all cells.", 0.15),
-        Acceptance("drawn-wrong", "Cells drawn over all axes at once that are silently wrong: their number.", 0),
-        Acceptance("drawn-refused", "Cells drawn over all axes at once that are refused: their share.", 0.03),
+        Acceptance(
+            "wrong",
+            "Cells whose answer is neither right nor refused with a reason: their number.",
+            0,
+            reason="A wrong answer that is not said to be wrong is the one thing that must not happen.",
+        ),
+        Acceptance(
+            "refused",
+            "Refusals are the exception: their share of all cells.",
+            0.03,
+            reason="Who tries thirty meets one: more often, and refusing is no exception.",
+        ),
+        Acceptance(
+            "drawn-wrong",
+            "Cells drawn over all axes at once that are silently wrong: their number.",
+            0,
+            reason="A wrong answer that is not said to be wrong is the one thing that must not happen.",
+        ),
+        Acceptance(
+            "drawn-refused",
+            "Cells drawn over all axes at once that are refused: their share.",
+            0.03,
+            reason="Who tries thirty meets one: more often, and refusing is no exception.",
+        ),
         Acceptance(
             "remedies",
             "Refused cells that are right once done to them what their refusal advises: their share.",
             1.0,
             bound="at least",
+            reason="A remedy that does not work is none.",
         ),
     ),
     seconds=(310, 30),

@@ -193,17 +193,57 @@ STUDY = Study(
     ),
     acceptance=(
         Acceptance(
-            "normal", "Contact, along the normal, patches of 8 mm on 3 mm elements: largest relative error.", 0.02
+            "normal",
+            "Contact, along the normal, patches of 8 mm on 3 mm elements: largest relative error.",
+            0.02,
+            reason=(
+                "A compliance that is off by a share moves a 6σ by no more than about that: the 2 % of the setting "
+                "standard."
+            ),
         ),
-        Acceptance("tangential", "Contact, tangential, the same patches and mesh.", 0.02),
-        Acceptance("weld", "Welds, displacements, patches of 5 mm on 3 mm elements.", 0.02),
-        Acceptance("weld tilt", "Welds, rotations about the tangents, the same.", 0.02),
-        Acceptance("measurement", "Measurement points, patches of 5 mm on 3 mm elements.", 0.01),
         Acceptance(
-            "nodal", "Tangential error at nodes over that of patches, same mesh.", 5.0, bound="at least", quick=3.0
+            "tangential",
+            "Contact, tangential, the same patches and mesh.",
+            0.02,
+            reason="The 2 % of the setting standard.",
         ),
         Acceptance(
-            "elements", "P2 × CR against DKT + OPT, patches, all these blocks: largest relative difference.", 0.05
+            "weld",
+            "Welds, displacements, patches of 5 mm on 3 mm elements.",
+            0.02,
+            reason="The 2 % of the setting standard.",
+        ),
+        Acceptance(
+            "weld tilt",
+            "Welds, rotations about the tangents, the same.",
+            0.02,
+            reason="The 2 % of the setting standard.",
+        ),
+        Acceptance(
+            "measurement",
+            "Measurement points, patches of 5 mm on 3 mm elements.",
+            0.01,
+            reason="What is read enters each figure as it is: half of the setting standard's 2 %.",
+        ),
+        Acceptance(
+            "nodal",
+            "Tangential error at nodes over that of patches, same mesh.",
+            5.0,
+            bound="at least",
+            quick=3.0,
+            reason=(
+                "A point force has no limit (theory), and reading it is worth a rule against it only if it errs "
+                "several times as much."
+            ),
+        ),
+        Acceptance(
+            "elements",
+            "P2 × CR against DKT + OPT, patches, all these blocks: largest relative difference.",
+            0.04,
+            reason=(
+                "One element has transverse shear, the other has not: (t/r)² = 0.04 of the local compliance, t = 1 mm "
+                "over patches of r = 5 mm."
+            ),
         ),
     ),
     seconds=(25, 8),

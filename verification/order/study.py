@@ -193,6 +193,7 @@ STUDY = Study(
                 "they are: largest relative change."
             ),
             0.05,
+            reason="Where `mic check` begins to doubt that friction matters in a stage, 5 %.",
         ),
         Acceptance(
             "pressed",
@@ -201,6 +202,10 @@ STUDY = Study(
                 "of the ratio's interval, the largest."
             ),
             0.9,
+            reason=(
+                "Less than the tenth that the error budget grants a slip is nothing to state an order for, intervals "
+                "included."
+            ),
         ),
         Acceptance(
             "set-down",
@@ -209,6 +214,9 @@ STUDY = Study(
                 "characteristics: largest change of a mean or 6σ, over the larger of 0.5 % of 6σ and 2 µm."
             ),
             1.0,
+            reason=(
+                "0.5 % and 2 µm are what a followed path promises of a key characteristic: less than that is no trace."
+            ),
         ),
         Acceptance(
             "matters",
@@ -218,6 +226,7 @@ STUDY = Study(
             ),
             0.05,
             bound="at least",
+            reason="Ten times the 0.5 % that a followed path may leave is worth a line in a scene.",
         ),
         Acceptance(
             "path-slip",
@@ -226,16 +235,19 @@ STUDY = Study(
                 "mean or 6σ of slip under load, over the larger of 1 % and 2 µm."
             ),
             1.0,
+            reason="A sixth of what 500 samples leave open of a 6σ, and what a coordinate measuring machine tells.",
         ),
         Acceptance(
             "path-measured",
             ("So do key characteristics: largest difference of a mean or 6σ, over the larger of 0.5 % of 6σ and 2 µm."),
             1.0,
+            reason="A twelfth of what 500 samples leave open of a 6σ, and what a coordinate measuring machine tells.",
         ),
         Acceptance(
             "path-judge",
             "What that judge may itself be off by: the difference of paths 25 and 250 times tighter, of the same.",
             0.2,
+            reason="A judge errs by no more than a fifth of what it judges.",
         ),
     ),
     seconds=(900, 90),

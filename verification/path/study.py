@@ -325,6 +325,11 @@ def picture(table):
     return figure
 
 
+COST = (
+    "Asked of the method before it was chosen: twice where contacts close and stay, four times where they close in "
+    "groups, ten times where they slide."
+)
+
 STUDY = Study(
     order=30,
     title="Path",
@@ -342,16 +347,21 @@ STUDY = Study(
             "Mean and 6σ of zone slip, and of tangential displacement, by the followed path against one 250 times "
             "tighter: largest difference, of what is allowed, 1 % or 2 µm (a sixth of what 500 samples leave open).",
             1.0,
+            reason=(
+                "1 % is a sixth of what 500 samples leave open of a 6σ; 2 µm what a coordinate measuring machine tells."
+            ),
         ),
         Acceptance(
             "key-characteristic",
             "Mean and 6σ of key characteristics: the same, of 0.5 % of 6σ or 2 µm (what a measuring machine tells).",
             1.0,
+            reason="0.5 % is a twelfth of what 500 samples leave open; 2 µm what a coordinate measuring machine tells.",
         ),
         Acceptance(
             "judge",
             "What the judge may itself be off by: the difference of the two tightest paths, of the same for either.",
             0.2,
+            reason="A judge errs by no more than a fifth of what it judges.",
         ),
         Acceptance(
             "nearing",
@@ -359,6 +369,7 @@ STUDY = Study(
             "their number falls the median distance of the contacts' positions (first order: 2).",
             1.5,
             bound="at least",
+            reason="Theory: 2 for each doubling; √2, half an order, would be a method of another order.",
         ),
         *(
             Acceptance(
@@ -366,6 +377,7 @@ STUDY = Study(
                 f"Factorisations of the followed path on {name.replace('_', ' ')}, times those of one increment a "
                 "step.",
                 limit,
+                reason=COST,
             )
             for name, limit in SCENES.items()
         ),
@@ -374,31 +386,41 @@ STUDY = Study(
             "A sample's own estimate covers the error of its contacts' positions: share of the ends of stages.",
             0.95,
             bound="at least",
+            reason="It is told as a bound of 95 %.",
         ),
         Acceptance(
             "order",
             "Round a corner, error before over error after each halving of the steps, from 8 on (second order: 4).",
             3.5,
             bound="at least",
+            reason="Theory: 4 for each halving; 3.5 is an order of 1.8, which no method of first order reaches.",
         ),
         Acceptance(
             "linear",
             "Paths that are piecewise linear (a contact that closes while it moves, a load that turns round, two "
             "contacts in series): error over the way, but for rounding.",
             1e-8,
+            reason="Rounding: straight pieces leave nothing else.",
         ),
-        Acceptance("curved", "Round a corner, and on an arc, followed by default: error over the way.", 1e-3),
+        Acceptance(
+            "curved",
+            "Round a corner, and on an arc, followed by default: error over the way.",
+            1e-3,
+            reason="Four times the tolerance of a step, 2.5e-4.",
+        ),
         Acceptance(
             "cantilever",
             "The layered cantilever, up and back, against 64 increments each way on the same mesh: difference over "
             "the largest deflection (a third of what the mesh may leave of the closed form).",
             1e-3,
+            reason="A third of what the mesh may leave of the closed form, 0.003.",
         ),
         Acceptance(
             "reversal",
             "A load that skips a reversal loses the deflection that friction keeps: lost share.",
             0.9,
             bound="at least",
+            reason="Theory: all of it; a tenth is what the error budget grants a slip.",
         ),
         Acceptance(
             "full",
@@ -406,11 +428,13 @@ STUDY = Study(
             "forces, gaps, displacements, slips and key characteristics.",
             1e-6,
             quick=1e-3,
+            reason=("Less than a hundredth of the tolerance of a production step, 2.5e-4, which it must not blur."),
         ),
         Acceptance(
             "same",
             "With the same increments, or all in one step, both routes solve the same problems: the same difference.",
             1e-8,
+            reason="Rounding of a solve, 1e-8.",
         ),
     ),
     seconds=(900, 120),
