@@ -236,7 +236,8 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     plain = isinstance(path, Increments)
     leg = solver.backend.follow(b0, b1, force, anchor, path)
     name = "increments" if plain else "followed"
-    residual, converged, status = solver.judged(leg.b, leg.force)
+    moved = product(leg.force, solver.S)
+    residual, converged, status = solver.judged(leg.b, leg.force, moved)
     trace = Trace(
         leg.slip,
         leg.length,
@@ -248,7 +249,7 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     )
     found = PathSolution(
         force=leg.force,
-        displacement=product(leg.force, solver.S) + b1,
+        displacement=moved + b1,
         anchor=leg.anchor,
         trace=trace,
         residual=residual,

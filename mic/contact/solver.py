@@ -135,10 +135,10 @@ class ContactSolver:
         """The same for the contacts `own` (m,) alone, as if the others were not there; what is prepared is kept."""
         from mic.contact.native.kernels import block  # compiles, or reads the cache, when it is imported
 
-        rows = np.flatnonzero(np.repeat(own, self.dimension))
+        index, rows = np.flatnonzero(own), np.repeat(own, self.dimension)
         some = copy(self)
-        some.contacts, some.S = int(own.sum()), block(self.S, rows)
-        some._sliding = some.S if self._sliding is self.S else block(self._sliding, rows)
+        some.contacts, some.S = len(index), block(self.S, index, self.dimension)
+        some._sliding = some.S if self._sliding is self.S else block(self._sliding, index, self.dimension)
         diagonal = some.S.diagonal()  # S is semidefinite: its largest entry lies there
         some._rigid, some._strange = not diagonal.any(), bool(beyond(diagonal))
         some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]
@@ -279,10 +279,14 @@ class ContactSolver:
         )
 
     @one_thread
-    def judged(self, b: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def judged(
+        self, b: np.ndarray, force: np.ndarray, moved: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals (n,) of forces (n, d m) under right-hand sides likewise, which of them converged, and the word
-        for it."""
-        found = residual(self._sliding, b, self._parameters, force, self.law, self._stiffness, self.dimension)
+        for it; ``moved`` (n, d m) is what the forces move, ``S f``."""
+        displacement = moved + force * self._series + b
+        known = self._parameters, force, self.law, self._stiffness, self.dimension, displacement
+        found = residual(self._sliding, b, *known)
         converged = found <= self.tol
         status = np.empty(len(b), dtype=object)
         status[:] = [Status.CONVERGED if solved else Status.NOT_CONVERGED for solved in converged.tolist()]
@@ -397,7 +401,7 @@ def _checked_compliance(S, dimension, semidefinite):
         warnings.warn(
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
-    S = 0.5 * S + 0.5 * S.T
+    S = np.ascontiguousarray(0.5 * S + 0.5 * S.T)
     if largest > 0.0 and not semidefinite and not _semidefinite(S / largest):
         raise ValueError(
             f"S must be positive semidefinite; it has an eigenvalue below -{INDEFINITE:g} of its largest entry, so "

@@ -334,14 +334,20 @@ def responses(S, T, at, F, out):
                 row[j] += S0[j] * f0 + S1[j] * f1 + S2[j] * f2 + S3[j] * f3
 
 
-@jit(MATRIX(MATRIX, COUNTS))
-def block(S, rows):
-    """``S[rows][:, rows]``, a fraction of the cost where the rows are few of many."""
-    out = np.empty((len(rows), len(rows)))
-    for a in range(len(rows)):
-        line, target = S[rows[a]], out[a]
-        for b in range(len(rows)):
-            target[b] = line[rows[b]]
+@jit(MATRIX(MATRIX, COUNTS, int64))
+def block(S, own, size):
+    """Rows and columns of the contacts `own`, `size` each, of a matrix over all: a fraction of the cost of taking rows,
+    then columns, where few of many are asked for."""
+    out = np.empty((size * len(own), size * len(own)))
+    for a in range(len(out)):
+        line, target = S[size * own[a // size] + a % size], out[a]
+        if size == 3:
+            for b in range(len(own)):
+                i, j = 3 * b, 3 * own[b]
+                target[i], target[i + 1], target[i + 2] = line[j], line[j + 1], line[j + 2]
+        else:
+            for b in range(len(target)):
+                target[b] = line[size * own[b // size] + b % size]
     return out
 
 

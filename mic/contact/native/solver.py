@@ -83,7 +83,7 @@ class NativeSolver:
         some.scaling = self.scaling[rows]
         some.problem = replace(
             problem,
-            W=kernels.block(problem.W, rows),
+            W=kernels.block(problem.W, np.flatnonzero(own), self._size),
             parameters=problem.parameters[own],
             factors=None if problem.factors is None else problem.factors[own],
         )
