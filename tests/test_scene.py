@@ -250,6 +250,13 @@ def test_a_name_where_a_group_belongs_is_not_read_letter_by_letter(tmp_path):
     assert "called 'C'" not in str(error.value)
 
 
+@pytest.mark.parametrize("given", ["-0.1", "true", '"sometimes"', "[1]"])
+def test_what_a_key_may_be_besides_is_told_in_one_line(given, tmp_path):
+    with pytest.raises(mic.SceneError, match="Input should be 'close' or 'keep', or .*; got .*, correct it") as caught:
+        mic.load_scene(edited(tmp_path, r"friction = 0.27", f"friction = 0.27\nnominal_overlap = {given}"))
+    assert str(caught.value).count("nominal_overlap") == 1
+
+
 @pytest.mark.parametrize("case", BROKEN)
 def test_bad_scene(tmp_path, case):
     pattern, replacement, words = BROKEN[case]

@@ -65,9 +65,9 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
         try:
             table = written_out(table | {"folder": path.parent.resolve()}, TABLES)
         except SceneError:  # which is what is told
-            lines = [line for item in error.errors() for line in _explain({}, item)]
+            lines = [line for item in _together(error.errors()) for line in _explain({}, item)]
         else:
-            lines = [line for item in error.errors() for line in _explain(table, item)]
+            lines = [line for item in _together(error.errors()) for line in _explain(table, item)]
             lines += [line for line in _between_tables(table) if line not in lines]
     raise SceneError("\n".join(f"{path}: {line}" for line in lines))
 
@@ -96,6 +96,18 @@ def _as_it_stands(kind: Any, item: dict[str, Any]) -> Any:
         fields = getattr(kind, "model_fields", {}).items()
         defaults = {name: field.default for name, field in fields if not field.is_required()}
         return SimpleNamespace(**{**defaults, "name": item.get("kind"), **item})
+
+
+def _together(items) -> list[dict[str, Any]]:
+    """The problems found by the validation; what the alternatives of one key each ask for is one problem."""
+    asked = "Input should be "
+    found: dict[tuple, dict[str, Any]] = {}
+    for item in items:
+        key = (*_keys(item["loc"]), None if item["msg"].startswith(asked) else item["msg"])
+        if key in found:
+            item = found[key] | {"msg": f"{found[key]['msg']}, or {item['msg'].removeprefix(asked)}", "type": "one of"}
+        found[key] = item
+    return list(found.values())
 
 
 def _explain(table: dict[str, Any], item) -> list[str]:
