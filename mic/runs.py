@@ -285,20 +285,21 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[
 def write_evaluation(
     store: RunFolder, block: Block, identity: str, model: ReducedModel, evaluation: Evaluation
 ) -> None:
-    """Write what a block of samples gave: its tables, what its contact pairs add up to and, where fields are asked for,
-    its forces; pairs and forces themselves of the first samples alone (:attr:`mic.scene.schema.Report.contacts`)."""
+    """Write what a block of samples gave: its tables and, where fields are asked for, its forces. Of the first samples
+    contact pairs and forces are kept, as many as the scene's report says; of the others what they add up to."""
     found, report = tables(model, evaluation, block.first), model.scene.report
     samples = BlockSamples(found, len(model.contacts), block.first + block.count)
-    sums, forces, condensed = Sums.of(samples, model), None, None
-    if not keeps(report, block):
-        del found[CONTACTS.name]
-    if report.fields and keeps(report, block):
-        forces = {"force": evaluation.functional_force, "motion": evaluation.motion}
-    elif report.fields:
+    if keeps(report, block):
+        forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if report.fields else None
+        store.write_block(block, identity, found, forces)
+        return
+    sums, condensed = Sums.of(samples, model), None
+    del found[CONTACTS.name]
+    if report.fields:
         force, motion, own = evaluation.functional_force, evaluation.motion, samples.valid
         each = zip(model.compliance.functionals, model.compliance.motions)
         condensed = tuple(Condensed.of(force[own, rows], motion[own, columns]) for rows, columns in each)
-    store.write_block(block, identity, found, sums, forces, condensed)
+    store.write_block(block, identity, found, sums=sums, condensed=condensed)
 
 
 @contextmanager

@@ -255,13 +255,6 @@ def test_a_block_without_what_stands_for_its_pairs_is_computed_anew(long_and_sho
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
-def test_a_folder_of_before_that_kept_every_pair_and_no_sums_is_read(long_and_short, tmp_path):
-    shutil.copytree(long_and_short[0], tmp_path / "run")
-    shutil.rmtree(tmp_path / "run" / "sums")
-    for one, other in zip(statistics_of(long_and_short[0]), statistics_of(tmp_path / "run")):
-        pd.testing.assert_frame_equal(one, other, check_exact=True)
-
-
 @pytest.mark.parametrize("long, said", [(0.0, True), (1e9, False)])
 def test_a_run_that_takes_long_says_so_after_its_first_samples(lap_model, tmp_path, monkeypatch, long, said):
     monkeypatch.setattr("mic.runs.LONG", long)

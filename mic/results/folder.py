@@ -10,9 +10,9 @@ What another run or anybody else has left here is never removed, unless the user
 ``model.npz``                             the reduced model
 ``parts.npz``, ``paper.toml``             what fields and report need beside the results
 ``TABLE/law=LAW/FIRST-LAST.parquet``      the datasets of :data:`mic.results.schema.DATASETS`, one file per block
-``sums/law=LAW/FIRST-LAST.npz``           what the contact pairs of a block add up to
+``sums/law=LAW/FIRST-LAST.npz``           what the contact pairs of a block add up to that keeps none
 ``forces/law=LAW/FIRST-LAST.npz``         forces and motions in the last stage, only where fields are asked for
-``condensed/law=LAW/FIRST-LAST.npz``      in their place, where a block keeps no contact pairs: fewer rows
+``condensed/law=LAW/FIRST-LAST.npz``      fewer rows in place of the forces of such a block
 ``tables/*.csv``, ``summary.json``        statistics
 ``fields/``                               displacement fields
 ========================================= ==============================================================================
@@ -285,11 +285,11 @@ class RunFolder:
 
     def _check_whole(self, block: Block, identity: str, report: Report) -> None:
         """Raise FormatError unless a finished block has all that a report is made of."""
-        found = self.read_block(block, identity)
-        self.read_sums(block, identity)
-        condensed, forces = self.read_condensed(block, identity), self.read_forces(block, identity)
+        found, forces = self.read_block(block, identity), self.read_forces(block, identity)
+        if CONTACTS.name not in found:
+            self.read_sums(block, identity)
         missing = [CONTACTS] if keeps(report, block) and CONTACTS.name not in found else []
-        if report.fields and forces is None and (condensed is None or keeps(report, block)):
+        if report.fields and forces is None and (keeps(report, block) or not self.read_condensed(block, identity)):
             missing.append(FORCES)
         if missing:
             raise FormatError(f"{self._path(missing[0], block)}: this file of a finished block is missing")
@@ -328,8 +328,8 @@ class RunFolder:
         block: Block,
         identity: str,
         tables: Mapping[str, pd.DataFrame],
-        sums: Sums,
         forces: Mapping[str, np.ndarray] | None = None,
+        sums: Sums | None = None,
         condensed: Sequence[Condensed] | None = None,
     ) -> None:
         """Write a finished block; a reader sees the whole of it or nothing.
@@ -340,12 +340,13 @@ class RunFolder:
         identity : str
             Of the run.
         tables : dict of str to DataFrame
-            One for each of :data:`mic.results.schema.DATASETS`; the contact pairs may be left out.
-        sums : Sums
+            One for each of :data:`mic.results.schema.DATASETS`.
         forces : dict of str to array, optional
             As :data:`mic.results.schema.FORCES` declares them.
+        sums : Sums, optional
+            In place of the contact pairs.
         condensed : sequence of Condensed, optional
-            In place of them, by part.
+            In place of the forces, by part.
         """
         own = {"identity": identity}
         if forces is not None:
@@ -399,7 +400,7 @@ class RunFolder:
         return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
     def read_block(self, block: Block, identity: str) -> dict[str, pd.DataFrame]:
-        """Read a finished block by table; its contact pairs where it kept them.
+        """Read a finished block by table; without its contact pairs where it has their sums.
 
         Raises
         ------
@@ -411,7 +412,7 @@ class RunFolder:
         return {table.name: self.read_dataset(block, table.name, identity) for table in tables}
 
     def read_sums(self, block: Block, identity: str) -> Sums | None:
-        """What a block's contact pairs add up to; None where it does not say. Errors as :meth:`read_block`."""
+        """What a block's contact pairs add up to; None where it has them. Errors as :meth:`read_block`."""
         return self._unpacked(SUMS, _SUMS, block, identity, (Sums, Moments))
 
     def read_condensed(self, block: Block, identity: str) -> tuple[Condensed, ...] | None:

@@ -382,12 +382,12 @@ def read_outcome(folder) -> Outcome:
         for block in store.blocks(law, record["samples"]):
             try:
                 tables = store.read_block(block, record["identity"])
-                sums = store.read_sums(block, record["identity"])
+                sums = None if CONTACTS.name in tables else store.read_sums(block, record["identity"])
             except FormatError as problem:
                 damaged.append(f"{problem}.")
                 continue
             samples = BlockSamples(tables, len(model.contacts), record["samples"])
-            digests[law].add(samples, model, sums if block.first + block.count <= record["samples"] else None)
+            digests[law].add(samples, model, sums)
             blocks[law].append(block)
             kept[block] = {}
             for name, frame in tables.items():

@@ -371,7 +371,7 @@ CONTACTS = _dataset(
     ),
     "Forces and displacements of the contact pairs at the end of a stage, and their states on the way: where a pair "
     "neither stuck nor slipped, it was open. The shares of the path are NaN without friction. Of the first samples "
-    "only, as many as the scene's report asks for under `contacts`; what all add up to is in `sums`.",
+    "only, as many as the scene's report asks for under `contacts`; what the others add up to is in `sums`.",
     version=2,
 )
 LIMITS = _dataset(
@@ -413,8 +413,8 @@ SUMS = Table(
     "sums",
     "one block",
     (),
-    "What the contact pairs of a block's valid samples add up to: moments and counts, from which the statistics of all "
-    "samples come.",
+    "What the contact pairs of a block's valid samples add up to, where it keeps none: moments and counts, from which "
+    "the statistics come.",
     "sums/law=LAW/FIRST-LAST.npz",
 )
 CONDENSED = Table(

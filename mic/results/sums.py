@@ -1,7 +1,7 @@
 """What the contact pairs of one block's samples add up to.
 
-The process that evaluated a block adds them up, so that nobody need read each pair of each sample again, nor, beyond
-the first samples of a long run, keep them.
+Beyond the first samples of a long run the process that evaluated a block adds them up, so that nobody need keep each
+pair of each sample, nor read it again.
 """
 
 from __future__ import annotations
