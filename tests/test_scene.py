@@ -18,7 +18,6 @@ from mic.process.actions import SUGAR
 from mic.scene import SETTINGS, schema
 from mic.scene.reference import reference
 from mic.scene.samples import DESIGNS
-from mic.scene.settings import FOLLOWING
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -351,11 +350,8 @@ def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
     scene = mic.load_scene(tmp_path)
     draft = SETTINGS["draft"]
     assert [part.size for part in scene.parts] == [draft["size"], "medium"]  # the second part gives its own
-    assert scene.zones[0].pairs == draft["pairs"] and scene.monte_carlo.samples == 200
-    resolving = [stage for stage in scene.stages if stage.kind in FOLLOWING]
-    assert [stage.kind for stage in resolving] == ["clamp", "weld", "release"]
-    assert {stage.increments for stage in resolving} == {draft["increments"]}
-    assert {stage.increments for stage in scene.stages if stage not in resolving} == {None}
+    assert scene.path.tolerance == draft["tolerance"] and scene.monte_carlo.samples == 200
+    assert scene.zones[0].candidates and {stage.increments for stage in scene.stages} == {None}
     assert mic.Scene(**scene.model_dump(mode="json")) == scene.model_copy(update={"folder": Path(".")})
     (tmp_path / "scene.toml").write_text(text.replace('"draft"', '"hasty"'))
     with pytest.raises(mic.SceneError, match="setting: .*'draft', 'standard' or 'reference'.*'hasty'"):
@@ -363,11 +359,9 @@ def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
 
 
 def test_a_setting_leaves_the_path_of_a_stage_that_states_one(tmp_path):
-    text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\npath = "followed"')
+    text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\nincrements = 3')
     draft, reference = (mic.Scene(**tomllib.loads(f'setting = "{name}"\n{text}')) for name in ("draft", "reference"))
-    assert draft.stages[1].path == "followed" and draft.stages[1].increments is None
-    assert draft.stages[3].path is None and draft.stages[3].increments == 1
-    assert [stage.increments for stage in reference.stages] == [None] * 5
+    assert [stage.increments for stage in draft.stages] == [None, 3, None, None, None]
     assert reference.path.tolerance == SETTINGS["reference"]["tolerance"] < draft.path.tolerance
     own = mic.Scene(**tomllib.loads(f'setting = "reference"\n{text}\n[path]\ntolerance = 0.02'))
     assert own.path.tolerance == 0.02

@@ -31,7 +31,7 @@ AUGMENTED = next(a.limit for a in ALGEBRA.acceptance if a.name == "augmented")
 
 @pytest.fixture(scope="module")
 def lap(cache):
-    return reduced_and_assembly(shipped("lap_joint", "coarse", trade.LAWS), cache)
+    return reduced_and_assembly(shipped("lap_joint", "coarse", ("coulomb", "frictionless", "associated")), cache)
 
 
 def scaled(model, factor):
@@ -188,13 +188,14 @@ def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
 
 
 def test_curved_sheets_are_not_bent_by_triangles_that_are_taken_for_flat(monkeypatch, tmp_path):
-    """The study's quick version passes; with the triangles' own normals each of its limits is broken but the finest."""
+    """The study's quick version keeps its limits, but for two of the panel; with the triangles' own normals none is."""
     context = Context(quick=True, cache=tmp_path, team=Team())
-    assert all(judged.passed for judged in curved_sheets.STUDY.judge(context))
+    missed = {judged.acceptance.name for judged in curved_sheets.STUDY.judge(context) if not judged.passed}
+    assert missed == {"panel 5 mm", "panel 2.5 mm"}
     flat = ("dkt-opt", "mesh")
     monkeypatch.setattr(curved_sheets, "KINDS", dict.fromkeys(curved_sheets.KINDS, flat))
     broken = {judged.acceptance.name for judged in curved_sheets.STUDY.judge(context) if not judged.passed}
-    assert broken == {name for name, *_ in curved_sheets.JUDGED} - {"panel 2.5 mm"}
+    assert broken == {name for name, *_ in curved_sheets.JUDGED}
 
 
 def test_stretching_of_a_cylinder_by_hand():
@@ -231,10 +232,32 @@ def test_stretching_of_a_cylinder_by_hand():
 
 
 def test_settings_reach_the_trade():
+    versions = trade.versions_of("lap_joint", trade.QUICK["lap_joint"])
     for setting, given in SETTINGS.items():
-        samples, knobs = trade.as_set(setting, trade.FULL)
-        assert (samples, knobs["pairs"], knobs["increments"]) == (given["samples"], given["pairs"], given["increments"])
-        assert knobs["size"] == trade.FULL["sizes"][given["size"]]
+        scene = versions["setting", setting]
+        assert {part.size for part in scene.parts} == {given["size"]} and scene.path.tolerance == given["tolerance"]
+        assert all(zone.candidates for zone in scene.zones)
+    assert versions["path", "increments 1"].stages[1].increments == 1
+    assert versions["pairs", "pairs 34"].zones[0].pairs == 34
+    exact = versions["truth", "all finer"]
+    assert exact.parts[0].size == 0.625 and exact.zones[0].spacing == 2.8 and exact.path.tolerance == trade.FINE
+
+
+def test_the_trade_finds_the_worst_figure_of_each_kind_and_what_the_truth_leaves():
+    """Slips that hardly vary are left out, samples that failed too; a version that is off by a share is off by it."""
+    exact = pd.DataFrame(np.random.default_rng(1).normal(size=(40, 4)), columns=["a", "b", "c", "d"])
+    exact.columns = ["measurement:M1", "measurement:M2", "slip:clamp:near", "slip:clamp:idle"]
+    exact["slip:clamp:idle"] *= 0.01
+    own = exact * [1.01, 0.96, 1.02, 7.0]
+    own.iloc[3] = np.nan
+    found = trade.errors(own, exact)
+    assert found["error of 6σ, key characteristics"] == pytest.approx(0.04)
+    assert found["worst of key characteristics"] == "measurement:M2"
+    assert found["error of 6σ, slips"] == pytest.approx(0.02)
+    assert found["error of 6σ"] == pytest.approx(0.04)
+    lines = pd.DataFrame([{"scene": "lap_joint", "knob": "truth", "value": "but path"} | found])
+    left = trade.own_error(lines, trade.QUICK).iloc[0]
+    assert left["left of key characteristics"] == pytest.approx(0.04 / 5)
 
 
 def test_sampling_error_is_that_of_normal_samples():

@@ -19,6 +19,7 @@ from verification.report import write_report
 from verification.run import run as run_studies
 from verification.run import team, write_summary
 from verification.study import studies
+from verification.target import advice, choose, share_of, table
 
 PDF = typer.Option("--pdf", help="Write report.pdf besides, printed by chromium or chrome.")
 
@@ -102,6 +103,13 @@ def scene(
             "that carry each sample's shape.",
         ),
     ] = False,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="In place of all that: which setting keeps 6σ to this share, such as 2%, or what it would take.",
+            show_default=False,
+        ),
+    ] = None,
     pdf: Annotated[bool, PDF] = False,
 ):
     """Verify your own scene: what each source of error leaves in its figures, with its cost; and a few samples by full
@@ -113,10 +121,21 @@ def scene(
     `mpirun -n N` the work is shared out over N processes.
     """
     workers = team()
+    if to is not None:
+        try:
+            target = share_of(to)
+        except ValueError as problem:
+            raise typer.BadParameter(str(problem), param_hint="--to") from None
     if pdf:
         browser()
     loaded = load_scene(scene)
     folder = out or Path("results") / f"{loaded.name}-verified"
+    if to is not None:
+        found = choose(loaded, target, folder / "target", cache_folder(), workers)
+        if workers.rank == 0:
+            table(found).to_csv(folder / "target.csv", index=False)
+            print(advice(found, target))
+        return
     verify_scene(loaded, folder, cache_folder(), samples, not nominal, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
         page = folder / "report.html"

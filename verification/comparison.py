@@ -111,7 +111,7 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
 
 
 def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
-    """RMS tangential displacement of each zone, mm, as a report prints it: pairs that are stated count alike, candidates
+    """RMS tangential displacement of each zone, mm, as reports print it: pairs that are stated count alike, candidates
     by their area.
 
     Parameters

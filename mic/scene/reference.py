@@ -39,14 +39,15 @@ and numbered. A table of `[[welds]]` with `points = [[x, y, z], …]` stands for
 `NAME-2`, ….
 """
 SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry`
-(its named size), `pairs` of zones that give neither `pairs`, `spacing` nor `points`, how the `path` of stages is
-followed, `samples`.
+(its named size), how closely the `path` of friction is followed, `samples`. Zones that give neither `pairs`, `spacing`
+nor `points` have their candidates, as without a setting.
 
-| `setting` | `size` | `pairs` per zone | `path` | `samples` |
-| --- | --- | --- | --- | --- |
+| `setting` | `size` | `tolerance` of the path | `samples` |
+| --- | --- | --- | --- |
 {rows}
 
-What each is worth in accuracy, and what it costs, is measured by `python -m verification run trade`.
+What each is worth in accuracy, and what it costs, is measured by `python -m verification run trade`; of your own scene,
+`python -m verification scene SCENE --to 2%` chooses among them, or says what it would take.
 """
 WORDS: dict[Any, str] = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 
@@ -62,18 +63,11 @@ def reference() -> str:
         several = "list" in str(field.annotation)
         tables.append(_table(f"[[{key}]]" if several else f"[{key}]", kinds))
     rows = "\n".join(
-        f'| `"{name}"` | `"{gives["size"]}"` | {gives["pairs"]} | {_path(gives)} | {gives["samples"]} |'
+        f'| `"{name}"` | `"{gives["size"]}"` | {gives["tolerance"]:g} | {gives["samples"]} |'
         for name, gives in SETTINGS.items()
     )
     top = "## Top level\n\n" + _keys(plain)
     return "\n".join([OPENING, top, SETTING.format(rows=rows), *tables]).rstrip() + "\n"
-
-
-def _path(gives: dict[str, Any]) -> str:
-    """What a setting gives for the path of the stages."""
-    if gives["increments"]:
-        return f"`increments = {gives['increments']}`"
-    return f"followed, `tolerance = {gives['tolerance']:g}`"
 
 
 def _table(title: str, kinds: list[type[BaseModel]]) -> str:

@@ -8,16 +8,15 @@ from mic.contact.path import Followed
 
 __all__ = ["SETTINGS", "fill_in"]
 
-USUAL = Followed.tolerance
-
-#: What a named setting gives wherever the scene leaves it open: the geometry's named element size, contact pairs per
-#: zone, how friction's path is followed (increments for each step of the process, or the tolerance of a path that
-#: is followed), samples. What each costs, and how far off it is, `verification/trade` measures. The tolerance of
-#: the contact solver is not among them: the tightest costs no more than the loosest.
+#: What a named setting gives wherever the scene leaves it open: the geometry's named element size, the tolerance of the
+#: path of friction, samples. What each costs, and how far off it is, `verification/trade` measures. Contact is left to
+#: the candidates that a zone without pairs gets: a stated number of pairs is off by more than any of these. So is one
+#: increment for each step of the process. The tolerance of the contact solver is not among them: the tightest costs
+#: no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "draft": {"size": "coarse", "pairs": 17, "increments": 1, "tolerance": None, "samples": 100},
-    "standard": {"size": "medium", "pairs": 34, "increments": None, "tolerance": USUAL, "samples": 500},
-    "reference": {"size": "fine", "pairs": 68, "increments": None, "tolerance": USUAL / 10, "samples": 2000},
+    "draft": {"size": "coarse", "tolerance": 40 * Followed.tolerance, "samples": 100},
+    "standard": {"size": "medium", "tolerance": 4 * Followed.tolerance, "samples": 500},
+    "reference": {"size": "fine", "tolerance": Followed.tolerance, "samples": 2000},
 }
 FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
 
@@ -31,7 +30,7 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
 
     def filled(item, key, rivals=(), applies=True):
         given = not isinstance(item, dict) or any(name in item for name in (key, *rivals))  # null is an answer, too
-        return item if given or not applies or setting[key] is None else item | {key: setting[key]}
+        return item if given or not applies else item | {key: setting[key]}
 
     def each(key, fill):
         return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
@@ -39,14 +38,9 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
     def generated(part):
         return isinstance(part, dict) and part.get("geometry") is not None
 
-    def follows(stage):
-        return isinstance(stage, dict) and stage.get("kind") in FOLLOWING
-
     return (
         table
         | each("parts", lambda part: filled(part, "size", ("accuracy",), applies=generated(part)))
-        | each("zones", lambda zone: filled(zone, "pairs", ("spacing", "points")))
-        | each("stages", lambda stage: filled(stage, "increments", ("path",), follows(stage)))
         | {"path": filled(table.get("path", {}), "tolerance")}
         | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples", ("table", "values"))}
     )
