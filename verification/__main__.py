@@ -18,6 +18,9 @@ from verification.pdf import browser, write_pdf
 from verification.report import write_report
 from verification.run import run as run_studies
 from verification.run import team, write_summary
+from verification.shell_contact import fclib
+from verification.shell_contact.case import cases
+from verification.shell_contact.publication import publish
 from verification.study import studies
 from verification.target import advice, choose, share_of, table
 
@@ -140,6 +143,28 @@ def scene(
     if workers.rank == 0:
         page = folder / "report.html"
         print(f"report: {write_pdf(page) if pdf else page}")
+
+
+@app.command()
+def suite(
+    names: Annotated[list[str] | None, typer.Argument(help="Cases; default: all.", show_default=False)] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(help="Folder to write them into, one each: all is computed anew.", show_default=False),
+    ] = None,
+    h5py: Annotated[str, typer.Option(help="A Python that has h5py, for FCLIB's files.")] = fclib.interpreter(),
+):
+    """The twelve cases of frictional contact of shells: list them, or write their pages, data and contact problems."""
+    known = cases()
+    for name in names or ():
+        if name not in known:
+            raise typer.BadParameter(f"there is no case {name!r}; known: {', '.join(known)}")
+    if write and not fclib.available(h5py):
+        print(f"{h5py} has no h5py: contact problems are left out; --h5py names a Python that has it")
+    for name in names or known:
+        print(f"{name}: {known[name].text.splitlines()[0].removeprefix('# ')}", flush=True)
+        if write:
+            publish(known[name], write / name, cache_folder(), h5py)
 
 
 @app.command()

@@ -1,0 +1,126 @@
+"""The shipped values of the twelve cases of shell contact, computed again; and on meshes finer than theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pandas as pd
+
+from verification.plots import panels
+from verification.shell_contact.case import FINEST, LEVELS, Case, Quantity, cases
+from verification.shell_contact.converged import Converged, read
+from verification.study import Acceptance, Finding, Study
+
+SAME = 1e-4  # of a value: what rounding and paths of controlled error may change
+#: What a number may change by whatever its size: a hundredth of what gauges and load cells tell.
+LEAST_CHANGE = {"µm": 0.01, "N": 0.01, "N mm": 1e-4}
+#: The cases that are solved on a mesh finer than theirs: those of which that costs least.
+JUDGES = (("double_lap", "lap_bending", "lap_shear", "lap_welded", "leaves"), ("lap_bending",))
+
+
+def held(name: str, shipped: Sequence[Converged], found: Sequence[Quantity], level: str) -> list[dict]:
+    """A row for each shipped quantity: what it is now on a level's mesh, beside what it was and what is told of it.
+
+    Raises
+    ------
+    KeyError
+        If a shipped quantity was not found.
+    """
+    values = {one.name: one.value for one in found}
+    rows = []
+    for one in shipped:
+        was, now = one.levels[LEVELS.index(level)], values[one.name]
+        scale = max(abs(was), LEAST_CHANGE[one.unit] / SAME)
+        rows.append(
+            {
+                "case": name,
+                "quantity": one.name,
+                "unit": one.unit,
+                "mesh": level,
+                "shipped": was,
+                "now": now,
+                "change": abs(now - was) / scale / SAME,
+                "value": one.value,
+                "uncertainty": one.uncertainty,
+            }
+        )
+    return rows
+
+
+def judged(case: Case, cache, levels: Sequence[str], alter: Callable = lambda model: model) -> list[dict]:
+    """A case computed again on some of its meshes."""
+    shipped = read(case)
+    found = {level: case.quantities(level, cache, alter=alter) for level in levels}
+    return [row for level in levels for row in held(case.name, shipped, found[level], level)]
+
+
+def beyond(case: Case, cache, alter: Callable = lambda model: model) -> list[dict]:
+    """A case on a mesh finer than any of its own: how far each value lies off the shipped one, over its uncertainty."""
+    values = {one.name: one.value for one in case.quantities(FINEST, cache, alter=alter)}
+    return [
+        {
+            "case": case.name,
+            "quantity": one.name,
+            "value": one.value,
+            "uncertainty": one.uncertainty,
+            "finest": values[one.name],
+            "off": abs(values[one.name] - one.value) / max(one.uncertainty, 1e-12),
+        }
+        for one in read(case)
+    ]
+
+
+def run(context):
+    known = cases()
+    finer = context.team.map(lambda name: beyond(known[name], context.cache), JUDGES[context.quick])
+    levels = LEVELS[:1] if context.quick else LEVELS
+    rows = context.team.map(lambda case: judged(case, context.cache, levels), known.values())
+    table = pd.DataFrame([row for one in rows for row in one])
+    last = table[table["mesh"] == levels[-1]]
+    figure, (axis,) = panels(1, width=7.0, height=3.4)
+    share = last["uncertainty"] / np.maximum(abs(last["value"]), 1e-12)
+    axis.plot(last["case"], 100 * share, "o", color="tab:blue", ms=4, alpha=0.6)
+    axis.set(yscale="log", ylabel="uncertainty, % of the value")
+    axis.tick_params(axis="x", rotation=40)
+    worst = table.loc[table["change"].idxmax()]
+    note = (
+        f"{len(last)} quantities of {last['case'].nunique()} cases, half of them known within "
+        f"{100 * share.median():.2g} %. Largest change: {worst['quantity']} of {worst['case']}, "
+        f"{worst['shipped']:.6g} to {worst['now']:.6g} {worst['unit']}."
+    )
+    judges = pd.DataFrame([row for one in finer for row in one])
+    worst = judges.loc[judges["off"].idxmax()]
+    other = (
+        f"{len(judges)} quantities of {judges['case'].nunique()} cases; the farthest off is {worst['quantity']} of "
+        f"{worst['case']}, {worst['off']:.2g} times its uncertainty."
+    )
+    return [
+        Finding("values", float(table["change"].max()), note, figure, table),
+        Finding("finer", float((judges["off"] > 1).mean()), other, table=judges),
+    ]
+
+
+STUDY = Study(
+    order=84,
+    title="Twelve cases of frictional contact of shells",
+    claim="The values that the twelve cases state are those that the program computes, mesh by mesh.",
+    reference=(
+        "The shipped values of each case on meshes of three sizes. Nobody else has published such cases: what the "
+        "values are worth is told by their uncertainty, from meshes, candidates for contact and paths."
+    ),
+    acceptance=(
+        Acceptance(
+            "values",
+            "Largest change of a value on a mesh, over the larger of 1e-4 of it and 0.01 µm, 0.01 N or 1e-4 N mm.",
+            1.0,
+        ),
+        Acceptance(
+            "finer",
+            "Share of the values that a mesh 1.5 times finer than the finest moves by more than their uncertainty.",
+            0.05,
+        ),
+    ),
+    seconds=(300, 25),
+    run=run,
+)
