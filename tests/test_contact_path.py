@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
@@ -129,17 +130,21 @@ def test_a_motion_that_is_less_than_may_be_in_error_takes_one_step():
         assert np.linalg.norm(found.anchor - exact) < found.trace.error[0] < floor
 
 
-def test_contacts_that_touch_at_no_load_are_followed_from_there():
-    """Two touch as the load begins, a third closes later and takes over from one of them: what slips, since when."""
+@pytest.mark.parametrize("beside", [0, 1])
+def test_contacts_that_touch_at_no_load_are_followed_from_there(beside):
+    """Two touch as the load begins, a third closes later and takes over from one of them: what slips, since when; by
+    themselves, and beside one that presses all along."""
     random = np.random.default_rng(1)
     off, moved = 0.0, 0.0
     for _ in range(500):
         A = random.normal(size=(9, 9))
-        start, end = np.zeros((2, 9))
-        start[6] = end[6] = random.uniform(0.05, 0.5)
+        S = block_diag(A @ A.T + 0.1 * np.eye(9), np.eye(3 * beside))
+        start = np.zeros(9 + 3 * beside)
+        start[6], start[9:10] = random.uniform(0.05, 0.5), -1.0
+        end = start.copy()
         end[[0, 3]] = -random.uniform(0.2, 1, 2)
         paths = Followed(least=0.02), Followed(1e-7, 1e-3)
-        found, exact = (follow([start, end], path, A @ A.T + 0.1 * np.eye(9), mu=0.3).trace.slip for path in paths)
+        found, exact = (follow([start, end], path, S, mu=0.3).trace.slip for path in paths)
         off, moved = max(off, abs(found - exact).max()), max(moved, abs(exact).max())
     assert off < 0.02 * moved
 

@@ -10,8 +10,9 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 1. **Prediction.**  Statuses held, the rates are one linear problem, the law's own derivative at the step's start, of
    sliders where the slip of the step before would take them.  On the cone a contact slides forward or its force does
    not leave the cone: which of them is found by pivots.  Contacts that open or break loose on the way change a few rows
-   of that problem, its inverse by rank 3.  The step ends just behind the first contact that closes.  Where nothing
-   presses yet and something touches, nothing is known of what will carry, and the first step is a short one.
+   of that problem, its inverse by rank 3.  The step ends just behind the first contact that closes.  Of what
+   touches without pressing nothing is known where a path starts, and of nothing where nothing presses: there the
+   first step is a short one.
 2. **Solution.**  Backward Euler's method measures slip from where the step began, which drags a slider straight towards
    its end, and a contact that closes from too far back.  Both are mended, to second order, by moving the point from
    which slip is measured, and the same problem as ever is solved:
@@ -75,8 +76,7 @@ INNER = 1e-12
 NEAR = 1e-7
 #: Shrinking the step aims below the tolerance by this factor, the usual one of step control; and how much it may grow.
 SAFETY, GROWTH = 0.8, 4.0
-#: A step from where nothing presses is so long at most where something touches within it: the prediction does not know
-#: yet what the contacts will carry.
+#: A step in which contacts begin to press of which nothing is known is so long at most: the prediction leaves them out.
 FIRST = 1e-2
 #: Of the largest force: a tangential force that is less is none.
 ROUNDING = 1e-12
@@ -172,15 +172,18 @@ def _motion(w, unit):
     return np.sqrt(total / max(len(unit), 1))
 
 
-@jit(boolean(VECTOR, VECTOR, VECTOR, NUMBER))
-def _meets(y, w, rate, step):
-    """Whether contacts of which none presses yet touch within a step."""
-    touches = False
+@jit(boolean(VECTOR, VECTOR, VECTOR, boolean))
+def _unforeseen(y, w, rate, starts):
+    """Whether contacts may press in the next step of which nothing is known: any, where none presses yet, and where a
+    path starts those that touch without force."""
+    presses = soon = at_once = False
     for i in range(0, len(y), 3):
         if y[i] > 0.0:
-            return False
-        touches = touches or w[i] + step * rate[i] < 0.0
-    return touches
+            presses = True
+        else:
+            soon = soon or w[i] + FIRST * rate[i] < 0.0
+            at_once = at_once or w[i] + SHORTEST * rate[i] < 0.0
+    return (soon and not presses) or (at_once and starts)
 
 
 @jit(types.UniTuple(NUMBER, 2)(VECTOR, VECTOR, VECTOR, int64, VECTOR))
@@ -1335,7 +1338,8 @@ def _compile(digest):
                     break
                 y0[:], w0[:] = y, w
                 step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
-                if order == 2 and not given and _meets(y0, w0, rate, FIRST):
+                short = order == 2 and not given and _unforeseen(y0, w0, rate, s == 0.0)
+                if short:
                     step = min(step, FIRST)
                 solved, error = 1, 0.0
                 while True:
@@ -1492,6 +1496,8 @@ def _compile(digest):
                 s = target
                 made += _motion(w, unit)
                 h = min(1.0, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
+                if short:  # now it is known
+                    h = max(h, LONGEST)
                 if given:
                     h = ends[min(done[STEPS], len(ends) - 1)] - s
                 elif done[STEPS] > MOST:
