@@ -492,6 +492,6 @@ STUDY = Study(
             reason="Ten times the rounding of the two routes, 1e-8.",
         ),
     ),
-    seconds=(400, 40),
+    seconds=(420, 60),
     run=run,
 )
