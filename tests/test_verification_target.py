@@ -53,6 +53,8 @@ def test_errors_are_of_what_leads_its_kind():
     found = shares([item("path", 0.003, 0.001), item("pairs", -0.01, 0.0)], SIX)
     assert found.loc["path", ["error", "unsure"]].tolist() == pytest.approx([0.003, 0.001])
     assert found.loc["all", ["error", "unsure"]].tolist() == pytest.approx([0.007, 0.001])  # errors have signs
+    kept = Tried("draft", found, 1.0, 0.1)  # what is unsure counts as well
+    assert kept.most == pytest.approx(0.008) and not kept.keeps(0.0075) and kept.keeps(0.0081)
     unknown = shares([item("path", 0.003, 0.001), Item("pairs", "no room", 0.0, None)], SIX)
     assert np.isnan(unknown.at["all", "error"]) and not Tried("draft", unknown, 1.0, 0.1).keeps(0.5)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +10,7 @@ import pandas as pd
 from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
-from mic.contact.path import Followed, Increments
+from mic.contact.path import Followed, Increments, Trace
 from mic.model.assembly import assemble
 from mic.process.process import Process
 from mic.sampling.draw import draw
@@ -32,6 +32,29 @@ FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 3e-14)
 QUICK_FULL, QUICK_REDUCED = (1e-4, 1e-6), (1e-8, 1e-10)
 SEED = 303
 FEW = 8  # samples that many increments are taken of
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a stage ended: of an evaluation, what goes from one process to another."""
+
+    displacement: np.ndarray
+    trace: Trace
+
+
+@dataclass(frozen=True)
+class Gone:
+    """A process gone through by n samples: of an evaluation, what is compared."""
+
+    failed: np.ndarray
+    measurements: np.ndarray
+    resolutions: dict[str, Ended]
+
+    @classmethod
+    def of(cls, found) -> Gone:
+        """What is kept of an evaluation."""
+        ends = {stage: Ended(one.displacement, one.trace) for stage, one in found.resolutions.items()}
+        return cls(found.failed, found.measurements, ends)
 
 
 def evaluate(model, deviations, path=None):
@@ -254,7 +277,7 @@ def run(context):
         """Increments, which are many and only have to near the judge, are held against it on fewer samples."""
         model = models[name]
         number = FEW if isinstance(paths[label], Increments) and label != "1 increments" else samples
-        return evaluate(model, draw(model.scene, SEED, 0, number), paths[label])
+        return Gone.of(evaluate(model, draw(model.scene, SEED, 0, number), paths[label]))
 
     cells = [(name, label) for label in reversed(paths) for name in reversed(SCENES)]  # the dearest begin
     tasks = [
