@@ -279,9 +279,7 @@ class ContactSolver:
         )
 
     @one_thread
-    def judged(
-        self, b: np.ndarray, force: np.ndarray, moved: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def judged(self, b: np.ndarray, force: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals (n,) of forces (n, d m) under right-hand sides likewise, which of them converged, and the word
         for it; ``moved`` (n, d m) is what the forces move, ``S f``."""
         displacement = moved + force * self._series + b
