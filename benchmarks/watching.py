@@ -44,7 +44,7 @@ def main() -> None:
     for path in arguments.scene:
         scene = mic.load_scene(path)
         table.add_row(path.stem, *measure(scene if arguments.followed else going(scene, "increments", 1), arguments))
-    Console(width=120).print(table)
+    Console(width=150).print(table)
 
 
 def measure(scene, arguments) -> list[str]:
