@@ -18,7 +18,7 @@ from mic.contact.friction import Friction
 from mic.contact.ladder import Rung
 from mic.contact.laws import ASSOCIATED, COULOMB, FRICTIONLESS, LAWS, find
 from mic.contact.laws.pressure_dependent import table
-from mic.contact.native import batch
+from mic.contact.native import batch, kernels
 from mic.contact.native.solver import NativeSolver
 from mic.contact.problems import box_stack, compliant, manufactured, slip_dominated
 from mic.contact.states import STATES, ContactState, classify
@@ -118,6 +118,23 @@ def test_the_splitting_heads_for_the_law_before_newton_lands(dilatant):
     long_rung = Rung("splitting", "Long enough to converge.", lambda law: True, {"steps": steps, "rounds": 1})
     batch.splitting(scaled, long_rung, 1e-8)(q[None], np.zeros((1, 15)), np.zeros(1), iterations, factorisations)
     assert iterations[0] == steps + factorisations[0] and factorisations[0] <= 1
+
+
+@pytest.mark.parametrize("stick, slide, inverse", [(0.2, 0.6, False), (0.6, 0.3, True)])
+@pytest.mark.parametrize("name", [*(law.name for law in LAWS.values() if law.frictional), "dilatant"])
+def test_newton_converges_quadratically_where_contacts_slide(name, stick, slide, inverse, dilatant):
+    """From 1e-4 beside the solution: 1e-8, then rounding; for forces, and for displacements with the inverse."""
+    rng, law = np.random.default_rng(7), LAWS[name]
+    problem = manufactured(compliant(20, rng, condition=1e2), np.full(20, 0.27), 1, rng, stick, slide, law)
+    native = NativeSolver(problem.S, problem.mu, law, 1e-10, 1, 3)
+    scaled, q = native.problem, problem.b[0] * native.scaling
+    y = ContactSolver(problem.S, problem.mu, law, tol=1e-12).solve(problem.b[0]).force / native.scaling
+    y *= 1 + 1e-4 * rng.normal(size=60)
+    w, W = scaled.W @ y + q, scaled.W
+    given = np.linalg.inv(W) if inverse else np.empty((0, 0))
+    known = given, q, scaled.parameters, y, w, 0.0, kernels.starting_scale(q), 1e-12
+    error, steps = kernels.newton(scaled.equation, W, *known, 10, 0, 20.0)
+    assert error <= 1e-12 and steps <= 3
 
 
 def test_a_law_with_friction_needs_an_equation():
