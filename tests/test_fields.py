@@ -113,7 +113,10 @@ def test_what_stands_for_blocks_of_samples_has_their_factor():
         condenser.join(Condensed.of(force[first:last], motion[first:last]))
     whole, few = condensed(force, motion), condenser.centred()
     assert few.samples == 60 and len(Condensed.of(force[:40], motion[:40]).rows) == 14
-    np.testing.assert_allclose(few.mean, whole.mean, rtol=1e-12)
+    idle = np.hstack([force, np.zeros((60, 5))])  # functionals that no sample loads, and forces that follow from others
+    some = Condensed.of(idle @ np.diag(np.ones(12)), idle[:, :6] * 1e-6)
+    assert some.rows.shape == (8, 14) and some.whole.shape == (8, 19)
+    np.testing.assert_allclose(few.mean, whole.mean, atol=1e-12)  # of values that spread by one
     np.testing.assert_allclose(few.rows.T @ few.rows, whole.rows.T @ whole.rows, atol=1e-10)
     one, other = (low_rank(samples, C @ C.T) for samples in (whole, few))
     covariances = [own.force @ own.gram[:7, :7] @ own.force.T for own in (one, other)]

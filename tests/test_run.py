@@ -206,6 +206,9 @@ def test_statistics_do_not_hang_on_how_many_samples_keep_their_pairs(long_and_sh
     found = statistics[(statistics["law"] == "coulomb") & (statistics["stage"] == "clamp")]
     np.testing.assert_allclose(found["mean_f_n"], clamp.mean(), rtol=1e-12)
     np.testing.assert_allclose(found["six_sigma_f_n"], 6 * clamp.std(), rtol=1e-9, atol=1e-12)
+    zone = statistics_of(few)[0].query("law == 'coulomb' and stage == 'clamp'")
+    pressed = contacts[contacts["stage"] == "clamp"].groupby("sample")["f_n"].sum()
+    np.testing.assert_allclose(zone["mean_normal_force"], pressed.mean(), rtol=1e-12)
     state = contacts[contacts["stage"] == "clamp"].groupby("contact")["state"]
     np.testing.assert_allclose(found["open"], state.apply(lambda own: (own == "open").mean()), rtol=1e-12)
 

@@ -2,7 +2,8 @@
 
 What fields need of n samples are products of columns of ``[1, F, Q]``: ones, forces and motions. These are kept by any
 rows R with ``RᵀR = [1, F, Q]ᵀ [1, F, Q]``, such as the triangle of ``[1, F, Q] = Z R``, Z orthogonal, whose number does
-not grow with n. Triangles of some samples and of others, one below the other, are rows of both.
+not grow with n, or ``Σ Vᵀ`` of ``[1, F, Q] = U Σ Vᵀ``, of which all but the first are nothing: forces of hundreds of
+functionals follow from few deviations. Rows of some samples and of others, one below the other, are rows of both.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 __all__ = ["Centred", "Condensed", "Condenser"]
 
 ROOM = 8_000_000  # bytes of samples that are kept as they are, by part and law
+ROUNDING = 1e-13  # singular values below this share of the largest are left out, each column in units of its own size
 
 
 @dataclass(frozen=True)
@@ -23,23 +25,40 @@ class Condensed:
 
     Attributes
     ----------
-    rows : (r, 1 + F + 6) array
-        R above.
+    rows : (r, c) array
+        Columns of R above that are not all zero.
+    columns : (c,) int array
+        Which they are.
+    width : int
+        Of R, 1 + F + 6.
     samples : int
     largest : float
         Force of any sample, N or N mm.
     """
 
     rows: np.ndarray
+    columns: np.ndarray
+    width: int
     samples: int
     largest: float
 
     @classmethod
     def of(cls, force: np.ndarray, motion: np.ndarray) -> Condensed:
-        """Those of (n, F) forces and (n, 6) motions; the samples themselves where they are few."""
-        rows = np.hstack([np.ones((len(force), 1)), force, motion])
-        rows = _triangle(rows) if len(rows) > rows.shape[1] else rows
-        return cls(rows, len(force), float(np.abs(force).max(initial=0.0)))
+        """Those of (n, F) forces and (n, 6) motions, as few as rounding leaves."""
+        rows = _beside(force, motion)
+        size = np.sqrt((rows**2).sum(axis=0))
+        columns = np.flatnonzero(size)
+        _, singular, Vt = np.linalg.svd(rows[:, columns] / size[columns], full_matrices=False)
+        own = singular > ROUNDING * singular.max(initial=0.0)
+        few = singular[own, None] * Vt[own] * size[columns]
+        return cls(few, columns, rows.shape[1], len(force), float(np.abs(force).max(initial=0.0)))
+
+    @property
+    def whole(self) -> np.ndarray:
+        """(r, 1 + F + 6) R with its zeros."""
+        R = np.zeros((len(self.rows), self.width))
+        R[:, self.columns] = self.rows
+        return R
 
 
 class Condenser:
@@ -63,16 +82,18 @@ class Condenser:
 
     def add(self, force: np.ndarray, motion: np.ndarray) -> None:
         """Take in (n, F) forces and (n, 6) motions."""
-        rows = np.hstack([np.ones((len(force), 1)), force, motion])
-        self.join(Condensed(rows, len(force), float(np.abs(force).max(initial=0.0))))
+        self._take(_beside(force, motion), len(force), float(np.abs(force).max(initial=0.0)))
 
     def join(self, some: Condensed) -> None:
         """Take in what stands for further samples."""
-        self.samples += some.samples
-        self._largest = max(self._largest, some.largest)
-        self._condensed |= len(some.rows) != some.samples
-        self._rows.append(some.rows)
-        held, width = sum(len(rows) for rows in self._rows), some.rows.shape[1]
+        self._take(some.whole, some.samples, some.largest)
+        self._condensed = True
+
+    def _take(self, rows: np.ndarray, samples: int, largest: float) -> None:
+        self.samples += samples
+        self._largest = max(self._largest, largest)
+        self._rows.append(rows)
+        held, width = sum(len(rows) for rows in self._rows), rows.shape[1]
         if held > max(2 * width, self._room // (8 * width)):
             self._rows = [_triangle(np.concatenate(self._rows))]
             self._condensed = True
@@ -115,6 +136,10 @@ class Centred:
     def motion(self) -> np.ndarray:
         """(r, 6) array."""
         return self.rows[:, -6:]
+
+
+def _beside(force: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    return np.hstack([np.ones((len(force), 1)), force, motion])
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
+from mmap import mmap
 
 import numpy as np
 
@@ -207,7 +208,7 @@ class NativeSolver:
             follower.SWEEPS * problem.law.gauss_seidel,
         )
         room = follower.MOST + 1 if path.recorded else 0
-        passed, passed_force = np.zeros((n, room)), np.zeros((n, room, 3 * m))  # memory is taken where it is written
+        passed, passed_force = np.zeros((n, room)), _untouched(n, room, 3 * m)
         follow = follower.follower()
 
         def chunk(own):
@@ -273,3 +274,10 @@ class NativeSolver:
         else:
             with ThreadPoolExecutor(self.threads) as pool:
                 list(pool.map(work, slices))
+
+
+def _untouched(*shape: int) -> np.ndarray:
+    """Zeros that take memory where they are written, and nowhere else: from the system, for the allocator that MPI
+    brings along writes all that it gives."""
+    size = int(np.prod(shape))
+    return np.frombuffer(mmap(-1, max(8 * size, 1)), float, size).reshape(shape)
