@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fem_reference.peers import calculix
-from fem_reference.peers.calculix_joint import process
 from verification import run as runs
 from verification.solids import study
 from verification.study import Team
@@ -26,7 +25,7 @@ def case():
 
 @pytest.fixture(scope="module")
 def solid(case):
-    return process(*case, *study.MESHES[0])
+    return study.solids_of(*case, study.MESHES[0])
 
 
 @needs_ccx
@@ -54,7 +53,7 @@ def test_a_wrong_answer_is_not(error, case, solid, cache):
 
 @needs_ccx
 def test_increments_of_the_solids_leave_nothing_that_is_judged(case, solid):
-    again = process(*case, *study.MESHES[0], increments=16)
+    again = study.solids_of(*case, study.MESHES[0], increments=16)
     assert max(study.errors(solid, again)[name] / LIMITS[name] for name in ("force", "slip")) < 0.05
     assert np.abs(solid.measurements - again.measurements).max() < 1e-4
 

@@ -19,7 +19,7 @@ upper strip's locators.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,6 @@ from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 
 from fem_reference.peers.calculix import CalculixError, stiffness
 from fem_reference.shell.factorisation import Factorisation
-from mic.contact import ContactSolver
 from mic.scene import Scene
 
 __all__ = ["Outcome", "Strip", "joint", "process"]
@@ -206,7 +205,13 @@ class Outcome:
 
 
 def process(
-    scene: Scene, deviations: np.ndarray, fine: float, coarse: float, increments: int = 8, beyond: float = 3.0
+    scene: Scene,
+    deviations: np.ndarray,
+    fine: float,
+    coarse: float,
+    solver: Callable,
+    increments: int = 8,
+    beyond: float = 3.0,
 ) -> Outcome:
     """The whole process of the lap joint with Coulomb friction.
 
@@ -214,6 +219,8 @@ def process(
     ----------
     scene, deviations, fine, coarse
         As :func:`joint` has them.
+    solver : callable
+        ``solver(S, mu)`` prepares problems ``u = S f + b`` of Coulomb's law: :class:`mic.contact.ContactSolver`.
     increments : int
         Of each step.
     beyond : float
@@ -249,13 +256,8 @@ def process(
     read = np.array([row(one) for one in scene.measurements])
     clamped = _Held(K, locators, csr_matrix((0, K.shape[0])))
     welded = _Held(K, vstack([locators[stays], ties]), csr_matrix((0, K.shape[0])))
-    closing, opening = (
-        ContactSolver(*each, semidefinite=True)
-        for each in (
-            (clamped.compliance(touch), scene.zones[0].friction),
-            (welded.compliance(still), scene.zones[0].friction),
-        )
-    )
+    mu = scene.zones[0].friction
+    closing, opening = solver(clamped.compliance(touch), mu), solver(welded.compliance(still), mu)
     none, nothing = np.zeros(locators.shape[0]), np.zeros(0)
     unit = {i: row(one) for i, one in enumerate(scene.deviations) if one.kind == "force"}
     unit = {i: clamped.solve(force, none, nothing) for i, force in unit.items()}
@@ -300,7 +302,7 @@ def process(
     return Outcome(*(np.array(each) for each in zip(*found)), m)
 
 
-def _gone(solver: ContactSolver, force, place, leg, increments: int) -> tuple[np.ndarray, np.ndarray]:
+def _gone(solver, force, place, leg, increments: int) -> tuple[np.ndarray, np.ndarray]:
     """Forces (m, 3) and where the faces stand (m, 3) once displacements without contact went along a leg, b0 to b1."""
     b0, b1 = leg
     for s in np.arange(1, increments + 1) / increments:
