@@ -57,6 +57,10 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
         cache.mkdir(parents=True, exist_ok=True)
     context = Context(quick, cache, team)
     for study in chosen:
+        if study.missing():
+            if first:
+                say(f"{study.name}: left out, {study.missing()}")
+            continue
         fingerprint = _fingerprint(base, study, quick)
         target = folder / "studies" / study.name
         done = _stored(target) == fingerprint

@@ -184,6 +184,8 @@ class Study:
         Expected time of the full and of the quick version on one core.
     run : callable
         ``run(context)`` returns one :class:`Finding` per acceptance number, and the same on every rank.
+    missing : callable
+        What it needs and does not find, in words; empty where all is there. Without it the study is left out.
     name : str
         The folder's; set when the study is found.
     """
@@ -195,6 +197,7 @@ class Study:
     acceptance: tuple[Acceptance, ...]
     seconds: tuple[float, float]
     run: Callable[[Context], list[Finding]]
+    missing: Callable[[], str] = lambda: ""
     name: str = ""
 
     def judge(self, context: Context) -> list[Judged]:

@@ -10,11 +10,17 @@ is held on its locators while the force that makes it acts.
 Without friction nothing else is remembered: a stage is one linear complementarity problem,
 
     K u = f + Bᵀ λ + Cᵀ p,      B u = v,      0 ≤ p ⊥ g + C u ≥ 0 .
+
+With friction (:func:`process`) twins have three rows each, n, t1, t2, and the process is gone through in increments,
+each of which obeys Coulomb's law from where the one before left the faces. Overlaps come to rest first, in a step of
+their own; clamps close; nuggets freeze what they find, and no twin within them touches any more; clamps open, then the
+upper strip's locators.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
@@ -25,9 +31,10 @@ from fem_reference.peers.calculix import CalculixError, stiffness
 from fem_reference.shell.factorisation import Factorisation
 from mic.scene import Scene
 
-__all__ = ["Strip", "joint"]
+__all__ = ["Outcome", "Strip", "joint", "process"]
 
 SQUARES = 8  # along and across a node's cell, by which its share of a disc is counted
+BLOCK = 300  # columns that are solved together
 FINE = 1.6  # radii of a nugget: so far about its middle elements are fine
 
 
@@ -176,6 +183,155 @@ def joint(
     return np.array(found)
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What the process with friction gave at n deviations, in the stages ``clamp`` and ``release``.
+
+    Attributes
+    ----------
+    measurements : (n, k) array
+        mm.
+    force : (n, 2) array
+        Sum of the normal forces beyond some radii of the nuggets, N.
+    slip : (n, 2) array
+        Root mean square, over the same area, of what the faces moved along each other in the stage, mm.
+    twins : int
+    """
+
+    measurements: np.ndarray
+    force: np.ndarray
+    slip: np.ndarray
+    twins: int
+
+
+def process(
+    scene: Scene,
+    deviations: np.ndarray,
+    fine: float,
+    coarse: float,
+    solver: Callable,
+    increments: int = 8,
+    beyond: float = 3.0,
+) -> Outcome:
+    """The whole process of the lap joint with Coulomb friction.
+
+    Parameters
+    ----------
+    scene, deviations, fine, coarse
+        As :func:`joint` has them.
+    solver : callable
+        ``solver(S, mu)`` prepares problems ``u = S f + b`` of Coulomb's law: :class:`mic.contact.ContactSolver`.
+    increments : int
+        Of each step.
+    beyond : float
+        Radii of a nugget nearer to which forces and slip are not read: sums of nodal forces do not settle there.
+
+    Raises
+    ------
+    CalculixError
+    ValueError
+        If the contact problem of an increment was not solved.
+    """
+    lower, upper = strips = _strips(scene, fine, coarse, 2)
+    of = dict(zip((part.name for part in scene.parts), strips))
+    size = [strip.K.shape[0] for strip in strips]
+
+    def row(one, layer=None) -> np.ndarray:
+        strip = of[one.part]
+        own = strip.mean(one.point, one.radius, one.direction, strip.middle if layer is None else layer).toarray()[0]
+        return np.concatenate([own if each is strip else np.zeros(n) for each, n in zip(strips, size)])
+
+    K = csc_matrix(block_diag([strip.K for strip in strips]))
+    locators = csr_matrix(np.array([row(one) for one in scene.locators]))
+    kept = next(stage.keep for stage in scene.stages if stage.kind == "release")
+    stays = np.array([one.name in kept for one in scene.locators])
+    press = sum(one.force * row(one, 0 if of[one.part] is lower else len(upper.z) - 1) for one in scene.clamps)
+    twins = [_twins(lower, upper, size[0], axis) for axis in (2, 0, 1)]
+    m = twins[0].shape[0]
+    fused = _fused(scene, lower, upper)
+    apart = np.setdiff1d(np.arange(m), fused)
+    touch = vstack(twins).tocsr()[np.arange(3 * m).reshape(3, m).T.ravel()]  # n, t1, t2 of each twin together
+    still = touch[(3 * apart[:, None] + np.arange(3)).ravel()]
+    ties = vstack([each[fused] for each in twins])
+    read = np.array([row(one) for one in scene.measurements])
+    clamped = _Held(K, locators, csr_matrix((0, K.shape[0])))
+    welded = _Held(K, vstack([locators[stays], ties]), csr_matrix((0, K.shape[0])))
+    mu = scene.zones[0].friction
+    closing, opening = solver(clamped.compliance(touch), mu), solver(welded.compliance(still), mu)
+    none, nothing = np.zeros(locators.shape[0]), np.zeros(0)
+    unit = {i: row(one) for i, one in enumerate(scene.deviations) if one.kind == "force"}
+    unit = {i: clamped.solve(force, none, nothing) for i, force in unit.items()}
+    area, outside = _facing(scene, lower, upper, beyond)
+    found = []
+    for amplitudes in np.atleast_2d(deviations):
+        shape = sum((amplitudes[i] * each for i, each in unit.items()), np.zeros(K.shape[0]))
+        asked: Mapping[str, float] = {
+            one.target: amplitude for amplitude, one in zip(amplitudes, scene.deviations) if one.kind == "locator"
+        }
+        value = np.array([asked.get(one.name, 0.0) for one in scene.locators])
+        gap = np.zeros((m, 3))
+        gap[:, 0] = twins[0] @ shape
+
+        def faces(held: _Held, load, at, rows, drawn):
+            return (rows @ held.solve(load, at, nothing)).reshape(-1, 3) + drawn
+
+        start = faces(clamped, 0 * press, value, touch, gap)
+        clear = start.copy()
+        clear[:, 0] = np.maximum(clear[:, 0], 0.0)
+        force, place = _gone(closing, np.zeros((m, 3)), start, (clear, start), increments)
+        force, place = _gone(closing, force, place, (start, faces(clamped, press, value, touch, gap)), increments)
+        pushing = press + touch.T @ force.ravel()
+        closed = clamped.solve(pushing, value, nothing)
+        loosened = locators[~stays].T @ clamped.reaction(closed, pushing)[~stays]
+        frozen = np.concatenate([value[stays], ties @ closed])
+        legs = [faces(welded, load, frozen, still, gap[apart]) for load in (press - loosened, -loosened, 0 * press)]
+        last, end = force[apart], place[apart]
+        for leg in zip(legs, legs[1:]):
+            last, end = _gone(opening, last, end, leg, increments)
+        free = welded.solve(still.T @ last.ravel(), frozen, nothing)
+        found.append(
+            (
+                read @ (shape + free),
+                [force[outside, 0].sum(), last[outside[apart], 0].sum()],
+                [
+                    _root_mean_square((place - start)[outside, 1:], area[outside]),
+                    _root_mean_square((end - place[apart])[outside[apart], 1:], area[apart][outside[apart]]),
+                ],
+            )
+        )
+    return Outcome(*(np.array(each) for each in zip(*found)), m)
+
+
+def _gone(solver, force, place, leg, increments: int) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (m, 3) and where the faces stand (m, 3) once displacements without contact went along a leg, b0 to b1."""
+    b0, b1 = leg
+    for s in np.arange(1, increments + 1) / increments:
+        b = b0 + s * (b1 - b0)
+        b[:, 1:] -= place[:, 1:]
+        solution = solver.solve(b.ravel(), force.ravel())
+        if not solution.converged:
+            raise ValueError("a contact problem of the solids was not solved")
+        force = solution.force.reshape(-1, 3)
+        moved = solution.displacement.reshape(-1, 3)
+        place = moved + np.concatenate([np.zeros((len(place), 1)), place[:, 1:]], axis=1)
+    return force, place
+
+
+def _facing(scene: Scene, lower: Strip, upper: Strip, beyond: float) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) the twins' shares of the overlap, mm², and whether they lie beyond some radii of every nugget."""
+    inside = lower.x >= upper.x[0] - 1e-9
+    x, y = (grid.ravel() for grid in np.meshgrid(lower.x[inside], lower.y, indexing="ij"))
+    along, across = (np.gradient(grid) for grid in (lower.x[inside], lower.y))
+    for cell in (along, across):
+        cell[[0, -1]] /= 2
+    away = [np.hypot(x - weld.point[0], y - weld.point[1]) > beyond * weld.radius for weld in scene.welds]
+    return np.outer(along, across).ravel(), np.all(away, axis=0)
+
+
+def _root_mean_square(vectors: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.sqrt((weight * (vectors**2).sum(axis=1)).sum() / weight.sum()))
+
+
 class _Held:
     """Both strips, with rows B held and rows C that may not fall below the gaps.
 
@@ -185,7 +341,7 @@ class _Held:
 
     def __init__(self, K: csc_matrix, B: csr_matrix, C: csr_matrix):
         alpha = float(np.abs(K.diagonal()).mean())
-        self._B, self._C = B, C
+        self._K, self._B, self._C = K, B, C
         self._factor = Factorisation(csr_matrix(K + alpha * (B.T @ B)))
         self._reach = self._factor.solve(B.T.toarray())
         self._hold = cho_factor(B @ self._reach)
@@ -196,6 +352,17 @@ class _Held:
     def _solve(self, force, value):
         free = self._factor.solve(force.reshape(len(force), -1)).reshape(force.shape)
         return free - self._reach @ cho_solve(self._hold, self._B @ free - value)
+
+    def compliance(self, rows: csr_matrix) -> np.ndarray:
+        """(m, m) what rows (m, d) read of forces along them."""
+        none = np.zeros((self._B.shape[0], BLOCK))
+        blocks = [rows[k : k + BLOCK] for k in range(0, rows.shape[0], BLOCK)]
+        S = np.hstack([rows @ self._solve(own.T.toarray(), none[:, : own.shape[0]]) for own in blocks])
+        return 0.5 * (S + S.T)
+
+    def reaction(self, u: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """(b,) λ of displacements (d,) under forces (d,)."""
+        return np.linalg.solve((self._B @ self._B.T).toarray(), self._B @ (force - self._K @ u))
 
     def solve(self, force: np.ndarray, value: np.ndarray, gap: np.ndarray) -> np.ndarray:
         """(d,) displacements under forces (d,), the rows held at values and the gaps (m,) not passed."""

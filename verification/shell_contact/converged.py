@@ -1,11 +1,12 @@
 """A case's values with their uncertainty, from meshes of three sizes and paths of two tolerances.
 
-    U = max(index, half the range of the three values) + |v(2.5e-4) − v(2.5e-5)|
+    U = max(index, half the range of the three values, least) + |v(2.5e-4) − v(2.5e-5)|
 
 The index is that of :func:`verification.mesh.study.converge`: Celik's procedure, with the observed order where values
 are monotone and three times the last difference where they are not. Half the range holds where two meshes agree by
-chance. The last term is the path's, on the medium mesh: the values are those of the second tolerance, so that it says
-more than what is left. The value is that of the finest mesh; nothing is extrapolated.
+chance, and the least, a hundredth of what gauges and load cells tell, where all three do, as sums of forces that
+equilibrium prescribes. The last term is the path's, on the medium mesh: the values are those of the second tolerance,
+so that it says more than what is left. The value is that of the finest mesh; nothing is extrapolated.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ import pandas as pd
 from verification.mesh.study import converge
 from verification.shell_contact.case import LEVELS, TOLERANCES, Case, Quantity
 
-__all__ = ["KNOWN", "LEAST", "Converged", "converged", "read", "write"]
+__all__ = ["FINEST_TOLD", "KNOWN", "LEAST", "Converged", "converged", "read", "write"]
 
 #: What a quantity must reach on some mesh to be told of.
 LEAST = {"µm": 0.0, "N": 0.5, "N mm": 2e-3}
+#: What no value is told more closely than: a hundredth of what gauges and load cells tell.
+FINEST_TOLD = {"µm": 0.01, "N": 0.01, "N mm": 1e-4}
 KNOWN = 0.25  # of a value: the uncertainty beyond which it is told, but not to be compared with
 DIGITS = 8  # with which values are written
 COLUMNS = ("quantity", "unit", "value", "uncertainty", "order", *LEVELS, "path")
@@ -62,7 +65,8 @@ class Converged:
     @property
     def uncertainty(self) -> float:
         """Half-width of the interval about the value."""
-        return max(converge(self.sizes, self.levels).index, float(np.ptp(self.levels)) / 2) + self.path
+        found = converge(self.sizes, self.levels).index, float(np.ptp(self.levels)) / 2, FINEST_TOLD[self.unit]
+        return max(found) + self.path
 
     @property
     def known(self) -> bool:

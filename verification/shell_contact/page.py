@@ -15,6 +15,7 @@ from verification.shell_contact.converged import Converged
 __all__ = ["page", "row"]
 
 RULES = "Conventions, law, stages, and how the uncertainty was found: [all cases](../../README.md)."
+LEGEND = "Supports black, clamps red, welds violet, probes green, rigid bodies as circles."
 FILES = (
     "`case.json` and `mesh.inp` hold all of this as plain data, `values.csv` the values on all three meshes, "
     "`problem.hdf5` the contact problem of the last stage that ends in contact, on the coarse mesh (FCLIB)."
@@ -58,7 +59,7 @@ def page(case: Case, values: Sequence[Converged], cache: Path) -> str:
             [(m.name, m.part, m.point, m.direction, m.radius) for m in scene.measurements],
         ),
     ]
-    lines = [title, "", words.strip(), "", f"![{case.name}](picture.png)", "", RULES, "", FILES, ""]
+    lines = [title, "", words.strip(), "", f"![{case.name}](picture.png)", "", LEGEND, "", RULES, "", FILES, ""]
     for heading, columns, rows in tables:
         if rows:
             lines += [f"## {heading}", "", *_table(columns, rows), ""]

@@ -9,12 +9,10 @@ import pandas as pd
 
 from verification.plots import panels
 from verification.shell_contact.case import FINEST, LEVELS, Case, Quantity, cases
-from verification.shell_contact.converged import Converged, read
+from verification.shell_contact.converged import FINEST_TOLD, Converged, read
 from verification.study import Acceptance, Finding, Study
 
 SAME = 1e-4  # of a value: what rounding and paths of controlled error may change
-#: What a number may change by whatever its size: a hundredth of what gauges and load cells tell.
-LEAST_CHANGE = {"µm": 0.01, "N": 0.01, "N mm": 1e-4}
 #: The cases that are solved on a mesh finer than theirs: those of which that costs least.
 JUDGES = (("double_lap", "lap_bending", "lap_shear", "lap_welded", "leaves"), ("lap_bending",))
 
@@ -31,7 +29,7 @@ def held(name: str, shipped: Sequence[Converged], found: Sequence[Quantity], lev
     rows = []
     for one in shipped:
         was, now = one.levels[LEVELS.index(level)], values[one.name]
-        scale = max(abs(was), LEAST_CHANGE[one.unit] / SAME)
+        scale = max(abs(was), FINEST_TOLD[one.unit] / SAME)
         rows.append(
             {
                 "case": name,
