@@ -112,11 +112,16 @@ STUDY = Study(
             "values",
             "Largest change of a value on a mesh, over the larger of 1e-4 of it and 0.01 µm, 0.01 N or 1e-4 N mm.",
             1.0,
+            reason=(
+                "A path of controlled error takes other steps with the last digit of its input and may leave 1e-4; the "
+                "others are hundredths of what gauges and load cells tell."
+            ),
         ),
         Acceptance(
             "finer",
             "Share of the values that a mesh 1.5 times finer than the finest moves by more than their uncertainty.",
             0.05,
+            reason="The uncertainties claim to be intervals of 95 %.",
         ),
     ),
     seconds=(300, 25),
