@@ -270,7 +270,7 @@ class WatchedSolver:
     def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
         """The solution of some samples over their working set (m,), in its place among all candidates."""
         m, d = len(own), self._d
-        rows = np.repeat(own, d)
+        rows, places = np.repeat(own, d), np.ix_(samples, own)
         force = np.zeros((len(samples), d * m))
         force[:, rows] = solution.force
         found.force[samples] = force
@@ -292,7 +292,7 @@ class WatchedSolver:
                 # An error is that of the contacts' positions, root mean square: here over all of them.
                 there[samples] = here * np.sqrt(own.mean()) if one.name == "error" else here
             else:
-                there[np.ix_(samples, own)] = here
+                there[places] = here
 
     def _unseen(self, displacement, anchor, path, working) -> np.ndarray:
         """(n, m) how far candidates miss their law that may take part and do not, mm: how far they penetrate.

@@ -280,4 +280,4 @@ def _untouched(*shape: int) -> np.ndarray:
     """Zeros that take memory where they are written, and nowhere else: from the system, for the allocator that MPI
     brings along writes all that it gives."""
     size = int(np.prod(shape))
-    return np.frombuffer(mmap(-1, max(8 * size, 1)), float, size).reshape(shape)
+    return np.frombuffer(mmap(-1, 8 * size), float, size).reshape(shape) if size else np.zeros(shape)
