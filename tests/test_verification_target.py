@@ -67,7 +67,7 @@ def tried(setting, mesh):
 
 def test_the_cheapest_setting_that_keeps_the_target_is_chosen(monkeypatch, tmp_path):
     left = {"draft": 0.08, "standard": 0.015, "reference": 0.001}
-    monkeypatch.setattr(target, "_tried", lambda scene, setting, *rest: tried(setting, left[setting]))
+    monkeypatch.setattr(target, "attempt", lambda scene, setting, *rest: tried(setting, left[setting]))
     scene, team = mic.load_scene(LAP), target.Team()
     names = lambda share: [one.setting for one in choose(scene, share, tmp_path, tmp_path, team, lambda line: None)]
     assert names(0.1) == ["draft"] and names(0.02) == ["draft", "standard"]

@@ -157,7 +157,7 @@ def choose(scene: Scene, target: float, folder: Path, cache: Path, team: Team, s
     law, found = scene.report.laws[0], []
     for setting in SETTINGS:
         try:
-            found.append(_tried(as_set(scene, setting), setting, law, folder, cache, team, say))
+            found.append(attempt(as_set(scene, setting), setting, law, folder, cache, team, say))
         except MicError as problem:  # a geometry without that named size, candidates that its elements have no room for
             if not found:
                 raise
@@ -171,7 +171,7 @@ def choose(scene: Scene, target: float, folder: Path, cache: Path, team: Team, s
     return found
 
 
-def _tried(scene, setting, law, folder, cache, team, say) -> Tried:
+def attempt(scene, setting, law, folder, cache, team, say) -> Tried:
     start = time.process_time()
     model, assembly = reduced_and_assembly(scene, cache)
     prepared = time.process_time()

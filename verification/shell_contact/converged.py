@@ -90,7 +90,13 @@ def converged(case: Case, cache: Path) -> list[Converged]:
 
 def _one(sizes, *four: Quantity) -> Converged:
     coarse, medium, fine, loose = (one.value for one in four)
-    return Converged(four[0].name, four[0].unit, sizes, (coarse, medium, fine), abs(loose - medium))
+    levels = _written(coarse), _written(medium), _written(fine)
+    return Converged(four[0].name, four[0].unit, sizes, levels, _written(abs(loose - medium)))
+
+
+def _written(value: float) -> float:
+    """As a file holds it, so that what is made of it is the same before and after."""
+    return float(f"{value:.{DIGITS}g}")
 
 
 def write(path: Path, values: list[Converged]) -> None:

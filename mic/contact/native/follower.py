@@ -914,7 +914,7 @@ def _compile(digest):
         """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
 
         Newton's method with pivots comes first where the solution is `near`; where it is not, its pivots are wasted on
-        four problems in five.  `calls` for help are made before it is given up.  The rest as :func:`newton_by_pivots`.
+        four problems in five, and it is the first help.  `calls` for help are made before it is given up.  The rest as :func:`newton_by_pivots`.
         """
         digest  # noqa: B018
         m = len(parameters)
@@ -945,6 +945,12 @@ def _compile(digest):
                 sweep(W, P, parameters, y, w, q, slip, run)
                 best[:] = y
             run *= 2
+            if not near and call == 0:
+                solved, own, inverse = newton_by_pivots(
+                    equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
+                )
+                if solved == 1:
+                    return 1, own, inverse
         return 0, own, inverse
 
     @jit(
