@@ -914,7 +914,8 @@ def _compile(digest):
         """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
 
         Newton's method with pivots comes first where the solution is `near`; where it is not, its pivots are wasted on
-        four problems in five, and it is the first help.  `calls` for help are made before it is given up.  The rest as :func:`newton_by_pivots`.
+        four problems in five, and it is the first help.  `calls` for help are made before it is given up.  The rest as
+        :func:`newton_by_pivots`.
         """
         digest  # noqa: B018
         m = len(parameters)
