@@ -288,11 +288,11 @@ def write_evaluation(
     """Write what a block of samples gave: its tables and, where fields are asked for, its forces. Of the first samples
     contact pairs and forces are kept, as many as the scene's report says; of the others what they add up to."""
     found, report = tables(model, evaluation, block.first), model.scene.report
-    samples = BlockSamples(found, len(model.contacts), block.first + block.count)
     if keeps(report, block):
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if report.fields else None
         store.write_block(block, identity, found, forces)
         return
+    samples = BlockSamples(found, len(model.contacts), block.first + block.count)
     sums, condensed = Sums.of(samples, model), None
     del found[CONTACTS.name]
     if report.fields:

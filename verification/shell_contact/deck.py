@@ -92,7 +92,7 @@ def _step(scene, move: Iterable[Action]) -> dict:
         elif isinstance(one, Open):
             opens += [scene.locators[i].name for i in one.locators]
         elif isinstance(one, Withdraw):
-            opens += [scene.clamps[i].name for i in (*one.strokes, *one.forces, *one.limited)]
+            opens += [scene.clamps[i].name for i in one.clamps]
         elif isinstance(one, Close):
             welds += [scene.welds[i].name for i in one.welds]
     return {key: names for key, names in (("closes", closes), ("opens", opens), ("welds", welds)) if names}
