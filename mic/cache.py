@@ -1,4 +1,5 @@
-"""What is computed once and kept: meshes, contact pairs, influence coefficients, drawn shapes, assemblies learnt from.
+"""What is computed once and kept: meshes, contact pairs, influence coefficients, displacement fields,
+drawn shapes, assemblies learnt from.
 
 A kept file is believed only where it is whole, of what is asked for, and one's own. It counts as absent, which is said
 in one line and mended by the next :meth:`Cache.keep`, where
@@ -31,6 +32,7 @@ ABSENT = "it counts as absent and is replaced"  #: remedy of every format that a
 ROOMS = (
     "answers",
     "assemblies",
+    "fields",
     "influence",
     "meshes",
     "shapes",

@@ -138,7 +138,7 @@ def run(
         for law, count in found.items():
             if count:
                 listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
-        return conclude(folder, clock.seconds, listener)
+        return conclude(folder, clock.seconds, listener, cache)
 
 
 def sample_into(
@@ -327,7 +327,12 @@ def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
     return sum(int((store.finished(law, samples) < samples).sum()) for law in laws)
 
 
-def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: Listener | None = None) -> Outcome:
+def conclude(
+    folder: Path,
+    wall_time: dict[str, float] | None = None,
+    listener: Listener | None = None,
+    cache: Path | None = None,
+) -> Outcome:
     """Statistics and fields of a results folder, finished or interrupted, computed anew from its samples.
 
     Parameters
@@ -336,6 +341,8 @@ def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: 
     wall_time : dict of str to float, optional
         Seconds by phase so far, for the record.
     listener : Listener, optional
+    cache : Path, optional
+        The cache folder, where fields of unit forces are kept; default: fields are solved for.
 
     Raises
     ------
@@ -344,10 +351,12 @@ def conclude(folder: Path, wall_time: dict[str, float] | None = None, listener: 
     clock, folder = _Clock(), Path(folder)
     RunFolder(folder).record()  # a folder that holds no run is left as it is
     with locked(folder):
-        return _conclude(folder, clock, wall_time or {}, listener or Listener())
+        return _conclude(folder, clock, wall_time or {}, listener or Listener(), cache)
 
 
-def _conclude(folder: Path, clock: _Clock, wall_time: dict[str, float], listener: Listener) -> Outcome:
+def _conclude(
+    folder: Path, clock: _Clock, wall_time: dict[str, float], listener: Listener, cache: Path | None
+) -> Outcome:
     with clock("statistics"):
         outcome = read_outcome(folder)
         for sentence in outcome.damaged:
@@ -358,7 +367,7 @@ def _conclude(folder: Path, clock: _Clock, wall_time: dict[str, float], listener
         write_tables(outcome)
     with clock("fields"):
         if outcome.model.scene.report.fields:
-            write_fields(folder, outcome)
+            write_fields(folder, outcome, cache)
     outcome.record.update(RunFolder(folder).add_wall_time(wall_time | clock.seconds))
     write_summary(outcome)
     return outcome

@@ -6,8 +6,8 @@ functional, the centred forces are factored in the norm of the elastic energy (`
 
     (F - 1 f̄ᵀ) C = U Σ Vᵀ ≈ U_r Σ_r V_rᵀ,
 
-so that one solve for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no
-solve and are kept whole, so with ``c(x)`` the r solved fields
+so that one field for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no
+solve and are kept whole, so with ``c(x)`` these r fields
 
     σ²(x) = g M gᵀ / (n - 1),    g = [c(x), R(x)],    M = [U_r, Q]ᵀ [U_r, Q],    Q the centred motions.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.compliance import provider
+from mic.compliance.fields import displacement_field
 from mic.errors import FormatError, MissingProvider
 from mic.geometry.readers.vtu import write_vtu
 from mic.results.condensed import Centred, Condenser
@@ -145,12 +145,14 @@ def low_rank(samples: Centred, H, discarded: float = DISCARDED_ENERGY) -> Factor
     return Factor(samples.mean[:-6], samples.mean[-6:], columns, gram, float(tail[rank] / total), n)
 
 
-def compute_fields(outcome: Outcome) -> list[PartField]:
+def compute_fields(outcome: Outcome, cache: Path | None = None) -> list[PartField]:
     """Mean and 6σ fields of every part under every law, from the forces and parts that the run kept.
 
     Parameters
     ----------
     outcome : Outcome
+    cache : Path, optional
+        As :func:`write_fields` takes it.
 
     Raises
     ------
@@ -163,8 +165,7 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
         H, G = model.compliance.H[p], model.compliance.G[p]
         factors = {law: low_rank(parts[p], H) for law, parts in samples.items()}
         loads = [np.column_stack([factor.mean_force, factor.force]) for factor in factors.values()]
-        solved, rigid = provider.find(part).field(part, np.hstack(loads))  # (v, 6, columns), (v, 6, 6)
-        solved, rigid = solved[:, :3], rigid[:, :3]
+        solved, rigid = displacement_field(part, np.hstack(loads), cache)  # (v, 3, columns), (v, 3, 6)
         start = 0
         for law, factor in factors.items():
             stop = start + 1 + factor.rank
@@ -188,7 +189,7 @@ def compute_fields(outcome: Outcome) -> list[PartField]:
     return found
 
 
-def write_fields(folder, outcome: Outcome | None = None) -> list[PartField]:
+def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = None) -> list[PartField]:
     """Compute the fields of a run folder and write them into it, where its scene asks for them.
 
     ``fields/fields.npz`` holds them for the program. For ParaView, ``fields/<law>-<part>.vtu`` holds the columns of
@@ -203,6 +204,8 @@ def write_fields(folder, outcome: Outcome | None = None) -> list[PartField]:
         As :func:`mic.runs.run` left it.
     outcome : Outcome, optional
         What was read of it, should that be at hand.
+    cache : Path, optional
+        The cache folder, where fields of unit forces are kept (:mod:`mic.compliance.fields`); default: none are.
     """
     outcome = outcome or read_outcome(folder)
     folder = outcome.folder / "fields"
@@ -224,7 +227,7 @@ def write_fields(folder, outcome: Outcome | None = None) -> list[PartField]:
         skipped = "The run folder holds no parts.npz, so no fields could be computed: run the scene again."
     else:
         try:
-            found = compute_fields(outcome)
+            found = compute_fields(outcome, cache)
         except MissingProvider as error:
             skipped = (
                 f"The finite elements that the fields need are not installed, so none were computed ({error}): install "

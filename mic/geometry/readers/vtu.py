@@ -34,9 +34,10 @@ def write_vtu(
     triangles : (k, 3) int array
     point_data : mapping of str to (n,) or (n, m) array, optional
     """
-    mesh = meshlane.Mesh(points, [("triangle", triangles)], point_data=dict(point_data or {}))
+    # Not compressed: of places and fields that saves a tenth, and takes fifteen times as long.
+    mesh = meshlane.Mesh(points, [("triangle", triangles.astype(np.int32))], point_data=dict(point_data or {}))
     with replacing(Path(path), lasting=False) as temporary:
-        meshlane.vtu.write(temporary, mesh)
+        meshlane.vtu.write(temporary, mesh, compression=None)
 
 
 def read_vtu(path: Path) -> dict[str, np.ndarray]:
