@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 from support.processes import on_processes
 
-from mic.results.schema import DATASETS
+from mic.results.schema import CONDENSED, CONTACTS, DATASETS, FORCES, SUMS
 from mic.sampling.ranks import LaunchError, communicator
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "meshes" / "lap_joint"
-RUN = ["run", SCENE, "--samples", "210", "--law", "coulomb", "--law", "frictionless"]  # ten blocks
-TABLES = [table.name for table in DATASETS] + ["forces"]
+BLOCKS = 10  # of 210 samples under two laws
+PAIRED = 4  # of them with their contact pairs and forces
+TABLES = [table.name for table in (*DATASETS, FORCES, SUMS, CONDENSED)]
 SECONDS = 240  # after which processes count as hanging; they start in ten on a machine that is busy
 
 pytestmark = [pytest.mark.fem, pytest.mark.slow]
@@ -27,6 +28,16 @@ pytestmark = [pytest.mark.fem, pytest.mark.slow]
 def mpirun():
     if shutil.which("mpirun") is None:
         pytest.skip("mpirun is not installed")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run whose first samples keep pairs and forces; of the others it keeps what they add up to."""
+    scene = tmp_path_factory.mktemp("scene") / "lap_joint"
+    shutil.copytree(SCENE, scene)
+    file = scene / "scene.toml"
+    file.write_text(file.read_text().replace("[report]", "[report]\ncontacts = 100", 1))
+    return ["run", scene, "--samples", "210", "--law", "coulomb", "--law", "frictionless"]
 
 
 @pytest.fixture(scope="module")
@@ -81,46 +92,49 @@ def blocks(folder):
 
 
 @pytest.fixture(scope="module")
-def alone(kept, tmp_path_factory):
+def alone(run, kept, tmp_path_factory):
     """Results folder of one process, on two threads where the others have one."""
     folder = tmp_path_factory.mktemp("alone") / "out"
-    code, said = mic(1, [*RUN, "--out", folder], kept, threads=2)
+    code, said = mic(1, [*run, "--out", folder], kept, threads=2)
     assert code == 0, said
-    assert len(blocks(folder)) == 1 + 10 * len(TABLES)
+    there = {name: len(list((folder / name).glob("law=*/[0-9]*"))) for name in TABLES}
+    few = {CONTACTS.name: PAIRED, FORCES.name: PAIRED, SUMS.name: BLOCKS - PAIRED, CONDENSED.name: BLOCKS - PAIRED}
+    assert there == dict.fromkeys(TABLES, BLOCKS) | few
+    assert len(blocks(folder)) == 1 + sum(there.values())
     shutil.copytree(kept, folder.parent / "kept")  # what this run alone keeps
     return folder
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_any_number_of_processes_gives_the_same_bits(alone, tmp_path, count):
-    code, said = mic(count, [*RUN, "--out", tmp_path / "out"], tmp_path / "cache")  # coefficients are computed anew
+def test_any_number_of_processes_gives_the_same_bits(alone, run, tmp_path, count):
+    code, said = mic(count, [*run, "--out", tmp_path / "out"], tmp_path / "cache")  # coefficients are computed anew
     assert code == 0, said
     assert blocks(tmp_path / "out") == blocks(alone)
     assert said.count("influence coefficients of lower: ") == said.count("report: ") == 1
 
 
-def test_a_process_that_is_killed_ends_all_and_what_was_finished_is_kept(alone, kept, tmp_path):
+def test_a_process_that_is_killed_ends_all_and_what_was_finished_is_kept(alone, run, kept, tmp_path):
     out = tmp_path / "out"
-    code, said = mic(2, [*RUN, "--out", out], kept, plant=(1, "death"))
+    code, said = mic(2, [*run, "--out", out], kept, plant=(1, "death"))
     assert code != 0
     finished = sorted((out / "samples").glob("law=*/0*.parquet"))
     written = [path.stat().st_mtime_ns for path in finished]
     assert 1 <= len(finished) < 10
-    code, said = mic(4, [*RUN, "--out", out], kept)
+    code, said = mic(4, [*run, "--out", out], kept)
     assert code == 0 and "samples found finished" in said, said
     assert blocks(out) == blocks(alone) and [path.stat().st_mtime_ns for path in finished] == written
 
 
-def test_a_run_that_is_terminated_is_completed_by_another_number_of_processes(alone, kept, tmp_path):
+def test_a_run_that_is_terminated_is_completed_by_another_number_of_processes(alone, run, kept, tmp_path):
     out = tmp_path / "out"
-    process = started(2, [*RUN, "--out", out], kept)
+    process = started(2, [*run, "--out", out], kept)
     end = time.monotonic() + SECONDS
     while not list((out / "samples").glob("law=*/0*.parquet")) and time.monotonic() < end:
         time.sleep(0.01)
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=SECONDS)
     assert process.returncode != 0
-    code, said = mic(1, [*RUN, "--out", out], kept)
+    code, said = mic(1, [*run, "--out", out], kept)
     assert code == 0 and blocks(out) == blocks(alone), said
 
 
@@ -133,9 +147,9 @@ def test_a_run_that_is_terminated_is_completed_by_another_number_of_processes(al
         (1, "interrupt", "process 2 of 2: ended with status 130", 130),
     ],
 )
-def test_one_process_that_fails_ends_all_with_one_message(alone, kept, tmp_path, rank, what, words, status):
+def test_one_process_that_fails_ends_all_with_one_message(alone, run, kept, tmp_path, rank, what, words, status):
     begin = time.monotonic()
-    code, said = mic(2, [*RUN, "--out", tmp_path / "out"], kept, plant=(rank, what))
+    code, said = mic(2, [*run, "--out", tmp_path / "out"], kept, plant=(rank, what))
     assert code == status and said.count(words) == 1, said
     assert said.count("Traceback") == (what == "bug")
     assert time.monotonic() - begin < SECONDS / 2
@@ -160,20 +174,20 @@ def test_check_and_report_are_done_by_one_process_and_the_others_leave(alone, ke
     assert code == 2 and said.count("holds no run") == 1 and "MPI_ABORT" not in said, said
 
 
-def test_kept_files_that_were_cut_are_computed_anew_and_said_once_each(alone, tmp_path):
+def test_kept_files_that_were_cut_are_computed_anew_and_said_once_each(alone, run, tmp_path):
     cache = shutil.copytree(alone.parent / "kept", tmp_path / "cache")
     cut = [path for path in cache.glob("*/*.npz")]
     assert len(cut) == 6  # an assembly and its warnings, two meshes, two parts
     for path in cut:
         path.write_bytes(path.read_bytes()[:300])
-    code, said = mic(2, [*RUN, "--out", tmp_path / "out"], cache)
+    code, said = mic(2, [*run, "--out", tmp_path / "out"], cache)
     assert code == 0 and blocks(tmp_path / "out") == blocks(alone), said
     told = [line for line in said.splitlines() if "it counts as absent and is replaced" in line]
     assert sorted(line.split(": this ")[0] for line in told) == sorted(map(str, cut)), said
 
 
-def test_processes_that_would_find_different_caches_agree(alone, kept, tmp_path):
-    code, said = mic(2, [*RUN, "--out", tmp_path / "out"], kept, plant=(0, "cache"))
+def test_processes_that_would_find_different_caches_agree(alone, run, kept, tmp_path):
+    code, said = mic(2, [*run, "--out", tmp_path / "out"], kept, plant=(0, "cache"))
     assert code == 0 and blocks(tmp_path / "out") == blocks(alone), said
 
 

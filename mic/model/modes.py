@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from scipy.linalg import null_space
 from scipy.spatial import cKDTree
-from scipy.stats import shapiro
 
 from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.cloud import FACING, Deviations, deviations, read_cloud, sheet_normals, spread
@@ -343,6 +342,8 @@ def _not_normal(item: MeasuredDeviation, scores: np.ndarray) -> str:
     """A sentence where the first modes' scores do not look normal (Shapiro and Wilk), or are too few to tell."""
     if item.distribution != "normal" or len(scores) < 8:
         return ""
+    from scipy.stats import shapiro  # which takes a quarter of a second to load
+
     p = [float(shapiro(column).pvalue) for column in scores.T]
     worst = int(np.argmin(p))
     if p[worst] * len(p) >= NORMAL:  # Bonferroni

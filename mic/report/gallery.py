@@ -21,6 +21,7 @@ from mic.report.measurement_pictures import measurement_picture
 from mic.report.miss_pictures import likeliest_miss_picture, miss_picture
 from mic.report.path_pictures import friction_work_picture, path_error_picture, path_state_picture
 from mic.report.picture import Picture
+from mic.report.sharing import side_by_side
 from mic.report.space_pictures import assembly_picture, deviation_map_picture, field_picture, overview_picture
 from mic.report.style import RC
 from mic.results.outcome import Outcome
@@ -146,5 +147,6 @@ def draw(name: str, outcome: Outcome, context: Context) -> Picture | None:
 
 def draw_all(outcome: Outcome, context: Context) -> dict[str, Picture]:
     """All pictures that the outcome can fill, by name, in the order of :data:`PICTURES`."""
-    drawn = {entry.name: draw(entry.name, outcome, context) for entry in PICTURES}
+    names = [entry.name for entry in PICTURES]
+    drawn = dict(zip(names, side_by_side([partial(draw, name, outcome, context) for name in names])))
     return {name: picture for name, picture in drawn.items() if picture is not None}

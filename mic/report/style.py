@@ -61,6 +61,7 @@ RC = {
     "axes.axisbelow": True,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
+    "axes.titley": 1.0,  # nothing stands above the axes; looking for it takes a tenth of a picture
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "svg.hashsalt": "mic",  # the same picture is the same file

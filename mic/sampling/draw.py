@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from mic.scene.distribution import quantile
 from mic.scene.samples import DESIGNS
@@ -99,6 +98,8 @@ def values_of(scene, normal: np.ndarray, flat: np.ndarray, which: np.ndarray) ->
 
 def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndarray:
     """(count, d) probabilities of samples of a design."""
+    from scipy.stats import qmc  # which takes a quarter of a second to load, for designs alone
+
     size, found = DESIGNS[design], []
     for group in range(first // size, -(-(first + count) // size)):
         key, counter = np.array([seed, group], dtype=np.uint64), [0, 0, 0, GROUPS]

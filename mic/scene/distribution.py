@@ -15,13 +15,20 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr, ndtri
 
 __all__ = ["check_distribution", "quantile"]
 
-WORDS = {"normal": "norm"}  # what a scene calls differently
+NORMAL = "normal"  # what SciPy calls "norm"
 LEAST = 1e-6  # share of a distribution that a truncated one must keep
 EDGE = 1e-16  # probabilities are kept this far within (0, 1), where every quantile is finite
+
+
+class _Normal:
+    """The standard normal distribution as SciPy's own computes it, without the others, which take longer to load than a
+    scene to read."""
+
+    cdf, ppf = staticmethod(ndtr), staticmethod(ndtri)
 
 
 @lru_cache(maxsize=256)
@@ -33,9 +40,13 @@ def _standard(name: str, parameters: tuple[tuple[str, float], ...]) -> tuple[Any
     ValueError
         If there is none of the name, for other parameters, without mean or standard deviation.
     """
-    family = getattr(stats, WORDS.get(name, name), None)
+    if name == NORMAL and not parameters:
+        return _Normal, 0.0, 1.0
+    from scipy import stats  # where one of them is named: see _Normal
+
+    family = stats.norm if name == NORMAL else getattr(stats, name, None)
     if not isinstance(family, stats.rv_continuous):
-        every = [*WORDS, *(key for key in vars(stats) if isinstance(getattr(stats, key), stats.rv_continuous))]
+        every = [NORMAL, *(key for key in vars(stats) if isinstance(getattr(stats, key), stats.rv_continuous))]
         near = difflib.get_close_matches(name, every, 1)
         raise ValueError(
             f"distribution: scipy.stats has no continuous distribution {name!r}"

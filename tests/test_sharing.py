@@ -1,0 +1,78 @@
+"""Work shared with a copy of the process: the same results in the same order, whatever becomes of the copy."""
+
+import os
+import signal
+import time
+from functools import partial
+from multiprocessing import active_children
+
+import pytest
+
+from mic.report import sharing
+from mic.report.sharing import side_by_side
+
+
+@pytest.fixture(autouse=True)
+def second_core(monkeypatch):
+    """As on a machine of two cores: the copy is made, whatever this one has."""
+    monkeypatch.setattr(sharing, "_second_core", lambda: True)
+
+
+def done(number, seconds=0.02):
+    """The task's number, and who did it."""
+    time.sleep(seconds)
+    return number, os.getpid()
+
+
+def test_results_come_in_order_and_two_processes_did_them():
+    found = side_by_side([partial(done, number, 0.02 * (number < 20)) for number in range(300)])
+    assert [number for number, _ in found] == list(range(300))
+    assert len({who for _, who in found}) == 2
+    assert [who for _, who in side_by_side([partial(done, 0)])] == [os.getpid()]
+
+
+def test_without_a_second_core_no_copy_is_made(monkeypatch):
+    monkeypatch.setattr(sharing, "_second_core", lambda: False)
+    assert {who for _, who in side_by_side([partial(done, number) for number in range(4)])} == {os.getpid()}
+
+
+@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM])
+def test_what_a_copy_that_dies_has_taken_is_done_here(sign):
+    own = os.getpid()
+
+    def fatal(number):
+        if os.getpid() != own:
+            os.kill(os.getpid(), sign)
+        return done(number)
+
+    assert side_by_side([partial(fatal, number) for number in range(6)]) == [(number, own) for number in range(6)]
+
+
+def test_what_fails_in_the_copy_alone_is_done_here_and_what_fails_is_raised(capfd):
+    own = os.getpid()
+
+    def there(number):
+        if os.getpid() != own:
+            raise RuntimeError("in the copy")
+        return done(number)
+
+    def anywhere(number):
+        done(number)
+        raise RuntimeError(f"in {number}")
+
+    assert [number for number, _ in side_by_side([partial(there, number) for number in range(6)])] == list(range(6))
+    with pytest.raises(RuntimeError, match="in [01]"):
+        side_by_side([partial(anywhere, number) for number in range(6)])
+    assert capfd.readouterr().err == ""
+
+
+def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
+    def interrupted(number, own):
+        if os.getpid() != own or number > 1:
+            os.kill(os.getpid(), signal.SIGINT)  # as both hear it from a terminal
+        return done(number)
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side([partial(interrupted, number, os.getpid()) for number in range(50)])
+    assert capfd.readouterr().err == ""
+    assert not active_children()
