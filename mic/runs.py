@@ -138,7 +138,7 @@ def run(
         for law, count in found.items():
             if count:
                 listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
-        return conclude(folder, clock.seconds, listener, cache)
+        return conclude(folder, clock.seconds, listener, cache, model)
 
 
 def sample_into(
@@ -332,6 +332,7 @@ def conclude(
     wall_time: dict[str, float] | None = None,
     listener: Listener | None = None,
     cache: Path | None = None,
+    model: ReducedModel | None = None,
 ) -> Outcome:
     """Statistics and fields of a results folder, finished or interrupted, computed anew from its samples.
 
@@ -343,6 +344,8 @@ def conclude(
     listener : Listener, optional
     cache : Path, optional
         The cache folder, where fields of unit forces are kept; default: fields are solved for.
+    model : ReducedModel, optional
+        The run's own, should it be at hand.
 
     Raises
     ------
@@ -351,14 +354,19 @@ def conclude(
     clock, folder = _Clock(), Path(folder)
     RunFolder(folder).record()  # a folder that holds no run is left as it is
     with locked(folder):
-        return _conclude(folder, clock, wall_time or {}, listener or Listener(), cache)
+        return _conclude(folder, clock, wall_time or {}, listener or Listener(), cache, model)
 
 
 def _conclude(
-    folder: Path, clock: _Clock, wall_time: dict[str, float], listener: Listener, cache: Path | None
+    folder: Path,
+    clock: _Clock,
+    wall_time: dict[str, float],
+    listener: Listener,
+    cache: Path | None,
+    model: ReducedModel | None,
 ) -> Outcome:
     with clock("statistics"):
-        outcome = read_outcome(folder)
+        outcome = read_outcome(folder, model)
         for sentence in outcome.damaged:
             listener.say(sentence)
     with clock("error of the path"):

@@ -357,12 +357,14 @@ class _Tables(dict[str, pd.DataFrame]):
         return self[name]
 
 
-def read_outcome(folder) -> Outcome:
+def read_outcome(folder, model: ReducedModel | None = None) -> Outcome:
     """Read a run folder, finished or not.
 
     Parameters
     ----------
     folder : path-like
+    model : ReducedModel, optional
+        The run's own, should it be at hand.
 
     Raises
     ------
@@ -373,7 +375,7 @@ def read_outcome(folder) -> Outcome:
     """
     store = RunFolder(Path(folder))
     record = store.record()
-    model = _model(store, record)
+    model = model or _model(store, record)
     blocks: dict[str, list[Block]] = {law: [] for law in record["laws"]}
     digests = {law: Digest() for law in record["laws"]}
     damaged, room = [], ROOM

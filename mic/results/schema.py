@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from pandas.api import types
@@ -91,13 +92,13 @@ class Column:
     optional: bool = False
     shape: str = ""
 
-    def fits(self, values: pd.Series) -> bool:
-        """Whether values are of the declared type."""
+    def fits(self, dtype: Any) -> bool:
+        """Whether values of a type are of the declared one."""
         if self.dtype == "category":
-            return isinstance(values.dtype, pd.CategoricalDtype)
+            return isinstance(dtype, pd.CategoricalDtype)
         if self.dtype == "str":
-            return types.is_object_dtype(values) or types.is_string_dtype(values)
-        return str(values.dtype) == self.dtype
+            return types.is_object_dtype(dtype) or types.is_string_dtype(dtype)
+        return str(dtype) == self.dtype
 
 
 @dataclass(frozen=True)
@@ -147,14 +148,17 @@ class Table:
             Naming the first column that is missing, unknown, out of order, or of another type.
         """
         found = list(frame.columns)
+        dtypes = dict(
+            zip(found, frame.dtypes)
+        )  # together: taking columns out one by one takes as long as to write them
         for column in self.columns:
-            if column.name not in found:
+            if column.name not in dtypes:
                 if column.optional:
                     continue
                 raise FormatError(f"{where}: table {self.name!r} lacks the column {column.name!r}; {remedy}")
-            if not column.fits(frame[column.name]):
+            if not column.fits(dtypes[column.name]):
                 raise FormatError(
-                    f"{where}: table {self.name!r}: column {column.name!r} holds {frame[column.name].dtype}, "
+                    f"{where}: table {self.name!r}: column {column.name!r} holds {dtypes[column.name]}, "
                     f"expected {column.dtype}; {remedy}"
                 )
         known = [name for name in self.names if name in found]
