@@ -68,8 +68,8 @@ _PATIENCE = 25  # iterations with full steps
 _TOLERANCE = 1e-11  # of the largest force in the system
 _WORST_ROUNDING = 1e-7
 _LINE_SEARCH = 0.8  # a full step whose work falls below this share of the start's is taken as it is
-_FACTORISED = 8  # back-substitutions that a factorisation takes as long as: condensing pays after so many iterations
-_CONDENSED = 5e7  # numbers that the response to all contact forces may take
+FACTORISED = 8  # back-substitutions that a factorisation takes as long as: condensing pays after so many iterations
+CONDENSED = 5e7  # numbers that the response to all contact forces may take
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
 
 
@@ -328,7 +328,7 @@ class Equilibrium:
         comm = parts.comm
         owned, self._place = parts.layout(self.b + self.m * dimension)
         self._last = comm.rank == comm.size - 1
-        small = (self.N + self.b) * self.m * dimension <= _CONDENSED
+        small = (self.N + self.b) * self.m * dimension <= CONDENSED
         self._condensable, self._condensation, self._iterations = held and small and comm.size == 1, None, 0
         u_rows = owned[owned < self.N]
         BT, CT = self.B.T.tocsr()[u_rows], self.C.T.tocsr()[u_rows]
@@ -479,7 +479,7 @@ class Equilibrium:
         for iteration in range(MAX_ITERATIONS):
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
             F = self._residual(x, p, v, contact)
-            pays = self._condensable and self._iterations * _FACTORISED >= self.m * self.d
+            pays = self._condensable and self._iterations * FACTORISED >= self.m * self.d
             step = self._condensed_step if pays and not _stalled(history) else self._whole_step
             dx = step(x, F, p, v, by_δ, by_f)
             α = self._step_length(x, dx, F, law, state, iteration)
