@@ -42,7 +42,7 @@ def test_strip_pressed_on_a_stop(share):
 def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch):
     """A strip pressed on feet and dragged along them, loads that change, contacts that open, stick and slip."""
     shell = strip(100.0, 10.0, 5.0, 10.0)
-    x, y = shell.surface.points[:, 0], shell.surface.points[:, 1]
+    x = shell.surface.points[:, 0]
     feet = np.flatnonzero((x > 30) & (x % 20 == 0))
     tip = np.flatnonzero(x == 100.0)
     C = interleave(*(vertex_rows(shell, feet, axis, side=-1) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))))
