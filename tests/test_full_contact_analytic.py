@@ -12,6 +12,7 @@ from mpi4py import MPI
 from scipy.sparse import csr_matrix, vstack
 from support.strips import E, bend_leaves, clamped, contact_law, interleave, rest, strip, vertex_rows
 
+from fem_reference.full import equilibrium
 from fem_reference.full.equilibrium import SLIP, STICK, Equilibrium, Parts
 from fem_reference.full.friction import ContactFriction
 
@@ -36,6 +37,41 @@ def test_strip_pressed_on_a_stop(share):
     deflection = (down @ state.u)[0]
     assert deflection == pytest.approx(min(share, 1.0) * gap, rel=2e-3)
     assert state.force[0, 0] == pytest.approx(max(0.0, P - stiffness * gap), rel=2e-3)
+
+
+def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch):
+    """A strip pressed on feet and dragged along them, loads that change, contacts that open, stick and slip."""
+    shell = strip(100.0, 10.0, 5.0, 10.0)
+    x = shell.surface.points[:, 0]
+    feet = np.flatnonzero((x > 30) & (x % 20 == 0))
+    tip = np.flatnonzero(x == 100.0)
+    C = interleave(*(vertex_rows(shell, feet, axis, side=-1) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))))
+    push, lift = (vertex_rows(shell, tip, axis).mean(axis=0).A1 for axis in ((1.0, 0.3, 0), (0, 0, 1.0)))
+    law = contact_law(1.0, np.full(len(feet), 0.01), 5 * E, 3, penalty=1e3)
+    loads = [-400 * lift, 2000 * push - 40 * lift, 5000 * push - 60 * lift, -5000 * push - 20 * lift, 5 * lift]
+
+    def gone():
+        held = clamped(shell, np.flatnonzero(x == 0))
+        system = Equilibrium(Parts([shell], MPI.COMM_SELF), held, C, 3, held=True)
+        state, found = rest(system), []
+        for p in loads:
+            state, history = system.newton(state, p, np.zeros(system.b), law)
+            found.append((state, history))
+        return found
+
+    monkeypatch.setattr(equilibrium, "FACTORISED", 1e9)  # pays from the second iteration on
+    condensed = gone()
+    monkeypatch.setattr(equilibrium, "FACTORISED", -1e9)  # never
+    monkeypatch.delattr(equilibrium.Equilibrium, "_condensed_step")
+    seen = set()
+    for (state, history), (exact, iterations) in zip(condensed, gone(), strict=True):
+        assert np.abs(state.stacked - exact.stacked).max() < 1e-8 * np.abs(exact.stacked).max()
+        assert np.abs(state.u - exact.u).max() < 1e-8 * np.abs(exact.u).max()
+        assert len(history) == len(iterations)
+        steps = [(one.step, one.open, one.stick, one.slip) for one in history]
+        assert steps == [(one.step, one.open, one.stick, one.slip) for one in iterations]
+        seen |= {name for name in ("open", "stick", "slip") if getattr(iterations[-1], name)}
+    assert seen == {"open", "stick", "slip"}
 
 
 def block_on_feet():

@@ -23,7 +23,9 @@ pytestmark = pytest.mark.fem
 # Three studies that cost next to nothing, one of them with finite elements; the same file is the program of the MPI
 # tests.
 CHEAP = """
+import os
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +39,16 @@ def cell(i):
     return float(np.random.default_rng(i).standard_normal(1000).mean())
 
 
+def long_first(i):
+    time.sleep(0.5 * (i == 0))
+    return os.getpid()
+
+
 def means(context):
     values = context.team.map(cell, range(7))
+    if context.team.size > 1:
+        first, *others = context.team.map(long_first, range(7))
+        assert first not in others, "who was busy with the first item was given another"
     return [Finding("mean", max(map(abs, values))), Finding("sum", abs(sum(values)), "a note")]
 
 

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from mic.process.model import ReducedModel
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
@@ -121,21 +123,40 @@ class Team:
     def map(self, function: Callable, items) -> list:
         """``[function(item) for item in items]``, shared out over the ranks; the whole list on every rank.
 
-        Every rank must call it with the same items. Each item is worked on by itself, so the number of ranks leaves no
-        trace in the results. An exception on one rank ends all, with its traceback: the others would wait for that rank
-        for ever.
+        Every rank must call it with the same items, the dearest first: whoever is idle takes the next. Each item is
+        worked on by itself, so the number of ranks leaves no trace in the results. An exception on one rank ends all,
+        with its traceback: the others would wait for that rank for ever.
         """
         items = list(items)
         if self.size == 1:
             return [function(item) for item in items]
         try:
-            own = [function(item) for item in items[self.rank :: self.size]]
+            own = [(i, function(items[i])) for i in self._taken(len(items))]
         except Exception:
             traceback.print_exc()
             sys.stderr.flush()
             self.comm.Abort(1)
-        shares = self.comm.allgather(own)
-        return [shares[i % self.size][i // self.size] for i in range(len(items))]
+        found = dict(pair for share in self.comm.allgather(own) for pair in share)
+        return [found[i] for i in range(len(items))]
+
+    def _taken(self, count: int):
+        """Numbers below a count that this rank takes, from a counter that all ranks advance."""
+        from mpi4py import MPI  # only among several ranks: importing it starts MPI
+
+        number = np.zeros(1, dtype=np.int64)
+        window = MPI.Win.Allocate(number.nbytes if self.rank == 0 else 0, number.nbytes, comm=self.comm)
+        if self.rank == 0:
+            np.frombuffer(window.tomemory(), dtype=number.dtype)[:] = 0
+        self.comm.Barrier()
+        window.Lock_all()
+        while True:
+            window.Fetch_and_op([np.ones_like(number), MPI.INT64_T], [number, MPI.INT64_T], 0)
+            window.Flush(0)
+            if number[0] >= count:
+                break
+            yield int(number[0])
+        window.Unlock_all()
+        window.Free()
 
     def from_first(self, value):
         """The first rank's value, on every rank."""

@@ -158,7 +158,8 @@ class Discretisation:
             names = [self.assembly.labels[kind][i] for kind, i in held] + ["a part that rests"] * len(place)
             contacts = self._contact_rows(stops)
             dimension = self.assembly.contacts.dimension
-            equilibrium = Equilibrium(self.parts, B[kept], contacts, dimension, soft[kept] if soft.any() else None)
+            given = soft[kept] if soft.any() else None
+            equilibrium = Equilibrium(self.parts, B[kept], contacts, dimension, given, held=not step.resting)
             self._systems[key] = System(B, kept, combination, names, equilibrium, place, springs)
         return self._systems[key]
 

@@ -50,12 +50,14 @@ problems involving friction, Comput. Struct. 42, 97–116.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse import block_diag, csr_matrix, diags, hstack, vstack
 
+from fem_reference.full.condensation import Condensation
 from fem_reference.full.friction import ContactFriction
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -66,6 +68,8 @@ _PATIENCE = 25  # iterations with full steps
 _TOLERANCE = 1e-11  # of the largest force in the system
 _WORST_ROUNDING = 1e-7
 _LINE_SEARCH = 0.8  # a full step whose work falls below this share of the start's is taken as it is
+FACTORISED = 8  # back-substitutions that a factorisation takes as long as: condensing pays after so many iterations
+CONDENSED = 5e7  # numbers that the response to all contact forces may take
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
 
 
@@ -162,7 +166,7 @@ class ContactLaw:
         moved[:, 0] = self.gap + δ[:, 0]
         return moved
 
-    @property
+    @cached_property
     def _ε(self):
         """(m, d) ε of every row."""
         ε = np.repeat(self.penalty[:, None], self.estimate.shape[1], axis=1)
@@ -172,7 +176,7 @@ class ContactLaw:
         ε[layer > 0, 0] = 1 / layer[layer > 0]
         return ε
 
-    @property
+    @cached_property
     def _held(self):
         """(m, d) f̂ of every row."""
         f = self.estimate.copy()
@@ -305,14 +309,27 @@ class Equilibrium:
         d.
     yielding : (b,) array, optional
         c of the bilateral rows, mm/N.
+    held : bool
+        Whether the bilateral rows alone hold all parts. On one process the linear part is then condensed onto the
+        contact forces (:mod:`fem_reference.full.condensation`) as soon as that pays.
     """
 
-    def __init__(self, parts: Parts, B: csr_matrix, C: csr_matrix, dimension: int, yielding: np.ndarray | None = None):
+    def __init__(
+        self,
+        parts: Parts,
+        B: csr_matrix,
+        C: csr_matrix,
+        dimension: int,
+        yielding: np.ndarray | None = None,
+        held: bool = False,
+    ):
         self.parts, self.B, self.C, self.d = parts, B.tocsr(), C.tocsr(), dimension
         self.N, self.b, self.m = parts.offsets[-1], B.shape[0], C.shape[0] // dimension
         comm = parts.comm
         owned, self._place = parts.layout(self.b + self.m * dimension)
         self._last = comm.rank == comm.size - 1
+        small = (self.N + self.b) * self.m * dimension <= CONDENSED
+        self._condensable, self._condensation, self._iterations = held and small and comm.size == 1, None, 0
         u_rows = owned[owned < self.N]
         BT, CT = self.B.T.tocsr()[u_rows], self.C.T.tocsr()[u_rows]
         rows = [hstack([parts.stiffness, -BT, -CT], format="csr")]
@@ -458,13 +475,13 @@ class Equilibrium:
         x = start.stacked
         δ = self._contact(x)
         state = law.state(δ)
-        history = []
+        history: list[Iteration] = []
         for iteration in range(MAX_ITERATIONS):
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
-            self._update(by_δ, by_f)
             F = self._residual(x, p, v, contact)
-            dx = -self._solve(F)
-            dx -= self._solve(F + self._multiply(dx))
+            pays = self._condensable and self._iterations * FACTORISED >= self.m * self.d
+            step = self._condensed_step if pays and not _stalled(history) else self._whole_step
+            dx = step(x, F, p, v, by_δ, by_f)
             α = self._step_length(x, dx, F, law, state, iteration)
             x = x + α * dx
             δ = self._contact(x)
@@ -473,6 +490,7 @@ class Equilibrium:
             changed = int((state != before).sum())
             residual, allowed = self._measure(x, p, v, contact, law)
             history.append(Iteration(residual, α, *(int((state == s).sum()) for s in (OPEN, STICK, SLIP)), changed))
+            self._iterations += 1
             if residual <= allowed:
                 return self.unpack(x), history
         worst = int(np.argmax(np.abs(contact).max(axis=1))) if self.m else None
@@ -481,6 +499,30 @@ class Equilibrium:
             f"{changed} contacts still change state",
             worst,
         )
+
+    def _whole_step(self, x, F, p, v, by_δ, by_f):
+        """Newton's step of all unknowns, refined once."""
+        self._update(by_δ, by_f)
+        dx = -self._solve(F)
+        return dx - self._solve(F + self._multiply(dx))
+
+    def _condensed_step(self, x, F, p, v, by_δ, by_f):
+        """The same, the linear part solved beforehand."""
+        if self._condensation is None:
+            self._update(np.zeros_like(by_δ), np.tile(np.eye(self.d), (self.m, 1, 1)))
+            self._condensation = Condensation(self._matrix.copy(), self.C)
+        linear, f = self._condensation, x[self.N + self.b :]
+        unloaded = linear.unloaded(p, v)
+        jump = self.C @ (unloaded[: self.N] - x[: self.N]) + linear.compliance @ f
+        tangent = by_δ @ linear.compliance.reshape(self.m, self.d, -1)
+        own = np.arange(self.m)
+        tangent.reshape(self.m, self.d, self.m, self.d)[own, :, own, :] += by_f
+        right = F[self.N + self.b :] + np.einsum("kij,kj->ki", by_δ, jump.reshape(self.m, self.d)).ravel()
+        try:
+            df = -np.linalg.solve(tangent.reshape(len(f), len(f)), right)
+        except np.linalg.LinAlgError as problem:
+            raise NoConvergence("the tangent is singular") from problem
+        return np.concatenate([unloaded + linear.response @ (f + df) - x[: self.N + self.b], df])
 
     def _contact(self, x):
         return (self.C @ x[: self.N]).reshape(self.m, self.d)
@@ -545,3 +587,8 @@ class Equilibrium:
                 break
             low, high = (α, high) if value < 0 else (low, α)
         return max(α, 1e-3)
+
+
+def _stalled(history) -> bool:
+    """Whether it is rounding that keeps the residual from falling."""
+    return len(history) > 1 and 0.5 * history[-2].residual < history[-1].residual < _WORST_ROUNDING

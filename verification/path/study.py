@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -30,6 +30,7 @@ TIGHT, TIGHTER = Followed(tolerance=1e-5, least=0.01), Followed(tolerance=1e-6, 
 #: How far a step may err, mm: of the full solve's path, and of the reduced model's, in ever finer ones.
 FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 3e-14)
 QUICK_FULL, QUICK_REDUCED = (1e-4, 1e-6), (1e-8, 1e-10)
+STATED = (("increments", 3), ("one-step", None))  # paths that both routes go alike
 SEED = 303
 FEW = 8  # samples that many increments are taken of
 
@@ -210,59 +211,83 @@ def reversal(context):
     return leaves.exact(loads), plain, deflections(leaves, context, loads), skipped
 
 
-def against_full(context, tolerances, floors):
-    """The lap joint by both routes, each with an ever finer path of its own method, against the finest full solve."""
-    scene = shipped("lap_joint", "coarse")
-    model, assembly = context.model(scene), assemble(scene, context.cache)
-    deviations = draw(scene, 5, 0, 1)
-    full = [
-        FullModel(assembly, comm=MPI.COMM_SELF, path_tolerance=tolerance).evaluate(deviations[0])
-        for tolerance in tolerances
+@dataclass(frozen=True)
+class Route:
+    """One sample of the lap joint by one route: what both tell of it, by quantity and stage."""
+
+    measurements: np.ndarray
+    told: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, measurements, resolutions) -> Route:
+        """Forces, displacements, slip and work of every stage; the reduced model has them for each sample."""
+        told = {}
+        for stage, one in resolutions.items():
+            told[f"force, {stage}"] = np.reshape(one.force, (-1, 3))
+            told[f"displacement, {stage}"] = np.reshape(one.displacement, (-1, 3))
+            told[f"slip, {stage}"] = np.reshape(one.trace.slip, (-1, 2))
+            told[f"work, {stage}"] = np.ravel(one.trace.work)
+        return cls(measurements, told)
+
+    def off(self, truth: Route) -> dict[str, float]:
+        """Relative differences from another."""
+        told = {name: relative(self.told[name], value) for name, value in truth.told.items()}
+        return {"key characteristics": relative(self.measurements, truth.measurements)} | told
+
+
+def one_lap_joint(scene=None):
+    """The lap joint that both routes solve, and its sample."""
+    scene = shipped("lap_joint", "coarse") if scene is None else scene
+    return scene, draw(scene, 5, 0, 1)
+
+
+def in_full(context, tolerance=None, scene=None) -> Route:
+    """By full finite elements, its path extrapolated to a tolerance."""
+    scene, deviations = one_lap_joint(scene)
+    options = {} if tolerance is None else {"path_tolerance": tolerance}
+    found = FullModel(assemble(scene, context.cache), comm=MPI.COMM_SELF, **options).evaluate(deviations[0])
+    return Route.of(found.measurements, found.resolutions)
+
+
+def reduced(context, path=None, scene=None) -> Route:
+    """By the reduced model."""
+    scene, deviations = one_lap_joint(scene)
+    found = evaluate(context.model(scene), deviations, path)
+    return Route.of(found.measurements[0], found.resolutions)
+
+
+def full_tasks(context, tolerances, floors):
+    """What :func:`against_full` puts together, the dearest first, by route and path."""
+    tasks = {
+        ("full finite elements", f"extrapolated to {mm:.0e} mm"): partial(in_full, context, mm)
+        for mm in reversed(tolerances)
+    }
+    for mm in reversed(floors):
+        path = Followed(100 * mm, 0.01)
+        tasks["reduced model", f"followed to {mm:.0e} mm"] = partial(reduced, context, path)
+    tasks["reduced model", "followed"] = partial(reduced, context, Followed())
+    for path, count in STATED:
+        same = going(shipped("lap_joint", "coarse"), path, count)
+        label = path if count is None else f"{count} {path}"
+        tasks["in full", label] = partial(in_full, context, scene=same)
+        tasks["reduced", label] = partial(reduced, context, scene=same)
+    return tasks
+
+
+def against_full(routes):
+    """The lap joint by both routes, each with an ever finer path of its own method, against the finest full solve; and
+    one against the other with the same increments."""
+    truth = routes[next(iter(routes))]
+    rows = [
+        {"route": route, "path": path} | routes[route, path].off(truth)
+        for route, path in reversed(routes)
+        if route in ("full finite elements", "reduced model")
     ]
-    truth = full[-1]
-    rows = []
-
-    def add(route, path, measurements, resolutions):
-        rows.append(
-            {"route": route, "path": path, "key characteristics": relative(measurements, truth.measurements)}
-            | {
-                f"{quantity}, {stage}": relative(value(resolutions[stage]), value(resolution))
-                for stage, resolution in truth.resolutions.items()
-                for quantity, value in (
-                    ("force", lambda r: np.reshape(r.force, (-1, 3))),
-                    ("displacement", lambda r: np.reshape(r.displacement, (-1, 3))),
-                    ("slip", lambda r: np.reshape(r.trace.slip, (-1, 2))),
-                    ("work", lambda r: np.ravel(r.trace.work)),
-                )
-            }
-        )
-
-    for tolerance, found in zip(tolerances, full):
-        add("full finite elements", f"extrapolated to {tolerance:.0e} mm", found.measurements, found.resolutions)
-    for path, label in [(Followed(), "followed")] + [
-        (Followed(100 * mm, 0.01), f"followed to {mm:.0e} mm") for mm in floors
-    ]:
-        found = evaluate(model, deviations, path)
-        add("reduced model", label, found.measurements[0], found.resolutions)
-    for path, count in (("increments", 3), ("one-step", None)):
-        same = going(scene, path, count)
-        exact = FullModel(replace(assembly, scene=same), comm=MPI.COMM_SELF).evaluate(deviations[0])
-        found = replace(model, scene=same).evaluate(deviations, "coulomb")
-        rows.append(
-            {
-                "route": "one against the other",
-                "path": path if count is None else f"{count} {path}",
-                "key characteristics": relative(found.measurements[0], exact.measurements),
-            }
-            | {
-                f"force, {stage}": relative(found.resolutions[stage].force[0], resolution.force)
-                for stage, resolution in exact.resolutions.items()
-            }
-            | {
-                f"displacement, {stage}": relative(found.resolutions[stage].displacement[0], resolution.displacement)
-                for stage, resolution in exact.resolutions.items()
-            }
-        )
+    for path, count in STATED:
+        label = path if count is None else f"{count} {path}"
+        off = routes["reduced", label].off(routes["in full", label])
+        kept = {name: value for name, value in off.items() if not name.startswith(("slip", "work"))}
+        rows.append({"route": "one against the other", "path": label} | kept)
     return pd.DataFrame(rows)
 
 
@@ -280,14 +305,16 @@ def run(context):
         return Gone.of(evaluate(model, draw(model.scene, SEED, 0, number), paths[label]))
 
     cells = [(name, label) for label in reversed(paths) for name in reversed(SCENES)]  # the dearest begin
+    routes = full_tasks(context, tolerances, floors)
     tasks = [
-        lambda: against_full(context, tolerances, floors),
         *(partial(follow, *cell) for cell in cells),
+        *routes.values(),
         lambda: closed_forms(context),
         lambda: reversal(context),
     ]
-    full, *evaluated, cases, (exact, plain, found, skipped) = context.team.map(lambda task: task(), tasks)
+    *evaluated, cases, (exact, plain, found, skipped) = context.team.map(lambda task: task(), tasks)
     by_cell = dict(zip(cells, evaluated))
+    full = against_full(dict(zip(routes, evaluated[len(cells) :], strict=True)))
     scenes = [
         on_scene(name, model, {label: by_cell[name, label] for label in paths}, counts)
         for name, model in models.items()
