@@ -61,7 +61,7 @@ def test_what_fails_in_the_copy_alone_is_done_here_and_what_fails_is_raised(capf
         raise RuntimeError(f"in {number}")
 
     assert [number for number, _ in side_by_side([partial(there, number) for number in range(6)])] == list(range(6))
-    with pytest.raises(RuntimeError, match="in [01]"):
+    with pytest.raises(RuntimeError, match=r"in \d"):
         side_by_side([partial(anywhere, number) for number in range(6)])
     assert capfd.readouterr().err == ""
 

@@ -6,9 +6,11 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import suppress
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import Any, TypeVar
 
 from mic.product import one_thread
@@ -19,12 +21,14 @@ __all__ = ["side_by_side"]
 T = TypeVar("T")
 PATIENCE = 120.0  # s; what the other process has not handed in by then is done here
 
+_tasks: Sequence[Callable[[], Any]] = ()  # in the copy
+
 
 def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """What each task returns, in their order; where there is a core for it, a copy of this process does some of them.
 
-    The copy (a fork: it need not load and read again) writes no file, has one thread, and ends of itself should this
-    process be gone. What it fails at is done here, so that errors are raised as if there were no copy.
+    The copy, a fork, need not load and read again; it begins with the first task, this process with the last. What the
+    copy fails at is done here, so that errors are raised as if there were none.
 
     Parameters
     ----------
@@ -33,45 +37,36 @@ def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """
     if len(tasks) < 2 or not _second_core():
         return [task() for task in tasks]
-    numbers = _Numbers(len(tasks))
-    context = get_context("fork")
-    here, there = context.Pipe(duplex=False)
-    copy = context.Process(target=_hand_in, args=(there, numbers, tasks), daemon=True)
-    with warnings.catch_warnings():  # of threads, which the copy lacks: those of BLAS and of the solver, all idle
-        warnings.simplefilter("ignore", DeprecationWarning)
-        copy.start()
-    there.close()
+    others, waiting = set(active_children()), deque(range(len(tasks)))
+    copy = ProcessPoolExecutor(1, get_context("fork"), _begin, (tasks,))
+    taken: dict[int, Future[T]] = {}
+    found: dict[int, T] = {}
+
+    def hand_out(_: Any = None) -> None:
+        with suppress(IndexError, RuntimeError):  # none is left; the copy is gone
+            number = waiting.popleft()
+            taken[number] = copy.submit(_do, number)
+            taken[number].add_done_callback(hand_out)
+
     try:
-        found = {number: tasks[number]() for number in numbers}
-        with suppress(EOFError, OSError):
-            if here.poll(PATIENCE):
-                found |= here.recv()
+        with warnings.catch_warnings():  # of threads, which the copy lacks: those of BLAS and of the solver, all idle
+            warnings.simplefilter("ignore", DeprecationWarning)
+            hand_out()
+        while True:
+            try:
+                number = waiting.pop()
+            except IndexError:
+                break
+            found[number] = tasks[number]()
+        for number, result in list(taken.items()):
+            with suppress(Exception):  # raised again by whoever does it here
+                found[number] = result.result(PATIENCE)
+        return [found[number] if number in found else task() for number, task in enumerate(tasks)]
     finally:
-        copy.kill()
-        copy.join()
-        here.close()
-        numbers.close()
-    return [found[number] if number in found else task() for number, task in enumerate(tasks)]
-
-
-class _Numbers:
-    """The numbers of tasks, each taken once by whoever is free, from a pipe: who is killed holds none of it."""
-
-    SIZE = 2  # bytes of a number
-
-    def __init__(self, count: int) -> None:
-        self._read, self._write = os.pipe()
-        os.set_blocking(self._read, False)
-        os.write(self._write, b"".join(number.to_bytes(self.SIZE, "little") for number in range(count)))
-
-    def __iter__(self) -> Iterator[int]:
-        with suppress(BlockingIOError):
-            while True:
-                yield int.from_bytes(os.read(self._read, self.SIZE), "little")
-
-    def close(self) -> None:
-        os.close(self._read)
-        os.close(self._write)
+        copy.shutdown(wait=False)
+        for process in set(active_children()) - others:
+            process.kill()
+            process.join()
 
 
 def _second_core() -> bool:
@@ -84,14 +79,14 @@ def _second_core() -> bool:
         return False
 
 
-@one_thread
-def _hand_in(there: Any, numbers: _Numbers, tasks: Sequence[Callable[[], Any]]) -> None:
-    """In the copy: silent, whatever happens to it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other process, which hears it too, ends this one
+def _begin(tasks: Sequence[Callable[[], Any]]) -> None:
+    """In the copy, which the other process ends: it hears every interrupt as well."""
+    global _tasks
+    _tasks = tasks
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    found = {}
-    with suppress(Exception):  # raised by the process that does it again
-        for number in numbers:
-            found[number] = tasks[number]()
-    with suppress(OSError):  # nobody is there any more
-        there.send(found)
+
+
+@one_thread
+def _do(number: int) -> Any:
+    return _tasks[number]()
