@@ -177,11 +177,12 @@ def test_check_and_report_are_done_by_one_process_and_the_others_leave(alone, ke
 def test_kept_files_that_were_cut_are_computed_anew_and_said_once_each(alone, run, tmp_path):
     cache = shutil.copytree(alone.parent / "kept", tmp_path / "cache")
     cut = [path for path in cache.glob("*/*.npz")]
-    assert len(cut) == 6  # an assembly and its warnings, two meshes, two parts
+    assert len(cut) == 8  # an assembly and its warnings, two meshes, two parts and their fields
     for path in cut:
         path.write_bytes(path.read_bytes()[:300])
     code, said = mic(2, [*run, "--out", tmp_path / "out"], cache)
     assert code == 0 and blocks(tmp_path / "out") == blocks(alone), said
+    said = said.replace("\x1b[?25h", "")  # the cursor, shown again where the bar ends
     told = [line for line in said.splitlines() if "it counts as absent and is replaced" in line]
     assert sorted(line.split(": this ")[0] for line in told) == sorted(map(str, cut)), said
 

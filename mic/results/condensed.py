@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from mic.product import one_thread
+
 __all__ = ["Centred", "Condensed", "Condenser"]
 
 ROOM = 8_000_000  # bytes of samples that are kept as they are, by part and law
@@ -43,6 +45,7 @@ class Condensed:
     largest: float
 
     @classmethod
+    @one_thread  # the same bits on any number of them
     def of(cls, force: np.ndarray, motion: np.ndarray) -> Condensed:
         """Those of (n, F) forces and (n, 6) motions, as few as rounding leaves."""
         rows = _beside(force, motion)

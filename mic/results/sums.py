@@ -14,6 +14,7 @@ import numpy as np
 
 from mic.contact.states import STATES
 from mic.model.nuggets import nuggets
+from mic.product import one_thread
 from mic.results.statistics import Moments
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ class Sums:
     counts: tuple[tuple[tuple[str, ...], np.ndarray], ...]
 
     @classmethod
+    @one_thread  # the same bits on any number of them
     def of(cls, block: BlockSamples, model) -> Sums:
         """Those of a block that has its contact pairs.
 
