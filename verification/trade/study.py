@@ -113,6 +113,7 @@ TURNED = {
         Knobs(increments=1),
         Knobs(increments=4),
         Knobs(tolerance=40 * Followed.tolerance),
+        Knobs(tolerance=10 * Followed.tolerance),
         Knobs(tolerance=Followed.tolerance),
     ),
 }
