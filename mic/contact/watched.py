@@ -156,13 +156,11 @@ class WatchedSolver:
             joined, solver = self._joined, self._prepared
             if solver is None or (working[todo] & ~joined).any():
                 break
-            rows, own, places = np.repeat(joined, d), working[todo], np.ix_(todo, joined)
-            b0, b1, before, guess = (a[todo][:, rows] for a in (b[:, 0], b[:, 1], force, found.force))
+            rows, own, places = np.flatnonzero(np.repeat(joined, d)), working[todo], np.ix_(todo, joined)
+            b0, b1, before, guess = (np.take(a[todo], rows, axis=1) for a in (b[:, 0], b[:, 1], force, found.force))
             leg = solver.backend.step(b0, b1, before, anchor[places], own[:, joined], guess)
-            for all_, some in ((found.force, leg.force), (from_, leg.b)):
-                wide = np.zeros((len(todo), d * m))
-                wide[:, rows] = some
-                all_[todo] = wide
+            at = np.ix_(todo, rows)
+            found.force[at], from_[at] = leg.force, leg.b
             u = self._S.under(found.force[todo]) + b[todo, 1]
             stands = u.reshape(-1, m, d)[:, :, 1:].copy()
             stands[own] = leg.anchor[own[:, joined]]
