@@ -3,6 +3,7 @@
 import pickle
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from mic.contact import ContactSolver, laws
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
+from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
 from mic.contact.problems import compliant
 from mic.contact.states import OPEN
@@ -160,17 +162,44 @@ def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
 
 
 def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch):
-    follow, spent = ContactSolver.follow, []
+    step, spent = NativeSolver.step, []
 
     def counted(*args):
-        solution = follow(*args)
-        spent.append(int(solution.trace.factorisations.sum()))
-        return solution
+        leg = step(*args)
+        spent.append(int(leg.factorisations.sum()))
+        return leg
 
-    monkeypatch.setattr(ContactSolver, "follow", counted)
+    monkeypatch.setattr(NativeSolver, "step", counted)
+    monkeypatch.setattr("mic.contact.native.solver.SWEEPS", 1)  # more would leave Newton's method little to do
     found = [followed(watched(problem), problem[2][[i]], Increments(1)) for i in range(N)]
-    assert len(spent) > N and min(spent) > 0  # more rounds than samples
+    assert sum(one > 0 for one in spent) > N  # in more rounds than samples
     assert sum(int(each.trace.factorisations[0]) for each in found) == sum(spent)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "micro-slip"])
+def test_one_increment_of_all_samples_in_one_call_is_that_of_each_alone(problem, law, monkeypatch):
+    """The step from loaded contacts, with a start of its own and some that may not touch, against the general way."""
+    S, _, b = problem
+    start, allowed = np.arange(M) % 5 == 0, np.arange(M) % 7 != 3
+    friction = Friction(np.linspace(0.1, 0.4, M), compliance=np.linspace(1e-3, 2e-3, M))
+    solver = watched(problem, law, start, allowed, friction)
+    before = followed(solver, b, Increments(1))
+    load = np.stack([b[:, 1], b[:, 1] + 0.1 * (b[::-1, 1] - b[:, 1])], axis=1)
+    given = load, before.force, before.anchor, Increments(1)
+    together = solver.follow(*given)
+    alone = [solver.follow(*(a[[i]] for a in given[:3]), given[3]) for i in range(N)]
+    monkeypatch.setattr(
+        WatchedSolver, "_stepped", lambda self, b, *_: replace(self._open(len(b), M), converged=b[:, 0, 0] > 9)
+    )
+    one_by_one = solver.follow(*given)
+    assert together.converged.all() and one_by_one.converged.all() and (together.rung == one_by_one.rung).all()
+    for name in ("force", "displacement", "anchor"):
+        found, size = getattr(together, name), np.abs(getattr(together, name)).max()
+        np.testing.assert_array_equal(found, np.concatenate([getattr(each, name) for each in alone]))
+        np.testing.assert_allclose(found, getattr(one_by_one, name), atol=1e-9 * size)
+    assert np.abs(together.trace.slip).max() > 1e-3 and (together.force[:, np.repeat(~allowed, 3)] == 0).all()
+    for name in ("slip", "length", "work", "share"):
+        np.testing.assert_allclose(getattr(together.trace, name), getattr(one_by_one.trace, name), atol=1e-7)
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated", "micro-slip"])

@@ -72,6 +72,21 @@ class Backend(Protocol):
         path : Path
         """
 
+    def step(
+        self,
+        b0: np.ndarray,
+        b1: np.ndarray,
+        force: np.ndarray,
+        anchor: np.ndarray,
+        own: np.ndarray,
+        guess: np.ndarray,
+    ) -> Leg:
+        """As :meth:`follow` in one increment, each sample with contacts `own` (n, m) of its own: the others take no
+        part and count as open.
+
+        `guess` (n, d m) are forces at the end to try first, for samples that have any.
+        """
+
     def infeasible(self, b: np.ndarray) -> bool:
         """Whether it is proven that no force keeps the contacts of sample ``b`` (d m,) from penetrating."""
 

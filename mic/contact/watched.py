@@ -135,12 +135,69 @@ class WatchedSolver:
         PathSolution
             Over all candidates; what took no part was open all the way.
         """
-        return self._grown(b, force, anchor, path)
+        force = np.where(np.repeat(self._allowed, self._d), force, 0.0)
+        plain = isinstance(path, Increments) and path.count == 1 and not path.recorded and b.shape[1] == 2
+        crowd = self._guessing or self._start.sum() > MANY
+        if not plain or crowd or not self.law.followed or self._settings.get("backend", "native") != "native":
+            return self._grown(b, force, anchor, path)
+        found = self._stepped(b, force, anchor)
+        lost = np.flatnonzero(~found.converged)
+        return found.put(lost, self._grown(b[lost], force[lost], anchor[lost], path)) if len(lost) else found
+
+    def _stepped(self, b, force, anchor) -> PathSolution:
+        """One increment along loads b (n, 2, d m) on sets that grow, each round one call for all samples that need it;
+        each begins where the one before ended. What ends too far from its law, or nowhere, has not converged."""
+        n, m, d = len(b), len(self._start), self._d
+        working = self._start | self._allowed & _loaded(force.reshape(n, m, d)[:, :, 0])
+        found, todo, solver = self._open(n, m), np.arange(n), None
+        solved, from_ = np.zeros(n, dtype=bool), np.zeros_like(b[:, 1])  # from where slip is measured
+        for _ in range(ROUNDS):
+            self._prepare(working[todo].any(axis=0))
+            joined, solver = self._joined, self._prepared
+            if solver is None or (working[todo] & ~joined).any():
+                break
+            rows, own, places = np.flatnonzero(np.repeat(joined, d)), working[todo], np.ix_(todo, joined)
+            b0, b1, before, guess = (np.take(a[todo], rows, axis=1) for a in (b[:, 0], b[:, 1], force, found.force))
+            leg = solver.backend.step(b0, b1, before, anchor[places], own[:, joined], guess)
+            at = np.ix_(todo, rows)
+            found.force[at], from_[at] = leg.force, leg.b
+            u = self._S.under(found.force[todo]) + b[todo, 1]
+            stands = u.reshape(-1, m, d)[:, :, 1:].copy()
+            stands[own] = leg.anchor[own[:, joined]]
+            found.displacement[todo], found.anchor[todo] = u, stands
+            for name in ("slip", "length", "work", "share"):
+                getattr(found.trace, name)[places] = getattr(leg, name)
+            found.trace.factorisations[todo] += leg.factorisations
+            unseen = self._unseen(u, anchor[todo], None, own)
+            grows = (unseen > PENETRATION).any(axis=1)
+            solved[todo] = ~leg.given_up & ~grows
+            grows &= ~leg.given_up
+            todo = todo[grows]
+            if not len(todo):
+                break
+            for sample, depth in zip(todo, unseen[grows]):
+                working[sample, self._joining(depth, False)] = True
+        if solver is None:
+            return replace(found, converged=solved)
+        rows, taken = np.repeat(self._joined, d), np.repeat(working, d, axis=1)
+        moved = np.where(taken, found.displacement - b[:, 1], 0.0)[:, rows]
+        residual, converged, status = solver.judged(from_[:, rows], found.force[:, rows], moved)
+        converged &= solved
+        self.carried |= _loaded(found.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
+        trace = replace(found.trace, error=np.full(n, np.nan), steps=np.ones(n, dtype=np.int64))
+        return replace(
+            found,
+            trace=trace,
+            residual=residual,
+            converged=converged,
+            status=status,
+            iterations=trace.factorisations.copy(),
+            rung=np.full(n, "increments", dtype=object),
+        )
 
     def _grown(self, b, force, anchor, path: Path | None) -> PathSolution:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load at once, on sets that grow."""
         n, m, d = len(b), len(self._start), self._d
-        force = np.where(np.repeat(self._allowed, d), force, 0.0)
         normal = force.reshape(n, m, d)[:, :, 0]
         working = self._start | self._allowed & _loaded(normal)
         if path is not None and not self._guessing and self._start.sum() > MANY:

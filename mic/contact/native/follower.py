@@ -47,6 +47,7 @@ from mic.contact.native.kernels import (
     MATRIX,
     NUMBER,
     VECTOR,
+    block,
     derivative,
     force_scale,
     gauss_seidel,
@@ -584,7 +585,7 @@ def _facet(equation, parameters, y, w, y_new, k, A, B, right, e):
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
     # In the closure of `follow` these would be part of the cache's key, and no two processes write them alike.
-    global inverse_of, rates, linear, sweep, closings, newton_by_pivots, solve, predict
+    global inverse_of, rates, linear, sweep, closings, newton_by_pivots, solve, lands, predict, follow
 
     @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
     def inverse_of(W, A, B, closed):
@@ -922,8 +923,11 @@ def _compile(digest):
         none = np.empty((0, 0))
         best = start.copy()
         slip = np.zeros(m)
+        again = not near and (y == start).all()  # the first help would repeat the first attempt's sweeps
         if sweeps > 0:
             sweep(W, P, parameters, y, w, q, slip, sweeps)
+            if again:
+                best[:] = y
         if near:
             solved, own, inverse = newton_by_pivots(
                 equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
@@ -942,7 +946,7 @@ def _compile(digest):
             y[:] = best
             times(W, y, w)
             w += q
-            if sweeps > 0:
+            if sweeps > 0 and not (again and call == 0):
                 sweep(W, P, parameters, y, w, q, slip, run)
                 best[:] = y
             run *= 2
@@ -953,6 +957,23 @@ def _compile(digest):
                 if solved == 1:
                     return 1, own, inverse
         return 0, own, inverse
+
+    @jit(boolean(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, COUNTS))
+    def lands(equation, W, parameters, guess, y, w, q, tol, counts):
+        """Whether Newton's method solves a problem from a guess (3m,); else (y, w) stay as they are."""
+        digest  # noqa: B018
+        found, moved = guess.copy(), np.empty_like(w)
+        times(W, found, moved)
+        moved += q
+        none, m = np.empty((0, 0)), len(parameters)
+        error, steps = newton(
+            equation, W, none, q, parameters, found, moved, 1e-12, starting_scale(q), tol, PATIENCE, 0, m
+        )
+        counts[FACTORISATIONS] += steps
+        if error > tol:
+            return False
+        y[:], w[:] = found, moved
+        return True
 
     @jit(
         NUMBER(
@@ -1214,6 +1235,7 @@ def _compile(digest):
             types.Array(int64, 2, "C"),
             MATRIX,
             BLOCKS,
+            MATRIX,
         )
     )
     def follow(
@@ -1241,6 +1263,7 @@ def _compile(digest):
         counts,
         passed,
         passed_force,
+        guess,
     ):
         """Every sample of a batch from one load to the next.
 
@@ -1272,6 +1295,8 @@ def _compile(digest):
         counts : (n, 5) int array
         passed, passed_force : (n, k), (n, k, 3m) array
             Receive where the first k steps end, and the forces there; of second order from the start on, at 0.
+        guess : (n, 3m) array
+            Of the forces at the end, for one step of first order; (0, 3m) for none.
         """
         size = Q0.shape[1]
         m = len(parameters)
@@ -1410,29 +1435,34 @@ def _compile(digest):
                                     y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
                         times(W, y, w)
                         w += q
-                        end = target == 1.0
-                        solved, own, inverse = solve(
-                            equation,
-                            W,
-                            P,
-                            parameters,
-                            y,
-                            w,
-                            q,
-                            y0,
-                            tol if end or given else INNER,
-                            starting_scale(q) if end else scale,
-                            sweeps,
-                            HELP if last or order == 1 or _motion(motion, unit) <= allowed else 0,
-                            order == 2,
-                            kept,
-                            stretch,
-                            A,
-                            B,
-                            own,
-                            inverse,
-                            done,
-                        )
+                        end, near = target == 1.0, False
+                        if len(guess) > 0:
+                            near = lands(equation, W, parameters, guess[sample], y, w, q, tol, done)
+                        if near:
+                            solved = 1
+                        else:
+                            solved, own, inverse = solve(
+                                equation,
+                                W,
+                                P,
+                                parameters,
+                                y,
+                                w,
+                                q,
+                                y0,
+                                tol if end or given else INNER,
+                                starting_scale(q) if end else scale,
+                                sweeps,
+                                HELP if last or order == 1 or _motion(motion, unit) <= allowed else 0,
+                                order == 2,
+                                kept,
+                                stretch,
+                                A,
+                                B,
+                                own,
+                                inverse,
+                                done,
+                            )
                         equation(parameters, y, w, phi, nothing, nothing, state, False)
                         for k in range(m):
                             w[3 * k + 1] += shift[k, 0]
@@ -1513,10 +1543,117 @@ def _compile(digest):
             Q[sample] = q
             Y[sample] = y
 
-    return follow
+    @jit(
+        void(
+            EQUATION_POINTER,
+            MATRIX,
+            MATRIX,
+            MATRIX,
+            VECTOR,
+            MATRIX,
+            MATRIX,
+            MATRIX,
+            MATRIX,
+            NUMBER,
+            int64,
+            MATRIX,
+            BLOCKS,
+            MATRIX,
+            MATRIX,
+            BLOCKS,
+            types.Array(int64, 2, "C"),
+            MATRIX,
+            types.Array(boolean, 2, "C"),
+        )
+    )
+    def follow_among(
+        equation,
+        W,
+        P,
+        parameters,
+        unit,
+        Q0,
+        Q1,
+        L,
+        Y,
+        tol,
+        sweeps,
+        Q,
+        slip,
+        length,
+        work,
+        share,
+        counts,
+        guess,
+        working,
+    ):
+        """One step of first order of every sample, with the contacts of its own working set alone.
+
+        As :func:`follow` with one sample at a time and what :func:`block` takes of W: the others have neither force nor
+        part in Q, nor in what is told of the way.  ``guess`` (n, 3m) is of the forces at the end, where it has any.
+        """
+        digest  # noqa: B018
+        at_end, none, nothing = np.ones(1), np.empty((1, 0)), np.empty((1, 0, 0))
+        estimate = np.zeros(1)
+        for s in range(len(Q0)):
+            own = np.flatnonzero(working[s])
+            m, done = len(own), counts[s : s + 1]
+            some_P, some_parameters = np.empty((m, P.shape[1])), np.empty((m, parameters.shape[1]))
+            size = 1, 3 * m
+            q0, q1, y, start, q = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
+            anchor = np.empty((1, 2 * m))
+            guessed = False
+            for a in range(m):
+                k = own[a]
+                some_P[a], some_parameters[a] = P[k], parameters[k]
+                for c in range(3):
+                    q0[0, 3 * a + c], q1[0, 3 * a + c] = Q0[s, 3 * k + c], Q1[s, 3 * k + c]
+                    y[0, 3 * a + c], start[0, 3 * a + c] = Y[s, 3 * k + c], guess[s, 3 * k + c]
+                    guessed = guessed or guess[s, 3 * k + c] != 0.0
+                for c in range(2):
+                    anchor[0, 2 * a + c] = L[s, 2 * k + c]
+            slips, lengths, works, shares = np.zeros((1, m, 2)), np.zeros((1, m)), np.zeros((1, m)), np.zeros((1, m, 3))
+            follow(
+                equation,
+                block(W, own, 3),
+                some_P,
+                some_parameters,
+                unit[own],
+                q0,
+                q1,
+                anchor,
+                y,
+                1,
+                at_end,
+                0.0,
+                0.0,
+                tol,
+                sweeps,
+                q,
+                slips,
+                lengths,
+                works,
+                shares,
+                estimate,
+                done,
+                none,
+                nothing,
+                start if guessed else start[:0],
+            )
+            Y[s] = 0.0
+            Q[s] = 0.0
+            for a in range(m):
+                k = own[a]
+                length[s, k], work[s, k] = lengths[0, a], works[0, a]
+                for c in range(3):
+                    Q[s, 3 * k + c], Y[s, 3 * k + c], share[s, k, c] = q[0, 3 * a + c], y[0, 3 * a + c], shares[0, a, c]
+                for c in range(2):
+                    L[s, 2 * k + c], slip[s, k, c] = anchor[0, 2 * a + c], slips[0, a, c]
+
+    return follow, follow_among
 
 
 @cache
 def follower():
-    """The compiled follower."""
+    """The compiled follower: of samples that share their contacts, and of samples each with its own of them."""
     return _compile(hashlib.sha256(Path(kernels.__file__).read_bytes()).hexdigest())

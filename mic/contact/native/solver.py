@@ -17,12 +17,17 @@ from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
+from mic.contact.states import OPEN
 from mic.contact.trail import Trail, trails
 
 __all__ = ["NativeSolver"]
 
 #: Tasks for each thread: few, because handing them out costs as much as an easy sample, and enough to level the load.
 TASKS = 8
+
+#: Sweeps before Newton's method where a step is the whole way: three times as many as on a followed path save one of
+#: its steps in seven, and cost less.
+SWEEPS = 30
 
 
 class NativeSolver:
@@ -207,9 +212,9 @@ class NativeSolver:
             ladder.MARGIN * self.tol,
             follower.SWEEPS * problem.law.gauss_seidel,
         )
-        room = follower.MOST + 1 if path.recorded else 0
+        room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
         passed, passed_force = np.zeros((n, room)), _untouched(n, room, 3 * m)
-        follow = follower.follower()
+        follow, _ = follower.follower()
 
         def chunk(own):
             follow(
@@ -221,6 +226,7 @@ class NativeSolver:
                 *(a[own] for a in (Q0, Q1, L, Y)),
                 *settings,
                 *(a[own] for a in (Q, slip, length, work, share, estimate, counts, passed, passed_force)),
+                unguessed,
             )
 
         self._each(chunk, n)
@@ -237,6 +243,47 @@ class NativeSolver:
             factorisations=counts[:, follower.FACTORISATIONS].copy(),
             given_up=counts[:, follower.FAILED] > 0,
             trail=self._trails(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None,
+        )
+
+    def step(self, b0, b1, force, anchor, own: np.ndarray, guess: np.ndarray) -> Leg:
+        """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
+        problem, D, n, m = self.problem, self.scaling, len(b0), len(self.problem.parameters)
+        unit = 1.0 / D.reshape(m, 3)[:, 1]
+        scaled = b0 * D, b1 * D, (anchor / unit[:, None]).reshape(n, 2 * m), force / D
+        given = tuple(map(np.ascontiguousarray, scaled))
+        Q, start, own = np.empty((n, 3 * m)), np.ascontiguousarray(guess / D), np.ascontiguousarray(own)
+        slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
+        share[:, :, OPEN] = 1.0
+        counts = np.zeros((n, 5), dtype=np.int64)
+        _, follow_among = follower.follower()
+
+        def chunk(some):
+            follow_among(
+                problem.equation,
+                problem.W,
+                problem.factors,
+                problem.parameters,
+                unit,
+                *(a[some] for a in given),
+                ladder.MARGIN * self.tol,
+                SWEEPS * problem.law.gauss_seidel,
+                *(a[some] for a in (Q, slip, length, work, share, counts, start, own)),
+            )
+
+        self._each(chunk, n)
+        _, _, L, Y = given
+        return Leg(
+            force=Y * D,
+            b=Q / D,
+            anchor=L.reshape(n, m, 2) * unit[:, None],
+            slip=slip * unit[:, None],
+            length=length * unit,
+            work=work,
+            share=share,
+            error=np.full(n, np.nan),
+            steps=counts[:, follower.STEPS].copy(),
+            factorisations=counts[:, follower.FACTORISATIONS].copy(),
+            given_up=counts[:, follower.FAILED] > 0,
         )
 
     def _trails(self, order, steps, passed, force) -> np.ndarray:
