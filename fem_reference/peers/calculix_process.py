@@ -1,13 +1,13 @@
-"""A scene's whole process by sheets of solids: what it means without shells, influence coefficients, patches or candidates.
+"""A scene's whole process by sheets of solids: no shells, influence coefficients, patches or candidates.
 
-CalculiX gives the stiffness of the sheets (:mod:`fem_reference.peers.calculix_sheets`). Every node of a face touches what it
-lies before on the other sheet, or a fixture's pad, with friction. Locators hold means over discs of the middle surface;
-clamps push or hold discs of the faces that they press on. A nugget is one piece: all nodes within its disc keep, from the
-weld on, how they stand to the other sheet, or close their gaps, and none of them touches any more. A deviation of shape
-opens and closes the gaps; a part of such a shape is held on the locators that it is set down on while the force that makes
-it acts.
+CalculiX gives the stiffness of the sheets (:mod:`fem_reference.peers.calculix_sheets`). Every node of a face touches
+what it lies before on the other sheet, or a fixture's pad, with friction. Locators hold means over discs of the
+middle surface; clamps push or hold discs of the faces that they press on. A nugget is one piece: all nodes within its
+disc keep, from the weld on, how they stand to the other sheet, or close their gaps, and none of them touches any
+more. A deviation of shape opens and closes the gaps; a part of such a shape is held on the locators that it is set
+down on while the force that makes it acts.
 
-With the rows R of all that is held, pushed, touched or read, and springs α on the rows D that the parts are set down on,
+With the rows R of all that is held, pushed, touched or read, and springs α on the rows D that parts are set down on,
 
     F = R (K + α Dᵀ D)⁻¹ Rᵀ,        y = F λ,
 
@@ -15,9 +15,9 @@ With the rows R of all that is held, pushed, touched or read, and springs α on 
 once for all stages. What touches obeys Coulomb's law, in increments each of which goes on where the one before left the
 faces.
 
-The process is gone through here anew, from the scene's tables alone: the parts are set down; what overlaps comes to rest;
-further locators close together, clamps one by one, two that press sheets together at one place as one; welds freeze or
-close their gaps; what closed last opens first; key characteristics are read.
+The process is gone through here anew, from the scene's tables alone: the parts are set down; what overlaps comes to
+rest; further locators close together, clamps one by one, two that press sheets together at one place as one; welds
+freeze or close their gaps; what closed last opens first; key characteristics are read.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from mic.scene import Scene
 __all__ = ["Outcome", "process"]
 
 FAR = 0.5  # of a sheet: what lies farther before a face does not touch it
+EDGE = 1e-9  # mm: what lies so far beside a box lies in it
 KINDS = ("locate", "clamp", "weld", "release", "measure")  # of stages, in the order in which they are gone through
 
 
@@ -76,7 +77,8 @@ def process(
     Parameters
     ----------
     scene : Scene
-        Of locators, clamps without limits, fused welds, pads, and deviations of forces, locators and clamps; one station.
+        Of locators, clamps without limits, fused welds, pads, and deviations of forces, locators and clamps, in one
+        station.
     sheets : sequence of Sheet
         In the order of its parts.
     deviations : (n, p) array
@@ -99,10 +101,8 @@ def process(
     deviations = np.atleast_2d(deviations)
     rows = _Rows(scene, sheets, beyond)
     F, factors = rows.flexibility([sheet.K for sheet in sheets])
-    unit = [rows.shape(F, one.name) if one.kind == "force" else None for one in scene.deviations]
-    shaping = sum(
-        (np.outer(a, one) for a, one in zip(deviations.T, unit) if one is not None), np.zeros((len(deviations), len(F)))
-    )
+    nothing = np.zeros(len(F))
+    shaping = deviations @ [rows.shape(F, one.name) if one.kind == "force" else nothing for one in scene.deviations]
     shape = shaping @ F
     if not deviated:
         return _Process(rows, F, solver, increments).run(deviations, shape)
@@ -205,34 +205,15 @@ class _Rows:
     def _touching(self, zone) -> dict:
         """Rows of each part, and gap, area, weld and outside of each contact of a zone."""
         pads = {one.name: one for one in self.scene.fixtures}
-        first, second = zone.parts
-        if first in pads or second in pads:
-            pad, name = (pads[first], second) if first in pads else (pads[second], first)
-            sheet, normal = self._sheets[name], np.array(pad.normal)
-            layer = sheet.face(pad.point, -normal)
-            hit = np.flatnonzero(sheet.within(layer, pad.point, pad.radius) & self._inside(zone, sheet.at(layer)))
-            normals = np.tile(normal, (len(hit), 1))
-            gap = (sheet.at(layer)[hit] - pad.point) @ normal
-            weights = {name: (layer, _picked(hit, len(sheet.points)))}
-        else:
-            below, sheet, name = self._sheets[first], self._sheets[second], second
-            near, _, facing, height = below.onto(below.middle, sheet.points)
-            some = np.abs(height) < 2 * max(below.thickness, sheet.thickness)
-            if not some.any():
-                raise ValueError(f"nothing touches in the zone {zone.name}")
-            side = facing[some][0] * np.sign(height[some][0])
-            layer, under = sheet.face(sheet.points[near[some][0]], -side), below.face(sheet.points[near[some][0]], side)
-            hit, own, normals, gap = below.onto(under, sheet.at(layer))
-            up = 1.0 if under else -1.0
-            normals, gap = up * normals, up * gap
-            keep = self._inside(zone, sheet.at(layer)[hit]) & (np.abs(gap) <= FAR * sheet.thickness)
-            hit, own, normals, gap = hit[keep], own[keep], normals[keep], gap[keep]
-            weights = {first: (under, -own), second: (layer, _picked(hit, len(sheet.points)))}
+        pad = next((pads[name] for name in zone.parts if name in pads), None)
+        hit, normals, gap, faces = self._before_sheet(zone) if pad is None else self._before_pad(zone, pad)
         if not len(hit):
             raise ValueError(f"nothing touches in the zone {zone.name}")
         found = {each: csr_matrix((3 * len(hit), one.K.shape[0])) for each, one in self._sheets.items()}
-        for each, (own_layer, weight) in weights.items():
-            found[each] = _along(self._sheets[each], own_layer, weight, normals)
+        for name, layer, weights in faces:
+            found[name] = _along(self._sheets[name], layer, weights, normals)
+        name, layer, _ = faces[-1]
+        sheet = self._sheets[name]
         weld, outside = np.full(len(hit), -1), np.ones(len(hit), bool)
         for i, one in enumerate(self.scene.welds):
             if set(one.parts) == set(zone.parts):
@@ -242,12 +223,41 @@ class _Rows:
                 outside &= np.linalg.norm(sideways, axis=1) > self._beyond * one.radius
         return {**found, "gap": gap, "area": sheet.cells(layer)[hit], "weld": weld, "outside": outside}
 
-    @staticmethod
-    def _inside(zone, places: np.ndarray) -> np.ndarray:
-        if zone.box is None:
-            return np.ones(len(places), bool)
-        low, high = np.array(zone.box)
-        return ((places >= low - 1e-9) & (places <= high + 1e-9)).all(axis=1)
+    def _before_pad(self, zone, pad) -> tuple:
+        """Nodes of the sheet that lie before a pad, its normals there, gaps, and what reads the sheet's face."""
+        (name,) = set(zone.parts) - {pad.name}
+        sheet, normal = self._sheets[name], np.array(pad.normal)
+        layer = sheet.face(pad.point, -normal)
+        hit = np.flatnonzero(sheet.within(layer, pad.point, pad.radius) & _inside(zone, sheet.at(layer)))
+        gap = (sheet.at(layer)[hit] - pad.point) @ normal
+        return hit, np.tile(normal, (len(hit), 1)), gap, [(name, layer, _picked(hit, len(sheet.points)))]
+
+    def _before_sheet(self, zone) -> tuple:
+        """Nodes of the second sheet that lie before the first, its normals there, gaps, and what reads either face."""
+        none = np.empty(0, int), np.empty((0, 3)), np.empty(0), []
+        first, second = (self._sheets[name] for name in zone.parts)
+        near, _, normals, height = first.onto(first.middle, second.points)
+        some = np.flatnonzero(
+            (np.abs(height) < first.thickness + second.thickness) & _inside(zone, second.points[near])
+        )
+        if not len(some):
+            return none
+        place, side = second.points[near[some[0]]], np.sign(height[some[0]]) * normals[some[0]]
+        above, below = second.face(place, -side), first.face(place, side)
+        hit, weights, normals, gap = first.onto(below, second.at(above))
+        outwards = 1.0 if below else -1.0
+        normals, gap = outwards * normals, outwards * gap
+        keep = _inside(zone, second.at(above)[hit]) & (np.abs(gap) <= FAR * second.thickness)
+        own = [(zone.parts[0], below, -weights[keep]), (zone.parts[1], above, _picked(hit[keep], len(second.points)))]
+        return hit[keep], normals[keep], gap[keep], own
+
+
+def _inside(zone, places: np.ndarray) -> np.ndarray:
+    """(m,) which places lie in a zone's box, if it has one."""
+    if zone.box is None:
+        return np.ones(len(places), bool)
+    low, high = np.array(zone.box)
+    return ((places >= low - EDGE) & (places <= high + EDGE)).all(axis=1)
 
 
 def _picked(nodes: np.ndarray, n: int) -> csr_matrix:
@@ -304,159 +314,165 @@ class _Held:
 
 
 class _Process:
-    """The stages, one after the other."""
+    """The stages, one after the other, at n deviations together."""
 
     def __init__(self, rows: _Rows, F: np.ndarray, solver: Callable, increments: int):
         self._rows, self._scene, self._F = rows, rows.scene, F
         self._solver, self._increments = solver, increments
         self._mu = np.array([zone.friction for zone in self._scene.zones])[rows.zone]
+        self._contact = np.arange(3 * len(rows.zone)).reshape(-1, 3)
+        self._stroke = np.zeros(len(F))
+        for one in self._scene.clamps:
+            self._stroke[rows.of[one.name]] = one.stroke or 0.0
 
     def run(self, deviations: np.ndarray, shape: np.ndarray) -> Outcome:
         """All stages, with shapes as the rows read them (n, r)."""
-        rows, scene, m = self._rows, self._scene, len(self._rows.zone)
-        self._contact = np.arange(3 * m).reshape(m, 3)
-        n = len(deviations)
-        self._shape, self._asked = shape, np.zeros((n, len(self._F)))
-        for amplitude, one in zip(deviations.T, scene.deviations):
-            if one.kind != "force":
-                self._asked[:, rows.of[one.target]] += amplitude
-        self._gap = rows.gap + shape[:, self._contact[:, 0]]
-        self._load, self._force = np.zeros_like(shape), np.zeros((n, m, 3))
-        self._apart = np.ones(m, bool)
-        self._prepared: tuple = ((), None, None)
-        first = scene.stages[0].name
-        self._hold = np.array([rows.of[one.name] for one in scene.locators if one.stage == first])
-        self._value = self._target(self._hold)
-        self._closed = [list(self._hold)]
-        held = self._ready()[0]
-        self._y = held.read(self._load, self._value)
-        self._place = self._faces(self._y)
-        self._settled = False
+        rows, scene = self._rows, self._scene
+        self._set_down(deviations, shape)
         stages, force, slip = [], [], []
         for stage in scene.stages[1:]:
             start, self._moved = self._place.copy(), False
             getattr(self, f"_{stage.kind}")(stage)
             if self._moved:
                 stages.append(stage.name)
-                force.append(self._by_zone(self._force[:, :, 0], np.ones(m)))
+                force.append(self._by_zone(self._force[:, :, 0], 1.0))
                 square = ((self._place - start)[:, :, 1:] ** 2).sum(axis=2)
-                slip.append(np.sqrt(self._by_zone(square, rows.area) / self._by_zone(np.ones((n, m)), rows.area)))
+                slip.append(np.sqrt(self._by_zone(square, rows.area) / self._by_zone(np.ones_like(square), rows.area)))
         read = [rows.of[one.name] for one in scene.measurements]
         measured = (shape + self._y)[:, read]
-        return Outcome(stages, measured, np.stack(force, axis=1), np.stack(slip, axis=1), m)
+        return Outcome(stages, measured, np.stack(force, axis=1), np.stack(slip, axis=1), len(rows.zone))
 
-    def _by_zone(self, each: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """(n, zones) sums beyond the nuggets."""
-        own = np.eye(len(self._scene.zones))[self._rows.zone] * (weight * self._rows.outside)[:, None]
-        return each @ own
-
-    def _target(self, rows) -> np.ndarray:
-        stroke = np.zeros(len(self._F))
-        for one in self._scene.clamps:
-            stroke[self._rows.of[one.name]] = one.stroke or 0.0
-        return (stroke + self._asked - self._shape)[:, rows]
+    def _set_down(self, deviations: np.ndarray, shape: np.ndarray) -> None:
+        """On the first locators; nothing touches yet."""
+        rows, n = self._rows, len(deviations)
+        self._shape, self._asked = shape, np.zeros((n, len(self._F)))
+        for amplitude, one in zip(deviations.T, self._scene.deviations):
+            if one.kind != "force":
+                self._asked[:, rows.of[one.target]] += amplitude
+        self._gap = rows.gap + shape[:, self._contact[:, 0]]
+        self._load, self._force = np.zeros_like(shape), np.zeros((n, *self._contact.shape))
+        self._apart, self._settled = np.ones(len(rows.zone), bool), False
+        self._hold, self._value = rows.datum, self._target(rows.datum)
+        self._closed = [list(rows.datum)]
+        self._held, self._solving = self._elimination(), None
+        self._y = self._held.read(self._load, self._value)
+        self._place = self._faces(self._y)
 
     def _clamp(self, stage) -> None:
+        """What overlaps comes to rest, once; further locators close together, clamps one by one."""
         scene, of = self._scene, self._rows.of
         if not self._settled:
             clear = self._place.copy()
             clear[:, :, 0] = np.maximum(clear[:, :, 0], 0.0)
             self._go(self._value, self._load, clear)
             self._settled = True
-        groups = [[of[one.name] for one in scene.locators if one.stage == stage.name]]
-        last = None
-        for one in scene.clamps:
-            if one.stage == stage.name:
-                groups[-1:] = (
-                    [groups[-1] + [of[one.name]]] if last and _opposed(last, one) else [groups[-1], [of[one.name]]]
-                )
-                last = one
+        locators = [of[one.name] for one in scene.locators if one.stage == stage.name]
         pushes = {of[one.name]: one.force for one in scene.clamps if one.force is not None}
-        for group in filter(None, groups):
-            hold = [row for row in group if row not in pushes]
-            load = self._load.copy()
-            for row in set(group) & set(pushes):
-                load[:, row] = pushes[row] + self._asked[:, row]
-            self._close(hold, self._y[:, hold], self._target(hold), load)
-            self._closed.append(group)
+        for group in [locators, *self._clamps(stage)]:
+            if group:
+                hold = [row for row in group if row not in pushes]
+                load = self._load.copy()
+                for row in set(group) & set(pushes):
+                    load[:, row] = pushes[row] + self._asked[:, row]
+                self._close(hold, self._y[:, hold], self._target(hold), load)
+                self._closed.append(group)
+
+    def _clamps(self, stage) -> list[list[int]]:
+        """Rows of the clamps that close together."""
+        groups: list[list] = []
+        for one in self._scene.clamps:
+            if one.stage == stage.name:
+                if groups and _opposed(groups[-1][-1], one):
+                    groups[-1].append(one)
+                else:
+                    groups.append([one])
+        return [[self._rows.of[one.name] for one in group] for group in groups]
 
     def _weld(self, stage) -> None:
+        """Nuggets keep what they find, or close their gaps; none of their nodes touches any more."""
         own = [i for i, one in enumerate(self._scene.welds) if one.stage == stage.name]
         fused = np.flatnonzero(np.isin(self._rows.weld, own))
         ties = self._contact[fused]
-        found = self._y[:, ties.ravel()].reshape(-1, *ties.shape)
+        found = self._y[:, ties]
         value = found.copy()
         closes = np.array([self._scene.welds[i].close for i in self._rows.weld[fused]], bool)
         value[:, closes, 0] = -self._gap[:, fused[closes]]
-        flat = (len(value), ties.size)
+        self._apart[fused], self._force[:, fused] = False, 0.0
+        start, end = (each.reshape(len(each), -1) for each in (found, value))
         if closes.any():
-            self._apart[fused], self._force[:, fused] = False, 0.0
-            self._close(ties.ravel(), found.reshape(flat), value.reshape(flat), self._load)
+            self._close(ties.ravel(), start, end, self._load)
         else:
-            self._apart[fused], self._force[:, fused] = False, 0.0
-            self._hold, self._value = np.append(self._hold, ties.ravel()), np.hstack([self._value, found.reshape(flat)])
+            self._hold_also(ties.ravel(), start)
 
     def _release(self, stage) -> None:
+        """What closed last opens first, but what is kept: its forces fade."""
         kept = {self._rows.of[name] for name in stage.keep or ()}
         for group in reversed(self._closed):
             gone = [row for row in group if row not in kept]
             if not gone:
                 continue
-            load, stays = self._load.copy(), ~np.isin(self._hold, gone)
-            reaction = self._ready()[0].reaction(self._pushed(self._load), self._value)
-            load[:, self._hold[~stays]] += reaction[:, ~stays]
-            self._hold, self._value = self._hold[stays], self._value[:, stays]
-            after = load.copy()
+            stays = ~np.isin(self._hold, gone)
+            reaction = self._held.reaction(self._pushed(self._load), self._value)
+            after, self._load = self._load.copy(), self._load.copy()
+            self._load[:, self._hold[~stays]] += reaction[:, ~stays]
             after[:, gone] = 0.0
-            self._load = load
+            self._hold, self._value = self._hold[stays], self._value[:, stays]
+            self._held, self._solving = self._elimination(), None
             self._go(self._value, after)
 
     def _measure(self, stage) -> None:
         """Key characteristics are read of what there is."""
 
+    def _target(self, rows) -> np.ndarray:
+        """(n, rows) displacements that bring rows to their positions."""
+        return (self._stroke + self._asked - self._shape)[:, rows]
+
+    def _hold_also(self, rows, value: np.ndarray) -> None:
+        """Hold further rows where they are, at values (n, rows)."""
+        self._hold = np.append(self._hold, np.asarray(rows, int))
+        self._value = np.hstack([self._value, value])
+        self._held, self._solving = self._elimination(), None
+
     def _close(self, rows, start: np.ndarray, end: np.ndarray, load: np.ndarray) -> None:
         """Hold further rows, which go from start to end (n, rows) while loads grow."""
         before = self._value
-        self._hold = np.append(self._hold, np.asarray(rows, int))
-        self._value = np.hstack([before, start])
+        if len(rows):
+            self._hold_also(rows, start)
         self._go(np.hstack([before, end]), load)
+
+    def _elimination(self) -> _Held:
+        return _Held(self._F, self._rows.spring, self._rows.datum, self._hold)
 
     def _pushed(self, load: np.ndarray) -> np.ndarray:
         """Loads with what the faces press."""
         every = load.copy()
-        every[:, self._contact[self._apart].ravel()] += self._force[:, self._apart].reshape(len(load), -1)
+        every[:, self._contact.ravel()] += self._force.reshape(len(load), -1)
         return every
 
     def _faces(self, y: np.ndarray) -> np.ndarray:
         """(n, m, 3) where the second body's faces stand to the first's."""
-        place = y[:, self._contact.ravel()].reshape(len(y), -1, 3).copy()
+        place = y[:, self._contact]
         place[:, :, 0] += self._gap
         return place
 
-    def _ready(self) -> tuple:
-        """What is held, and the solver of what touches; made anew when either changes."""
-        key = tuple(self._hold), self._apart.sum()
-        if self._prepared[0] != key:
-            held = _Held(self._F, self._rows.spring, self._rows.datum, self._hold)
-            self._prepared = key, held, None
-        return self._prepared[1:]
+    def _by_zone(self, each: np.ndarray, weight) -> np.ndarray:
+        """(n, zones) sums beyond the nuggets."""
+        own = np.eye(len(self._scene.zones))[self._rows.zone]
+        return each @ (own * (weight * self._rows.outside)[:, None])
 
     def _go(self, value: np.ndarray, load: np.ndarray, clear: np.ndarray | None = None) -> None:
-        """To values of the held rows and loads, by increments of which each obeys the law; from `clear` (n, m, 3) in place
-        of where the faces would stand without contact."""
-        held, contact = self._ready()
-        if contact is None:
-            rows = self._contact[self._apart].ravel()
-            contact = self._solver(held.compliance(rows), self._mu[self._apart])
-            self._prepared = *self._prepared[:2], contact
-        b0 = self._faces(held.read(self._load, self._value)) if clear is None else clear
-        b1 = self._faces(held.read(load, value))
+        """To values of the held rows and to loads, by increments each of which obeys the law; from `clear` (n, m, 3) in
+        place of where the faces would stand without contact."""
         own = self._apart
+        if self._solving is None:
+            self._solving = self._solver(self._held.compliance(self._contact[own].ravel()), self._mu[own])
+        b0 = self._faces(self._held.read(self._load, self._value)) if clear is None else clear
+        b1 = self._faces(self._held.read(load, value))
         force, place = self._force[:, own], self._place[:, own]
         for s in np.arange(1, self._increments + 1) / self._increments:
             b = (b0 + s * (b1 - b0))[:, own]
             b[:, :, 1:] -= place[:, :, 1:]
-            solution = contact.solve(b.reshape(len(b), -1), force.reshape(len(b), -1))
+            solution = self._solving.solve(b.reshape(len(b), -1), force.reshape(len(b), -1))
             if not solution.converged.all():
                 raise ValueError("a contact problem of the solids was not solved")
             force, moved = (each.reshape(b.shape) for each in (solution.force, solution.displacement))
@@ -464,7 +480,7 @@ class _Process:
             place = moved
         self._force[:, own] = force
         self._value, self._load, self._moved = value, load, True
-        self._y = held.read(self._pushed(load), value)
+        self._y = self._held.read(self._pushed(load), value)
         self._place = self._faces(self._y)
 
 

@@ -2,13 +2,14 @@
 
 A node of the middle surface carries a column of nodes through the thickness, along its director d: the shortest vector
 with n · d = 1 for the normals n of all elements at the node, so that elements on either side of a fold keep their
-thickness and meet in its mitre. CalculiX gives the stiffness matrix; what else is read of a sheet are nodes' displacements,
-averaged over discs.
+thickness and meet in its mitre. CalculiX gives the stiffness matrix; what else is read of a sheet are displacements of
+nodes, averaged over discs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix
@@ -41,12 +42,13 @@ class Sheet:
     ----------
     nodes : (n (layers + 1), 3) array
         mm; node i of layer j has the number j n + i. Layers follow the normal.
-    K : (d, d) csc_matrix
-        N/mm, of nodes and of elements' own freedoms.
+    normals : (k, 3) array
+        Of the quadrilaterals.
 
     Raises
     ------
     CalculixError
+        When K is asked for.
     """
 
     def __init__(self, points, quads, thickness: float, young: float, poisson: float, layers: int = 2):
@@ -57,12 +59,22 @@ class Sheet:
         self.nodes = (self.points + heights[:, None, None] * _directors(self.quads, self.normals, len(points))).reshape(
             -1, 3
         )
-        self.K, freedom = self._stiffness(self.nodes)
-        self._column = np.full((len(self.nodes), 3), -1)
+
+    @cached_property
+    def K(self) -> csc_matrix:
+        """(d, d) stiffness, N/mm, of nodes and of elements' own freedoms; ccx is called when it is first asked for."""
+        return self._nominal[0]
+
+    @cached_property
+    def _nominal(self) -> tuple[csc_matrix, np.ndarray]:
+        """K and the column (m, 3) of each freedom of the nodes."""
+        K, freedom = self._stiffness(self.nodes)
+        column = np.full((len(self.nodes), 3), -1)
         at_node = freedom[:, 0] <= len(self.nodes)
-        self._column[freedom[at_node, 0] - 1, freedom[at_node, 1]] = np.flatnonzero(at_node)
-        if (self._column < 0).any():
+        column[freedom[at_node, 0] - 1, freedom[at_node, 1]] = np.flatnonzero(at_node)
+        if (column < 0).any():
             raise CalculixError("ccx gave no stiffness for some nodes")
+        return K, column
 
     def _stiffness(self, nodes: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
         """K and whose its freedoms are, with these nodes (m, 3)."""
@@ -79,7 +91,7 @@ class Sheet:
 
     def deviated(self, shape: np.ndarray) -> csc_matrix:
         """(d, d) K of the sheet whose nodes lie where a shape (d,) has moved them, mm; freedoms as before."""
-        return self._stiffness(self.nodes + shape[self._column])[0]
+        return self._stiffness(self.nodes + shape[self._nominal[1]])[0]
 
     @property
     def middle(self) -> int:
@@ -115,10 +127,10 @@ class Sheet:
         return self.nodes[layer * len(self.points) + np.arange(len(self.points))]
 
     def rows(self, layer: int, weights, direction) -> csr_matrix:
-        """(r, d) weighted sums (r, n) of what a layer's nodes move along a direction (3,), or (r, 3) one for each row."""
+        """(r, d) weighted sums (r, n) of what a layer moves along a direction (3,), or each along its own (r, 3)."""
         weights = csr_matrix(weights).tocoo()
         direction = np.broadcast_to(np.asarray(direction, float), (weights.shape[0], 3))
-        columns = self._column[layer * len(self.points) + weights.col]
+        columns = self._nominal[1][layer * len(self.points) + weights.col]
         shape = weights.shape[0], self.K.shape[0]
         values = [weights.data * direction[weights.row, axis] for axis in range(3)]
         return csr_matrix(sum(csr_matrix((v, (weights.row, columns[:, a])), shape) for a, v in enumerate(values)))
@@ -142,22 +154,24 @@ class Sheet:
 
     def cells(self, layer: int) -> np.ndarray:
         """(n,) areas of the cells about the nodes of a layer, mm²."""
-        grid, area = self._crossings(layer, np.arange(len(self.quads)))[1:]
+        grid, area = self._crossings(layer, np.arange(len(self.quads)), 2)[1:]
         return np.bincount(self.quads.ravel(), (area @ _nearest(grid)).ravel(), len(self.points))
 
-    def _crossings(self, layer: int, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _crossings(
+        self, layer: int, quads: np.ndarray, lines: int = LINES
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points (q, s, 3) of elements' faces, the weights (s, 4) of corners that give them, and areas (q, s)."""
-        middle = (np.arange(LINES) + 0.5) / LINES
+        middle = (np.arange(lines) + 0.5) / lines
         x, y = (each.ravel() for each in np.meshgrid(middle, middle, indexing="ij"))
         grid = np.stack([(1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y], -1)
         corner = self.at(layer)[self.quads[quads]]
         along = np.einsum("si,qid->qsd", np.stack([y - 1, 1 - y, y, -y], -1), corner)
         across = np.einsum("si,qid->qsd", np.stack([x - 1, -x, x, 1 - x], -1), corner)
-        area = np.linalg.norm(np.cross(along, across), axis=2) / LINES**2
+        area = np.linalg.norm(np.cross(along, across), axis=2) / lines**2
         return np.einsum("si,qid->qsd", grid, corner), grid, area
 
     def _disc(self, layer: int, point, radius: float) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) areas of a disc, as corners' weights share them out, and as they lie in the cells about the nodes, mm²."""
+        """(n,) areas of a disc, as corners' weights share them out, and as they lie in cells about the nodes, mm²."""
         point, corner = np.asarray(point, float), self.at(layer)[self.quads]
         size = np.linalg.norm(corner - corner.mean(axis=1, keepdims=True), axis=2).max(axis=1)
         near = np.flatnonzero(np.linalg.norm(corner.mean(axis=1) - point, axis=1) < radius + self.thickness + size)
@@ -171,7 +185,7 @@ class Sheet:
 
 
 def _below(corner: np.ndarray, normal: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each place (r, 3) above an element (r, 4, 3): the weights (r, 4) of the corners below it, and its height (r,)."""
+    """Of each place (r, 3) above an element (r, 4, 3): weights (r, 4) of the corners below it, and its height (r,)."""
     x = y = np.full(len(place), 0.5)
     for _ in range(STEPS):
         grid = np.stack([(1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y], -1)

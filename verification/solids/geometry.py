@@ -10,6 +10,9 @@ from mic.scene import Scene
 __all__ = ["hat_on_plate", "lap_joint"]
 
 ABOUT = 1.6  # radii of a nugget: so far about its middle elements are fine
+#: Thicknesses: so near to a fold stands the first line. Elements that a mitre cuts askew hardly bend; as long as those
+#: elsewhere, they would stiffen the section by their length.
+FOLD = 0.6
 
 
 def lap_joint(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
@@ -32,8 +35,8 @@ def lap_joint(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
 
 
 def hat_on_plate(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
-    """A plate of 160 by 120 mm; on it a hat: flanges of 20 mm, webs that are 30 mm high and lean inwards by 5, a top of
-    40 mm. The lower face of a flange ends where the fold's mitre meets it; there the plate has a line, too.
+    """A plate of 160 by 120 mm, and on it a hat: flanges of 20 mm, webs that are 30 mm high and lean inwards by 5, a
+    top of 40 mm. The lower face of a flange ends where the fold's mitre meets it; there the plate has a line, too.
 
     Parameters
     ----------
@@ -43,16 +46,16 @@ def hat_on_plate(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
     """
     plate, hat = scene.parts
     x = graded([0.0, 160.0], _about(scene, 0), fine, coarse)
-    flange = graded([25.0, 45.0], [one for one in _about(scene, 1) if one[0] > 0], fine, coarse)
-    web = np.array([-30.0, 5.0]) / np.hypot(30.0, 5.0)  # its normal on the right, (z, y) of its direction downwards
-    fold = 25.0 - hat.thickness / 2 * -web[0] / (1 + web[1])
-    below = np.append(fold, flange[1:])
-    half = np.concatenate(
-        [graded([0.0, fold], [], fine, coarse), below[1:], graded([45.0, 60.0], [], fine, coarse)[1:]]
-    )
+    beside = FOLD * hat.thickness
+    flange = graded([25.0, 25.0 + beside, 45.0], [one for one in _about(scene, 1) if one[0] > 0], fine, coarse)
+    web = np.array([-30.0, 5.0]) / np.hypot(30.0, 5.0)  # its direction downwards on the right, (z, y)
+    fold = 25.0 + hat.thickness / 2 * web[0] / (1 + web[1])
+    edge = graded([45.0, 60.0], [], fine, coarse)[1:]
+    half = np.concatenate([graded([0.0, fold], [], fine, coarse), flange[1:], edge])
     flat = np.concatenate([-half[:0:-1], half])
-    down = np.linspace(0, 1, int(np.ceil(np.hypot(30, 5) / coarse)) + 1)
-    top = graded([0.0, 20.0], [], fine, coarse)
+    long = np.hypot(30.0, 5.0)
+    down = graded([0.0, beside, long - beside, long], [], fine, coarse) / long
+    top = graded([0.0, 20.0 - beside, 20.0], [], fine, coarse)
     right = np.vstack(
         [
             np.column_stack([top, np.full_like(top, 31.0)]),

@@ -24,7 +24,10 @@ from verification.study import Acceptance, Finding, Study
 
 SEED, DRAWN, BEYOND = 9, 2, 3.0  # not that of the scenes; samples beside the means; radii of a nugget
 LEAST = 2e-3  # mm: what coordinate measuring machines tell apart
-CARRIES = 0.1  # of the clamps' force: a zone that carries less in a stage is told, not judged
+#: Of the clamps' force, and of the largest slip of any stage: a zone that carries less in a stage, or slips less, is
+#: told, not judged.
+CARRIES = 0.1
+SMALLEST = 1e-12  # N, mm
 
 
 @dataclass(frozen=True)
@@ -68,27 +71,30 @@ class Case:
         solver = partial(ContactSolver, semidefinite=True)
         return process(scene, self.sheets(scene, *mesh), samples, solver, increments, BEYOND)
 
-    def judged(self, scene: Scene, solid: Outcome) -> np.ndarray:
-        """(n, stages, zones) which forces and slips are judged."""
+    def judged(self, scene: Scene, solid: Outcome, name: str) -> np.ndarray:
+        """(n, stages, zones) which forces or slips are judged."""
         if self.largest:
             return np.ones(solid.force.shape, bool)
-        return solid.force > CARRIES * sum(one.force or 0.0 for one in scene.clamps)
+        carries = solid.force > CARRIES * sum(one.force or 0.0 for one in scene.clamps)
+        return carries & (name == "force" or solid.slip > CARRIES * solid.slip.max(axis=1, keepdims=True))
+
+    def off(self, mine: Outcome, solid: Outcome, name: str) -> np.ndarray:
+        """(n, stages, zones) relative differences of forces or slips."""
+        truth = getattr(solid, name)
+        scale = truth.max(axis=1, keepdims=True) if self.largest else np.maximum(truth, SMALLEST)
+        return abs(getattr(mine, name) - truth) / scale
 
     def errors(self, scene: Scene, mine: Outcome, solid: Outcome) -> dict[str, float]:
         """Largest relative differences of forces and slips, sample by sample; of key characteristics over what can be
         borne."""
-        own = self.judged(scene, solid)
-        found = {}
-        for name in ("force", "slip"):
-            truth = getattr(solid, name)
-            scale = truth.max(axis=1, keepdims=True) if self.largest else truth
-            found[name] = float((abs(getattr(mine, name) - truth) / scale)[own].max())
         allowed = np.maximum(self.share * abs(solid.measurements), LEAST)
-        return found | {"key-characteristic": float((abs(mine.measurements - solid.measurements) / allowed).max())}
+        found = {one: self.off(mine, solid, one)[self.judged(scene, solid, one)].max() for one in ("force", "slip")}
+        found["key-characteristic"] = (abs(mine.measurements - solid.measurements) / allowed).max()
+        return {name: float(value) for name, value in found.items()}
 
 
 LAP = Case("lap_joint", "fine", geometry.lap_joint, ((2.0, 5.0), (1.0, 3.5), (2 / 3, 2.5)), 0.05, True)
-HAT = Case("hat_on_plate", "medium", geometry.hat_on_plate, ((2.5, 8.0), (5 / 3, 5.0), (1.25, 4.0)), 0.1, False)
+HAT = Case("hat_on_plate", "medium", geometry.hat_on_plate, ((2.0, 8.0), (8 / 7, 5.0), (1.0, 4.0)), 0.1, False)
 
 
 def ours(scene: Scene, samples: np.ndarray, cache, alter: Callable = lambda model: model) -> Outcome:
@@ -133,21 +139,13 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
         title=title,
     )
     axis.legend()
-    judged = case.judged(scene, last)
-    alone = [f"{name} {100 * _alone(mine, last, ~judged, name):.2g} %" for name in ("force", "slip")]
-    if case.largest:
-        alone = [
-            f"force after the release alone {100 * (abs(mine.force - last.force) / last.force)[:, -1].max():.2g} %"
-        ]
-    left = "" if case.largest and not alone else f"Not judged: {', '.join(alone)}. "
     note = (
-        f"{title.capitalize()}. {left}From the last mesh but one to the last the solids' forces change by "
-        f"{100 * own['force']:.2g} %, their slips by {100 * own['slip']:.2g} %, their key characteristics by "
+        f"{title.capitalize()}. {_told(case, scene, mine, last)} From the last mesh but one to the last solids change: "
+        f"forces by {100 * own['force']:.2g} %, slips by {100 * own['slip']:.2g} %, key characteristics by "
         f"{own['key-characteristic']:.2g} of what can be borne."
     )
-    table = _table(
-        scene, [*zip((f"{fine:.3g} and {coarse:g} mm" for fine, coarse in meshes), solids), ("production", mine)]
-    )
+    names = [f"{fine:.3g} and {coarse:g} mm" for fine, coarse in meshes]
+    table = _table(scene, [*zip(names, solids), ("production", mine)])
     findings = [
         Finding(f"{prefix}force", found[-1]["force"], note, figure, table),
         Finding(f"{prefix}slip", found[-1]["slip"]),
@@ -160,9 +158,22 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
     return [*findings, Finding(f"{prefix}settled", settled)]
 
 
-def _alone(mine: Outcome, solid: Outcome, which: np.ndarray, name: str) -> float:
-    truth = getattr(solid, name)
-    return float((abs(getattr(mine, name) - truth) / np.maximum(truth, 1e-12))[which].max(initial=0.0))
+def _told(case: Case, scene: Scene, mine: Outcome, solid: Outcome) -> str:
+    """What is not judged, in words."""
+    if case.largest:
+        alone = (abs(mine.force - solid.force) / solid.force)[:, -1].max()
+        return f"Of {mine.force[0, -1].sum():.3g} N that are left after the release alone {100 * alone:.2g} % differ."
+    words = []
+    for j, stage in enumerate(solid.stages):
+        for z, zone in enumerate(scene.zones):
+            for name, unit, scale in (("force", "N", 1.0), ("slip", "µm", 1e3)):
+                rest = ~case.judged(scene, solid, name)[:, j, z]
+                if rest.any():
+                    of, most = getattr(solid, name)[rest, j, z].max(), abs(getattr(mine, name) - getattr(solid, name))
+                    words.append(
+                        f"{name}, {stage}, {zone.name}: {scale * most[rest, j, z].max():.2g} of {scale * of:.2g} {unit}"
+                    )
+    return f"Not judged, largest differences: {'; '.join(words)}."
 
 
 def _table(scene: Scene, outcomes: list[tuple[str, Outcome]]) -> pd.DataFrame:
@@ -184,9 +195,9 @@ STUDY = Study(
     title="The whole process in another code",
     claim="Solids of another code, taken through the whole process, come to forces, slips and shapes of production.",
     reference=(
-        "The lap joint and the hat on the plate of CalculiX's C3D8I, two through each thickness, every node of the faces "
-        "touching what it lies before, pads as discs, nuggets as one piece, friction in eight increments a step; on "
-        "three meshes each."
+        "The lap joint and the hat on the plate of CalculiX's C3D8I, two through each thickness, every node of the "
+        "faces touching what it lies before, pads as discs, nuggets as one piece, friction in eight increments a step; "
+        "on three meshes each."
     ),
     acceptance=(
         Acceptance(
@@ -213,25 +224,29 @@ STUDY = Study(
         ),
         Acceptance(
             "nearing",
-            "Lap joint: by this factor the difference of key characteristics falls from the last mesh but one to the last.",
+            "Lap joint: by this factor the difference of key characteristics falls from the last mesh but one to the "
+            "last.",
             1.0,
             bound="at least",
             reason="A reference that goes away from what it judges as it is refined has not converged to it.",
         ),
         Acceptance(
             "hat-force",
-            "Hat: sum of a zone's normal forces beyond three radii of the nuggets, in every stage in which it carries more "
-            "than a tenth of the clamps' force, sample by sample.",
+            "Hat: sum of a zone's normal forces beyond three radii of the nuggets, in every stage in which it carries "
+            "more than a tenth of the clamps' force, sample by sample.",
             0.05,
             quick=0.1,
             reason="Less than what 500 samples leave unsure of a 6σ, 6.2 %: a user does not see it.",
         ),
         Acceptance(
             "hat-slip",
-            "Hat: root mean square of what a zone's faces move along each other, in the same stages.",
+            "Hat: root mean square of what a zone's faces move along each other, in those of these stages in which it "
+            "is more than a tenth of the largest.",
             0.08,
             quick=0.16,
-            reason="What 150 samples leave unsure of a standard deviation, 1/√(2·150) = 6 %, and as much of a mean beside.",
+            reason=(
+                "A tenth is what the error budget grants in all; a fifth of that is left to the error of the solids."
+            ),
         ),
         Acceptance(
             "hat-key-characteristic",
