@@ -71,6 +71,7 @@ def process(
     increments: int = 8,
     beyond: float = 3.0,
     deviated: bool = False,
+    flush: bool = False,
 ) -> Outcome:
     """The whole process of a scene at deviations (n, p), in the scene's order.
 
@@ -90,6 +91,9 @@ def process(
         Radii of a nugget nearer to which forces and slip are not read: sums of nodal forces do not settle there.
     deviated : bool
         Whether sheets have the stiffness of their deviated shape in place of the nominal one.
+    flush : bool
+        Whether a weld that closes its gap closes it at every node of the nugget; else its mean, as `docs/model.md` has
+        it: how far one side of the nugget stands open, the other overlaps, stays as it was found.
 
     Raises
     ------
@@ -105,14 +109,14 @@ def process(
     shaping = deviations @ [rows.shape(F, one.name) if one.kind == "force" else nothing for one in scene.deviations]
     shape = shaping @ F
     if not deviated:
-        return _Process(rows, F, solver, increments).run(deviations, shape)
+        return _Process(rows, F, solver, increments, flush).run(deviations, shape)
     found = []
     for k, forces in enumerate(shaping):
         K = [
             sheet.deviated(factor.solve((own.T @ forces)[:, None])[:, 0])
             for sheet, factor, own in zip(sheets, factors, rows.parts)
         ]
-        one = _Process(rows, rows.flexibility(K)[0], solver, increments).run(deviations[[k]], shape[[k]])
+        one = _Process(rows, rows.flexibility(K)[0], solver, increments, flush).run(deviations[[k]], shape[[k]])
         found.append(one)
     every = (np.concatenate([getattr(one, key) for one in found]) for key in ("measurements", "force", "slip"))
     return Outcome(found[0].stages, *every, found[0].contacts)
@@ -316,9 +320,9 @@ class _Held:
 class _Process:
     """The stages, one after the other, at n deviations together."""
 
-    def __init__(self, rows: _Rows, F: np.ndarray, solver: Callable, increments: int):
+    def __init__(self, rows: _Rows, F: np.ndarray, solver: Callable, increments: int, flush: bool):
         self._rows, self._scene, self._F = rows, rows.scene, F
-        self._solver, self._increments = solver, increments
+        self._solver, self._increments, self._flush = solver, increments, flush
         self._mu = np.array([zone.friction for zone in self._scene.zones])[rows.zone]
         self._contact = np.arange(3 * len(rows.zone)).reshape(-1, 3)
         self._stroke = np.zeros(len(F))
@@ -395,11 +399,14 @@ class _Process:
         ties = self._contact[fused]
         found = self._y[:, ties]
         value = found.copy()
-        closes = np.array([self._scene.welds[i].close for i in self._rows.weld[fused]], bool)
-        value[:, closes, 0] = -self._gap[:, fused[closes]]
+        closing = [i for i in own if self._scene.welds[i].close]
+        for i in closing:
+            at = self._rows.weld[fused] == i
+            gap, area = found[:, at, 0] + self._gap[:, fused[at]], self._rows.area[fused[at]]
+            value[:, at, 0] -= gap if self._flush else (gap @ area / area.sum())[:, None]
         self._apart[fused], self._force[:, fused] = False, 0.0
         start, end = (each.reshape(len(each), -1) for each in (found, value))
-        if closes.any():
+        if closing:
             self._close(ties.ravel(), start, end, self._load)
         else:
             self._hold_also(ties.ravel(), start)
@@ -463,25 +470,67 @@ class _Process:
     def _go(self, value: np.ndarray, load: np.ndarray, clear: np.ndarray | None = None) -> None:
         """To values of the held rows and to loads, by increments each of which obeys the law; from `clear` (n, m, 3) in
         place of where the faces would stand without contact."""
-        own = self._apart
-        if self._solving is None:
-            self._solving = self._solver(self._held.compliance(self._contact[own].ravel()), self._mu[own])
         b0 = self._faces(self._held.read(self._load, self._value)) if clear is None else clear
         b1 = self._faces(self._held.read(load, value))
+        if self._solving is None:
+            own = self._contact[self._apart].ravel()
+            self._solving = _Touching(self._held.compliance(own), self._mu[self._apart], self._solver)
+        own = self._apart
         force, place = self._force[:, own], self._place[:, own]
         for s in np.arange(1, self._increments + 1) / self._increments:
             b = (b0 + s * (b1 - b0))[:, own]
             b[:, :, 1:] -= place[:, :, 1:]
-            solution = self._solving.solve(b.reshape(len(b), -1), force.reshape(len(b), -1))
-            if not solution.converged.all():
-                raise ValueError("a contact problem of the solids was not solved")
-            force, moved = (each.reshape(b.shape) for each in (solution.force, solution.displacement))
+            force, moved = self._solving.solve(b, force)
             moved[:, :, 1:] += place[:, :, 1:]
             place = moved
         self._force[:, own] = force
         self._value, self._load, self._moved = value, load, True
         self._y = self._held.read(self._pushed(load), value)
         self._place = self._faces(self._y)
+
+
+class _Touching:
+    """Contact problems ``u = S f + b``, of which those contacts are solved for that would penetrate without force.
+
+    Parameters
+    ----------
+    S : (3 m, 3 m) array
+    mu : (m,) array
+    solver : callable
+        As :func:`process` has it.
+    """
+
+    def __init__(self, S: np.ndarray, mu: np.ndarray, solver: Callable):
+        self._S, self._mu, self._new = S, mu, solver
+        self._among = np.zeros(len(mu), bool)
+
+    def solve(self, b: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces and displacements (n, m, 3).
+
+        Raises
+        ------
+        ValueError
+            If one was not solved.
+        """
+        n, force, moved = len(b), np.zeros_like(b), b.copy()
+        missed = ((guess[:, :, 0] > 0).any(axis=0) if guess.any() else (b[:, :, 0] < 0).any(axis=0)) & ~self._among
+        while missed.any() or self._among.any():
+            if missed.any():
+                self._among |= missed
+                rows = np.repeat(self._among, 3)
+                self._solver = self._new(self._S[np.ix_(rows, rows)], self._mu[self._among])
+                self._beside = self._S[np.ix_(rows, ~rows)]
+            own = self._among
+            solution = self._solver.solve(b[:, own].reshape(n, -1), guess[:, own].reshape(n, -1))
+            if not solution.converged.all():
+                raise ValueError("a contact problem of the solids was not solved")
+            force[:, own] = solution.force.reshape(n, -1, 3)
+            moved[:, own] = solution.displacement.reshape(n, -1, 3)
+            moved[:, ~own] = b[:, ~own] + (solution.force @ self._beside).reshape(n, -1, 3)
+            missed = (moved[:, :, 0] < 0).any(axis=0) & ~own
+            if not missed.any():
+                break
+        return force, moved
 
 
 def _opposed(one, other) -> bool:
