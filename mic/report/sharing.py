@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from mic.product import one_thread
 from mic.sampling.ranks import LaunchError, communicator
 
-__all__ = ["side_by_side"]
+__all__ = ["second_core", "side_by_side"]
 
 T = TypeVar("T")
 PATIENCE = 120.0  # s; what the other process has not handed in by then is done here
@@ -31,7 +31,7 @@ def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
     tasks : sequence of callable
         What they return can be pickled.
     """
-    if len(tasks) < 2 or not _second_core():
+    if len(tasks) < 2 or not second_core():
         return [task() for task in tasks]
     numbers = _Numbers(len(tasks))
     context = get_context("fork")
@@ -74,7 +74,7 @@ class _Numbers:
         os.close(self._write)
 
 
-def _second_core() -> bool:
+def second_core() -> bool:
     """Whether a copy may run beside this process: several processes have their cores already."""
     if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
         return False
