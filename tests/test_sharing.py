@@ -13,9 +13,9 @@ from mic.report.sharing import side_by_side
 
 
 @pytest.fixture(autouse=True)
-def second_core(monkeypatch):
+def two_cores(monkeypatch):
     """As on a machine of two cores: the copy is made, whatever this one has."""
-    monkeypatch.setattr(sharing, "_second_core", lambda: True)
+    monkeypatch.setattr(sharing, "second_core", lambda: True)
 
 
 def done(number, seconds=0.02):
@@ -32,7 +32,7 @@ def test_results_come_in_order_and_two_processes_did_them():
 
 
 def test_without_a_second_core_no_copy_is_made(monkeypatch):
-    monkeypatch.setattr(sharing, "_second_core", lambda: False)
+    monkeypatch.setattr(sharing, "second_core", lambda: False)
     assert {who for _, who in side_by_side([partial(done, number) for number in range(4)])} == {os.getpid()}
 
 

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from mic.product import one_thread
 from mic.sampling.ranks import LaunchError, communicator
 
-__all__ = ["side_by_side"]
+__all__ = ["second_core", "side_by_side"]
 
 T = TypeVar("T")
 PATIENCE = 120.0  # s; what the other process has not handed in by then is done here
@@ -35,7 +35,7 @@ def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
     tasks : sequence of callable
         What they return can be pickled.
     """
-    if len(tasks) < 2 or not _second_core():
+    if len(tasks) < 2 or not second_core():
         return [task() for task in tasks]
     others, waiting = set(active_children()), deque(range(len(tasks)))
     copy = ProcessPoolExecutor(1, get_context("fork"), _begin, (tasks,))
@@ -69,7 +69,7 @@ def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
             process.join()
 
 
-def _second_core() -> bool:
+def second_core() -> bool:
     """Whether a copy may run beside this process: several processes have their cores already."""
     if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
         return False
