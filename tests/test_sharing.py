@@ -2,9 +2,12 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 from multiprocessing import active_children
+from pathlib import Path
 
 import pytest
 
@@ -76,3 +79,34 @@ def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
         side_by_side([partial(interrupted, number, os.getpid()) for number in range(50)])
     assert capfd.readouterr().err == ""
     assert not active_children()
+
+
+KILLED = """
+import os, time
+from mic.report import sharing
+sharing._second_core = lambda: True
+def task():
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+sharing.side_by_side([task, task])
+"""
+
+
+def test_a_copy_ends_with_a_process_that_is_killed():
+    with subprocess.Popen([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as process:
+        pids = {int(process.stdout.readline()) for _ in range(2)}
+        process.kill()
+    assert process.pid in pids and len(pids) == 2
+    (copy,) = pids - {process.pid}
+    until = time.monotonic() + 20
+    while _runs(copy) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not _runs(copy)
+
+
+def _runs(pid):
+    """Whether a process runs: one that nobody has waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ __all__ = ["second_core", "side_by_side"]
 
 T = TypeVar("T")
 PATIENCE = 120.0  # s; what the other process has not handed in by then is done here
+PR_SET_PDEATHSIG = 1  # of Linux' prctl.h
 
 _tasks: Sequence[Callable[[], Any]] = ()  # in the copy
 
@@ -80,9 +82,11 @@ def second_core() -> bool:
 
 
 def _begin(tasks: Sequence[Callable[[], Any]]) -> None:
-    """In the copy, which the other process ends: it hears every interrupt as well."""
+    """In the copy, which the other process ends: it hears every interrupt as well. Killed, that one cannot; then the
+    kernel does."""
     global _tasks
     _tasks = tasks
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
