@@ -146,7 +146,7 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
         title=title,
     )
     axis.set_xticks([fine for fine, _ in meshes], [f"{fine:.3g}" for fine, _ in meshes])
-    axis.minorticks_off()
+    axis.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
     axis.legend()
     note = (
         f"{title.capitalize()}. {_told(case, scene, mine, last)} From the last mesh but one to the last solids change: "
