@@ -471,6 +471,17 @@ class Equilibrium:
         NoConvergence
             After `MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
+        if self._condensable and self._iterations * FACTORISED >= self.m * self.d:
+            try:
+                return self._iterate(start, p, v, law, self._condensed_step)
+            except (
+                NoConvergence
+            ):  # iterates that wander are led astray by rounding: the whole system's go their own way
+                pass
+        return self._iterate(start, p, v, law, self._whole_step)
+
+    def _iterate(self, start, p, v, law, steps):
+        """Newton's iterations by one kind of steps, and the whole system's where these are stopped by rounding."""
         N, b = self.N, self.b
         x = start.stacked
         δ = self._contact(x)
@@ -479,8 +490,7 @@ class Equilibrium:
         for iteration in range(MAX_ITERATIONS):
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
             F = self._residual(x, p, v, contact)
-            pays = self._condensable and self._iterations * FACTORISED >= self.m * self.d
-            step = self._condensed_step if pays and not _stalled(history) else self._whole_step
+            step = self._whole_step if _stalled(history) else steps
             dx = step(x, F, p, v, by_δ, by_f)
             α = self._step_length(x, dx, F, law, state, iteration)
             x = x + α * dx
