@@ -69,6 +69,15 @@ def test_what_fails_in_the_copy_alone_is_done_here_and_what_fails_is_raised(capf
     assert capfd.readouterr().err == ""
 
 
+@pytest.fixture
+def interruptible():
+    """SIGINT raises, whatever started the tests, or ran in this process before, has made of it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
     def interrupted(number, own):
         if os.getpid() != own or number > 1:
