@@ -474,9 +474,7 @@ class Equilibrium:
         if self._condensable and self._iterations * FACTORISED >= self.m * self.d:
             try:
                 return self._iterate(start, p, v, law, self._condensed_step)
-            except (
-                NoConvergence
-            ):  # iterates that wander are led astray by rounding: the whole system's go their own way
+            except NoConvergence:  # led astray by rounding: iterates of the whole system go their own way
                 pass
         return self._iterate(start, p, v, law, self._whole_step)
 

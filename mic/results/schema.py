@@ -148,9 +148,8 @@ class Table:
             Naming the first column that is missing, unknown, out of order, or of another type.
         """
         found = list(frame.columns)
-        dtypes = dict(
-            zip(found, frame.dtypes)
-        )  # together: taking columns out one by one takes as long as to write them
+        # Together: taking columns out one by one takes as long as to write them.
+        dtypes = dict(zip(found, frame.dtypes))
         for column in self.columns:
             if column.name not in dtypes:
                 if column.optional:

@@ -230,20 +230,8 @@ class NativeSolver:
             )
 
         self._each(chunk, n)
-        return Leg(
-            force=Y * D,
-            b=Q / D,
-            anchor=L.reshape(n, m, 2) * unit[:, None],
-            slip=slip * unit[:, None],
-            length=length * unit,
-            work=work,
-            share=share,
-            error=estimate,
-            steps=counts[:, follower.STEPS].copy(),
-            factorisations=counts[:, follower.FACTORISATIONS].copy(),
-            given_up=counts[:, follower.FAILED] > 0,
-            trail=self._trails(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None,
-        )
+        trail = self._trails(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None
+        return self._leg(Y, Q, L, slip, length, work, share, counts, estimate, trail)
 
     def step(self, b0, b1, force, anchor, own: np.ndarray, guess: np.ndarray) -> Leg:
         """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
@@ -272,6 +260,12 @@ class NativeSolver:
 
         self._each(chunk, n)
         _, _, L, Y = given
+        return self._leg(Y, Q, L, slip, length, work, share, counts, np.full(n, np.nan))
+
+    def _leg(self, Y, Q, L, slip, length, work, share, counts, error, trail=None) -> Leg:
+        """What the follower tells in scaled quantities, in mm and N."""
+        D, (n, m) = self.scaling, length.shape
+        unit = 1.0 / D.reshape(m, 3)[:, 1]
         return Leg(
             force=Y * D,
             b=Q / D,
@@ -280,10 +274,11 @@ class NativeSolver:
             length=length * unit,
             work=work,
             share=share,
-            error=np.full(n, np.nan),
+            error=error,
             steps=counts[:, follower.STEPS].copy(),
             factorisations=counts[:, follower.FACTORISATIONS].copy(),
             given_up=counts[:, follower.FAILED] > 0,
+            trail=trail,
         )
 
     def _trails(self, order, steps, passed, force) -> np.ndarray:
