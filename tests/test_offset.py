@@ -15,6 +15,7 @@ from mic.geometry.script import load_script
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
+from mic.model.overlap import mean_gaps
 from mic.options import app
 from mic.scene.part import Part
 
@@ -31,13 +32,14 @@ def deck(path, points, triangles, section=""):
 
 
 def lap(folder, drawn=(0.5, 0.5), sections=("", ""), turned=(False, False), parts=({}, {}), **zone):
-    """The lap joint of two decks, their surfaces drawn at these heights; the sheets touch at z = 0.5."""
+    """The lap joint of two decks, their surfaces drawn at these heights, or functions of the points; the sheets touch
+    at z = 0.5."""
     scene = mic.load_scene(MESHES / "lap_joint")
     script = load_script(MESHES / "lap_joint" / "geometry.py")
     own = []
     for part, z, section, turn, keys in zip(scene.parts, drawn, sections, turned, parts):
         points, triangles, _ = script.build(part.name, 5.0)
-        points[:, 2] = z
+        points[:, 2] = z(points) if callable(z) else z
         deck(folder / f"{part.name}.inp", points, triangles[:, ::-1] if turn else triangles, section)
         own.append(Part(name=part.name, mesh=f"{part.name}.inp", **({"thickness": 1.0} | keys)))
     zones = [one.model_copy(update={"pairs": 24} | zone) for one in scene.zones]
@@ -149,10 +151,10 @@ def test_the_offsets_that_are_proposed_are_those_that_help(tmp_path, cache):
 def test_a_zone_may_state_its_gap_in_place_of_the_drawn_one(tmp_path, cache):
     for drawn, stated in (((0.0, 1.3), 0.0), ((0.0, 0.8), 0.05)):
         found = assemble(lap(tmp_path, drawn, gap=stated), cache)
-        assert (found.contacts.gap == stated).all() and (found.weld_gap == stated).all()
+        assert (found.contacts.gap == stated).all() and (mean_gaps(found) == stated).all()
         assert not found.contacts.overlap.any() and not found.contacts.overlapping.any()
     found = assemble(lap(tmp_path, (0.0, 1.3)), cache)
-    assert found.contacts.gap == pytest.approx(0.3) and found.weld_gap == pytest.approx(0.3)
+    assert found.contacts.gap == pytest.approx(0.3) and mean_gaps(found) == pytest.approx(0.3)
 
 
 def test_the_scene_wins_over_the_deck_and_what_nobody_tells_is_asked_for(tmp_path, cache):
@@ -211,3 +213,24 @@ def test_check_tells_where_values_come_from_and_what_was_mended(tmp_path, cache,
     assert "upper: t = 1 mm (scene; upper.inp tells 0.7), offset = 0.5 t (upper.inp)" in told
     assert "lower: moved 0.35 mm off the mesh, on the whole towards (" in told
     assert "upper: upper.inp: passed over, no sheet: 1 MASS" in told and "valid" in told
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_weld_over_a_wedge_reads_how_its_gap_tilts(tmp_path, cache, fused):
+    """g = 0.3 + α x + β y over a disc of radius R: moments α R / 4, β R / 4; rotations (β, −α)."""
+    α, β = 2e-3, -3e-3
+
+    def wedge(points):
+        return 1.3 + α * (points[:, 0] - 88) + β * (points[:, 1] - 6)
+
+    scene = lap(tmp_path, (0.0, wedge))
+    welds = [scene.welds[0].model_copy(update={"fused": fused, "close": True}), *scene.welds[1:]]
+    scene = scene.model_copy(update={"welds": welds})
+    found, R = assemble(scene, cache), welds[0].radius
+    one, other = found.weld_gap[: found.weld_size[0]], mean_gaps(found)[1]
+    assert one[0] == pytest.approx(0.3, abs=1e-4) and other == pytest.approx(0.3 + 13 * β, abs=1e-4)
+    rows, tilt = ([3, 6], [α * R / 4, β * R / 4]) if fused else ([4, 5], [β, -α])
+    assert one[rows] == pytest.approx(tilt, rel=0.02)
+    assert not np.delete(one, [0, *rows]).any()
+    stated = scene.model_copy(update={"zones": [one.model_copy(update={"gap": 0.3}) for one in scene.zones]})
+    assert np.flatnonzero(assemble(stated, cache).weld_gap).tolist() == [0, found.weld_size[0]]

@@ -298,7 +298,8 @@ class Meaning:
     scene = mic.Scene(**SCENE)
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
     contacts = one_pair(0.3, 0.05)
-    weld_size, weld_gap = WELD_SIZE, np.array([0.1, 0.2])
+    weld_size = WELD_SIZE
+    weld_gap = np.array([0.1, *[0.0] * 5, 0.2, 0.0, 0.0])
     between = Between(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
 
 
@@ -308,13 +309,15 @@ def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
     shape["weld"] = np.zeros((1, 9))
     shape["between"] = np.array([[0.01]])
     shape["weld"][0, 6] = 0.03  # the first row of the second weld
+    shape["weld"][0, 4] = 0.01  # how the first one's gap tilts; the tangential ones must not enter
+    shape["weld"][0, [1, 3, 7]] = 5.0
     shape["locator"][0, 8] = 0.4  # the part stands 0.4 mm too high at b2 ...
     asked = drive(Meaning, np.array([[0.1, -0.05, 2.0]]), shape)
     assert asked.target["locator"][0, 8] == pytest.approx(0.1 - 0.4)  # ... and must come down for its locator
     assert asked.target["clamp"][0, 0] == pytest.approx(-0.25 - 0.05)
     np.testing.assert_allclose(asked.push[0, 1:], [42.0, 7.0])
     np.testing.assert_allclose(asked.gap, [[0.03]])
-    np.testing.assert_allclose(asked.weld_gap, [[0.1, 0.23]])
+    np.testing.assert_allclose(asked.weld_gap, [[0.1, 0, 0, 0, 0.01, 0, 0.23, 0, 0]])
     np.testing.assert_allclose(asked.between, [[0.03]])
     np.testing.assert_allclose(asked.measured, [[0.7]])
 

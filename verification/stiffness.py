@@ -55,10 +55,12 @@ class DeviatedStiffness:
             opening(assembly, kind, parts) - model.rows[kind] @ (model.shape @ deviations)
             for kind in ("contact", "weld")
         )
-        contacts, first = model.contacts, model.joints.first
+        contacts, joints = model.contacts, model.joints
+        normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
+        weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0
         return replace(
             model,
             compliance=Blocks(tuple(one.H for one in found), tuple(one.G for one in found)),
             contacts=replace(contacts, gap=contacts.gap + gap[:: contacts.dimension]),
-            weld_gap=model.weld_gap + weld_gap[first],
+            weld_gap=model.weld_gap + weld_gap,
         )

@@ -227,7 +227,7 @@ class FullStage:
         kind, row = limit.row
         if kind == "clamp":
             return float(drive.target["clamp"][0, row])
-        return -float(drive.weld_gap[0, Joints(self.mesh.assembly.weld_size).first.tolist().index(row)])
+        return -float(drive.weld_gap[0, row])
 
     def _way_left(self, limit, state, drive) -> float:
         """Of a limited force to its position, mm; negative beyond."""
@@ -241,9 +241,9 @@ class FullStage:
 
     def _make_welds(self, step, state, drive):
         found = self.mesh.rows["weld"] @ state.solution.u
-        first = Joints(self.mesh.assembly.weld_size).first
         frozen = dict(state.frozen) | {row: float(found[row]) for row in step.made}
-        return frozen | {int(first[weld]): -float(drive.weld_gap[0, weld]) for weld in step.closing}
+        closed = step.closed(Joints(self.mesh.assembly.weld_size))
+        return frozen | {row: -float(drive.weld_gap[0, row]) for row in closed}
 
     def _way(self, number, step: Step, state, drive) -> _Way:
         """From the values and loads that are to those of the step's end."""

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import Surface
 from mic.judgement.rule import Place, Seen, of
+from mic.model.overlap import mean_gaps
 from mic.scene.stages import moves_assembly, set_down_in
 
 EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
@@ -336,7 +337,7 @@ def locators_in_line(assembly) -> Iterator[Seen]:
 
 def weld_over_gap(assembly) -> Iterator[Seen]:
     """Welds over gaps that no gun closes."""
-    for weld, gap in zip(assembly.scene.welds, assembly.weld_gap):
+    for weld, gap in zip(assembly.scene.welds, mean_gaps(assembly)):
         if abs(gap) > GAP:
             yield of("welds", weld), f"lies over a gap of {gap:.2g} mm", weld.point
 

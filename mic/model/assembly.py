@@ -40,7 +40,7 @@ from mic.model.modes import write_modes
 from mic.model.overlap import closed, joined_by
 from mic.model.placing import place
 from mic.model.positions import position_rows
-from mic.model.rows import AXES, Rows
+from mic.model.rows import AXES, NORMAL, Rows
 from mic.model.solved_mesh import resolved
 from mic.model.sources import ranges, sources
 from mic.product import one_thread
@@ -180,8 +180,9 @@ class Assembly:
     between : Between
     weld_size : tuple of int
         Rows of each weld; the first is its mean normal to the sheets, towards the second part.
-    weld_gap : (w,) array
-        Nominal gap at each weld, mm; overlap that is closed is 0.
+    weld_gap : (r,) array
+        What each row of the welds reads of the nominal gap, mm, of rotations rad: its mean, and how it tilts; 0 of
+        tangential rows, and where overlap is closed.
     inputs : dict of str to str
         Hashes of the files that the meshes of parts and fixtures were made from.
     sizes : dict of str to float
@@ -363,12 +364,12 @@ def _set_up(scene: Scene, loaded, surfaces, fixtures, every_node: bool) -> SetUp
         contacts = _contact_rows(scene, bodies, rows, pairs, every_node, problems)
     if not problems:
         between = _between_rows(scene, bodies, rows, pressed, [] if every_node else pairs)
-        weld_gap = _weld_gaps(scene, contacts, [gap for gap, _ in drawn], problems)
+        weld_gap = _weld_gaps(scene, contacts, drawn, problems)
     for source in sources(scene):
         with problems:
             source.retain(rows)
     characteristics.retain(rows, scene, problems)
-    position_gap = np.array([]) if problems else position_rows(scene, bodies, rows, partial(_weld_terms, bodies=bodies))
+    position_gap = np.array([]) if problems else _position_rows(scene, bodies, rows)
     bodies_elsewhere = {}
     for one in loaded:
         with problems:
@@ -390,7 +391,7 @@ def _set_up(scene: Scene, loaded, surfaces, fixtures, every_node: bool) -> SetUp
     for body in parts:
         if body.superelement is not None:
             body.superelement.readings(body)  # what it cannot read is told before anything is computed
-    weld_size = tuple(size for _, size in drawn)
+    weld_size = tuple(len(gap) for gap in drawn)
     spacing: list[float | None] = []
     for zone, places in zip(scene.zones, pressed):
         first, second = (bodies[name] for name in zone.parts)
@@ -445,7 +446,7 @@ def _superelement(scene: Scene, one: LoadedPart) -> Superelement | None:
     return superelement(part.name, given, key == "stiffness", UNITS[part.unit], one.drawn, numbered)
 
 
-def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
+def _weld_rows(key, weld, bodies, rows: Rows) -> np.ndarray:
     """Rows of one weld at the middle of the gap: its mean displacement along n, t1, t2, and what else it ties.
 
     A fused nugget is one piece: what it ties are all displacements over the disc up to the linear ones,
@@ -455,7 +456,7 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
     x and y from the middle, in radii. An averaged one ties the means of displacements and rotations.
 
     Both parts are read at the same material-free point, half of any nominal gap off their facing surfaces: otherwise
-    turning the welded assembly as a whole would strain the weld. Returns the gap as drawn, mm, and the number of rows.
+    turning the welded assembly as a whole would strain the weld. Returns what each row reads of the gap as drawn.
     """
     for name in weld.parts:
         rows.on_part(key, weld.name, weld.point, name)
@@ -466,7 +467,7 @@ def _weld_rows(key, weld, bodies, rows: Rows) -> tuple[float, int]:
     terms = _weld_terms(weld, pair, bodies, rows)
     for label, *row in terms:
         rows.add("weld", label, *row)
-    return pair.gap, len(terms)
+    return _drawn_gap(weld, pair, bodies)
 
 
 def _weld_terms(weld, pair: ContactPair, bodies, rows: Rows) -> list[tuple]:
@@ -491,6 +492,37 @@ def _weld_terms(weld, pair: ContactPair, bodies, rows: Rows) -> list[tuple]:
     first, second = weld.parts
     labels = [f"{weld.name} {label}{axis}" for label, _, _ in asked for axis in AXES]
     return [(label, (first, a, -1.0), (second, b, 1.0)) for label, a, b in zip(labels, *functional)]
+
+
+def _drawn_gap(weld, pair: ContactPair, bodies) -> np.ndarray:
+    """(r,) what a weld's rows read of the gap g as drawn over the disc; 0 of those that are tangential.
+
+    The mean gap, mm; of a fused nugget the moments ∫ φ g dA / A, mm, φ = x, y in radii; of an averaged one the
+    rotation of the second sheet against the first about t1, t2 that opens g = g₀ + α x + β y, (β, −α), rad.
+    """
+    rows = np.zeros(3 if not weld.moment else 9 if weld.fused else 6)
+    rows[0] = pair.gap
+    if len(rows) == 3:
+        return rows
+    first, second = (bodies[name].surface for name in weld.parts)
+    a, b = pair.patches
+    point = first.at(a.triangle, a.barycentric)
+    apart = (second.at(b.triangle, b.barycentric) - point) @ pair.frame[:, 0]
+    gap = apart - a.weight @ apart / a.weight.sum() + pair.gap
+    φ = (point - pair.point) @ pair.frame[:, 1:] / weld.radius
+    normal = list(NORMAL[len(rows)][1:])
+    if weld.fused:
+        rows[normal] = (a.weight * gap) @ φ
+        return rows
+    φ = np.column_stack([np.ones(len(φ)), φ])
+    _, α, β = np.linalg.lstsq(φ.T @ (a.weight[:, None] * φ), φ.T @ (a.weight * gap), rcond=None)[0] / weld.radius
+    rows[normal] = β, -α
+    return rows
+
+
+def _position_rows(scene, bodies, rows: Rows) -> np.ndarray:
+    """What the scene's report asks to be moved, welds with what they read."""
+    return position_rows(scene, bodies, rows, partial(_weld_terms, bodies=bodies), partial(_drawn_gap, bodies=bodies))
 
 
 def _moments(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]:
@@ -629,18 +661,21 @@ def _contact_rows(scene, bodies, rows: Rows, found, every_node, problems: Proble
     )
 
 
-def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[float], problems: Problems) -> np.ndarray:
-    """(w,) gaps of the welds, overlap closed as at the pairs about them."""
-    gaps = np.array(drawn)
-    for i, weld in enumerate(scene.welds):
+def _weld_gaps(scene, contacts: Contacts, drawn: Sequence[np.ndarray], problems: Problems) -> np.ndarray:
+    """(r,) what the welds' rows read of their gaps, overlap closed as at the pairs about them."""
+    for i, (weld, rows) in enumerate(zip(scene.welds, drawn)):
         zone = joined_by(scene.zones, contacts.zone, contacts.point, weld)
         if zone is not None and zone.gap is not None:
-            gaps[i] = zone.gap
+            rows[:] = 0.0
+            rows[0] = zone.gap
             continue
         rule, at = "close" if zone is None else zone.nominal_overlap, np.array([weld.point])
         with problems:
-            gaps[[i]] = closed(entry("welds", i, weld), rule, gaps[[i]], _thinner(scene, weld), at)
-    return gaps
+            gap = closed(entry("welds", i, weld), rule, rows[:1], _thinner(scene, weld), at)[0]
+            if gap != rows[0]:
+                rows[:] = 0.0  # what is closed does not tilt
+                rows[0] = gap
+    return np.concatenate([np.zeros(0), *drawn])
 
 
 def _thinner(scene, joint) -> float:

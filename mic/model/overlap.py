@@ -16,7 +16,7 @@ import numpy as np
 from mic.errors import SceneError
 from mic.scene.zone import Zone
 
-__all__ = ["CLOSED", "closed", "frozen_gaps", "joined_by"]
+__all__ = ["CLOSED", "closed", "frozen_gaps", "joined_by", "mean_gaps"]
 
 #: Of the thinner sheet, overlap that is closed where a zone states no limit of its own: what one sheet explains whose
 #: thickness has changed since it was drawn, or that was drawn on its skin.
@@ -81,6 +81,11 @@ def joined_by(zones: Sequence, of_pair: np.ndarray, points: np.ndarray, weld) ->
     return zones[of_pair[nearest]]
 
 
+def mean_gaps(model) -> np.ndarray:
+    """(w,) nominal gaps of the welds of an assembly or a reduction, over their nuggets, mm."""
+    return model.weld_gap[np.cumsum([0, *model.weld_size[:-1]])] if model.weld_size else np.zeros(0)
+
+
 def frozen_gaps(model) -> list[str]:
     """One sentence for each weld that freezes a nominal gap, or an overlap that is kept, in place of closing it.
 
@@ -91,6 +96,6 @@ def frozen_gaps(model) -> list[str]:
     return [
         f"weld {weld.name} lies over {'a nominal gap' if gap > 0 else 'an overlap'} of {abs(gap):.3f} mm and freezes "
         "what clamping leaves of it; close = true closes it first"
-        for weld, gap in zip(model.scene.welds, model.weld_gap)
+        for weld, gap in zip(model.scene.welds, mean_gaps(model))
         if abs(gap) > TOLD and not weld.close
     ]

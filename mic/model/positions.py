@@ -29,7 +29,13 @@ FLAT = 0.02  # of an axis: what lies in the sheet by less does not
 Terms = tuple
 
 
-def position_rows(scene, bodies, rows: Rows, weld_terms: Callable[..., list[Terms]]) -> np.ndarray:
+def position_rows(
+    scene,
+    bodies,
+    rows: Rows,
+    weld_terms: Callable[..., list[Terms]],
+    weld_gap: Callable[..., np.ndarray],
+) -> np.ndarray:
     """Add the rows that the scene's report asks for, kind ``"position"``; their labels are the inputs' names.
 
     Parameters
@@ -40,11 +46,13 @@ def position_rows(scene, bodies, rows: Rows, weld_terms: Callable[..., list[Term
     rows : Rows
     weld_terms : callable
         ``weld_terms(weld, pair, rows=rows)``: what a weld reads over a pair.
+    weld_gap : callable
+        ``weld_gap(weld, pair)``: what these rows read of the gap as drawn, mm and rad.
 
     Returns
     -------
     (q,) array
-        By how much the gap of a row's weld grows, mm per mm; 0 for others.
+        By how much the gap that a weld's row reads grows, mm per mm and rad per mm; 0 for others.
 
     Raises
     ------
@@ -58,13 +66,13 @@ def position_rows(scene, bodies, rows: Rows, weld_terms: Callable[..., list[Term
             if not {kind, name} & set(scene.report.positions) or getattr(item, "hole", None) is not None:
                 continue
             if kind == "welds":
-                gaps += _weld(name, item, bodies, rows, weld_terms)
+                gaps += _weld(name, item, bodies, rows, weld_terms, weld_gap)
             else:
                 gaps += _point(name, item, rows)
     return np.array(gaps)
 
 
-def _weld(name: str, weld, bodies, rows: Rows, weld_terms) -> list[float]:
+def _weld(name: str, weld, bodies, rows: Rows, weld_terms, weld_gap) -> list[float]:
     sides = [bodies[part] for part in weld.parts]
     here = pair_at(weld.point, weld.radius, *sides)
     ε = max(SHARE * weld.radius, LEAST)
@@ -78,7 +86,8 @@ def _weld(name: str, weld, bodies, rows: Rows, weld_terms) -> list[float]:
                 raise SceneError(
                     f"report.positions: {name!r} cannot move in its sheet: {error}; leave it out, or move the weld"
                 ) from None
-            ends.append((pair.gap, weld_terms(weld, _turned(pair, here), rows=rows)))
+            turned = _turned(pair, here)
+            ends.append((weld_gap(weld, turned), weld_terms(weld, turned, rows=rows)))
         (gap, up), (other, down) = ends
         gaps.append((gap - other) / (2 * ε))
         moved.append([_difference(a, b, ε) for (_, *a), (_, *b) in zip(up, down)])
@@ -107,7 +116,7 @@ def _point(name: str, item, rows: Rows) -> list[float]:
             patch = rows.disc(item.part, np.asarray(item.point) + sign * ε * tangent, item.radius)
             ends.append([(item.part, rows.functional(item.part, patch, item.direction, f"{name} moved"), 1.0)])
         moved.append([_difference(ends[0], ends[1], ε)])
-    return _along(name, tangents, moved, [0.0, 0.0], rows)
+    return _along(name, tangents, moved, np.zeros((2, 1)), rows)
 
 
 def _difference(up, down, ε: float) -> list[tuple[str, int, float]]:
@@ -123,8 +132,8 @@ def _along(name: str, tangents, moved, gaps, rows: Rows) -> list[float]:
         shares = [float(e @ tangent) for tangent in tangents]
         if np.linalg.norm(shares) < FLAT:
             continue
-        for own in zip(*moved):
+        for own, gap in zip(zip(*moved), np.dot(shares, gaps)):
             terms = [(part, at, share * c) for share, terms in zip(shares, own) for part, at, c in terms]
             rows.add("position", f"{name}.{axis}", *terms)
-            found.append(float(np.dot(shares, gaps)))
+            found.append(float(gap))
     return found

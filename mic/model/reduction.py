@@ -29,7 +29,7 @@ from mic.scene import Scene
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 6, "build the model again")
+FORMAT = store.Format("reduced model", 7, "build the model again")
 
 
 @dataclass(frozen=True)

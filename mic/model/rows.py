@@ -18,11 +18,13 @@ from mic.errors import SceneError
 from mic.geometry.holes import find_holes
 from mic.geometry.surface import Patch, Surface
 
-__all__ = ["AXES", "KINDS", "REACH", "Rows"]
+__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "Rows"]
 
 #: What rows stand for; a position's reads by how much another grows as its item moves in the sheet.
 KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
 AXES = ("n", "t1", "t2")  #: of a joint's frame
+#: Rows of a weld that read along its normal, by how many it has: of means, with rotations, with moments.
+NORMAL = {3: (0,), 6: (0, 4, 5), 9: (0, 3, 6)}
 REACH = 5.0  # mm: farther than this from its part, a point of the scene is refused rather than projected
 
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mic.model.rows import NORMAL
 from mic.scene.stages import moves_assembly, set_down_in
 
 __all__ = [
@@ -237,7 +238,8 @@ class Joints:
     Attributes
     ----------
     size : tuple of int
-        Rows of each weld; the first is normal to the sheets.
+        Rows of each weld: the means along n, t1, t2; behind them rotations about these, or moments along them, first
+        those over t1 and then those over t2.
     """
 
     size: tuple[int, ...]
@@ -251,6 +253,10 @@ class Joints:
         """All rows of a weld."""
         start = int(self.first[weld])
         return [("weld", row) for row in range(start, start + self.size[weld])]
+
+    def normal(self, weld: int) -> list[int]:
+        """The rows of a weld that tell how far its sheets stand apart: the mean along n, and how that tilts."""
+        return [int(self.first[weld]) + row for row in NORMAL[self.size[weld]]]
 
 
 Move = tuple[Action, ...]  #: actions that happen together, contact active throughout

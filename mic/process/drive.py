@@ -4,7 +4,8 @@ With amplitudes a of the scene's deviations, and the readings y⁰ of the parts'
 
 - a locator or a clamp that holds a position prescribes ``stroke + offset − y⁰`` to its row,
 - a clamp pushes with its force and the deviation of it,
-- a contact or a weld has the gap ``g⁰ + n·(shape deviation of b − of a)``.
+- a contact or a weld has the gap ``g⁰ + n·(shape deviation of b − of a)``, a weld one for each row along its normal:
+  its mean, and how it tilts.
 
 A tangential *shape* deviation is not a motion and drives nothing: it would make friction pull the parts together.
 """
@@ -34,8 +35,8 @@ class Drive:
         Forces of the clamp rows, N.
     gap : (n, m) array
         Of the contacts before anything moves, mm, positive when open.
-    weld_gap : (n, w) array
-        Likewise, of the welds.
+    weld_gap : (n, r) array
+        Likewise, what each of the welds' rows reads of the gap over the nugget, mm and rad; 0 of tangential rows.
     between : (n, q) array
         Likewise, of the points between the contacts.
     measured : (n, k) array
@@ -109,11 +110,14 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], ask
     for row, j, share in asks.push:
         push[:, row] += share * deviations[:, j]
     contacts, joints = assembly.contacts, Joints(tuple(assembly.weld_size))
+    normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
+    weld_gap = np.tile(assembly.weld_gap, (len(deviations), 1))
+    weld_gap[:, normal] += shape["weld"][:, normal]
     return Drive(
         target,
         push,
         contacts.gap + shape["contact"][:, :: contacts.dimension],
-        assembly.weld_gap + shape["weld"][:, joints.first],
+        weld_gap,
         assembly.between.gap + shape["between"],
         shape["measurement"],
     )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mic.process.actions import Joints
 from mic.process.drive import Drive
 from mic.process.path import Ramp
 from mic.process.plan import Step
@@ -51,14 +52,14 @@ class Handover:
     after: np.ndarray
 
     @classmethod
-    def of(cls, step: Step, state: ProcessState, drive: Drive, first: np.ndarray) -> Handover:
-        """Of a state like this; `first` (w,) are the first rows of the welds."""
+    def of(cls, step: Step, state: ProcessState, drive: Drive, joints: Joints) -> Handover:
+        """Of a state like this."""
         value, reaction, push, frozen = state.value, state.reaction, state.push, state.frozen
         read = _edges([value.table, *(state.reading[kind] for kind in READ)])
         weld = _edges([frozen.table, state.reading["weld"], drive.weld_gap])
         kept = dict(frozen.names.place)
         kept |= {row: weld[1] + row for row in step.made}
-        kept |= {int(first[i]): weld[2] + i for i in step.closing}
+        kept |= {row: weld[2] + row for row in step.closed(joints)}
         names = frozen.names if not (step.made or step.closing) else Names(kept)
         asked = np.cumsum([0, len(names), *(drive.target[kind].shape[1] for kind in ASKED)])
         acts = np.cumsum([1, push.table.shape[1]])

@@ -156,14 +156,15 @@ class Inputs:
         for kind, moved in self.target.items():
             target[kind] += np.tile(moved, (n, 1))
         rest["push"] += np.tile(self.push, (n, 1))
-        first = Joints(tuple(model.weld_size)).first.tolist()
+        joints = Joints(tuple(model.weld_size))
+        normal = {row for weld in range(len(joints.size)) for row in joints.normal(weld)}
         for place in self.places:
             # Where the row stands then, the stress-free shape is another, and so is the gap of a weld.
             drawn, (kind, row) = deviations @ (model.rows["position"][place.number] @ model.shape).ravel(), place.row
             if kind != "weld":
                 target[kind][place.input :: p, row] -= drawn
-            elif row in first:
-                rest["weld_gap"][place.input :: p, first.index(row)] += model.position_gap[place.number] + drawn
+            elif row in normal:
+                rest["weld_gap"][place.input :: p, row] += model.position_gap[place.number] + drawn
         return Drive(target, **rest)
 
 

@@ -124,6 +124,11 @@ class Step:
         """Limits that may be reached: all, unless the plan was made without them."""
         return tuple(limit for limit in self.limits if limit.row not in self.bilateral)
 
+    def closed(self, joints: Joints) -> list[int]:
+        """Weld rows that close their gap here: of a weld that is made all along its normal, for electrodes press the
+        sheets flush; of one that a gun without a limit presses its mean alone."""
+        return [row for i in self.closing for row in joints.normal(i) if ("weld", row) in self.bilateral]
+
     @property
     def nuggets(self) -> tuple[int, ...]:
         """Welds in whose nuggets no contact is left: those made, and those that a gun without a limit closes."""

@@ -208,7 +208,7 @@ class PreparedStage:
         self.plan, self.steps, self.path, self._solver_of = plan, steps, path, solver
         self._solvers: dict[int, tuple[EliminatedStep, ContactSolver | WatchedSolver]] = {}
         self._handovers: dict[tuple[int, ...], Handover] = {}
-        self._contacts, self._between, self._weld_first = model.contacts, model.between, model.joints.first
+        self._contacts, self._between, self._joints = model.contacts, model.between, model.joints
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
         edges = np.concatenate([[0], np.cumsum(count)])
@@ -307,7 +307,7 @@ class PreparedStage:
         kind, row = limit.row
         if kind == "clamp":
             return drive.target["clamp"][:, row]
-        return -drive.weld_gap[:, int(np.searchsorted(self._weld_first, row))]
+        return -drive.weld_gap[:, row]
 
     def _step(self, eliminated, state, drive):
         """The state after a step, and the path that its contacts went; None where they were not resolved."""
@@ -387,7 +387,7 @@ class PreparedStage:
         if found is None or found.step is not step or found.known != before:
             if len(self._handovers) >= KEPT * len(self.steps):
                 self._handovers.clear()
-            found = self._handovers[key] = Handover.of(step, state, drive, self._weld_first)
+            found = self._handovers[key] = Handover.of(step, state, drive, self._joints)
         return found
 
     def stopped(self, step: Step, state: ProcessState) -> np.ndarray:

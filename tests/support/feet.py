@@ -82,7 +82,7 @@ def standing(pairs, stiffness=STIFFNESS, gap=0.0, shape=None, **scene):
         frame=frames,
         dimension=3,
     )
-    weld_gap, size = np.zeros(len(scene.welds)), (3,) * len(scene.welds)
+    weld_gap, size = np.zeros(3 * len(scene.welds)), (3,) * len(scene.welds)
     return ReducedModel(
         scene, compliance, rows, labels, contacts, NOWHERE, size, weld_gap, shapes, np.zeros_like(shapes), {}
     )
