@@ -71,7 +71,6 @@ def process(
     increments: int = 8,
     beyond: float = 3.0,
     deviated: bool = False,
-    flush: bool = False,
 ) -> Outcome:
     """The whole process of a scene at deviations (n, p), in the scene's order.
 
@@ -91,9 +90,6 @@ def process(
         Radii of a nugget nearer to which forces and slip are not read: sums of nodal forces do not settle there.
     deviated : bool
         Whether sheets have the stiffness of their deviated shape in place of the nominal one.
-    flush : bool
-        Whether a weld that closes its gap closes it at every node of the nugget; else its mean, as `docs/model.md` has
-        it: how far one side of the nugget stands open, the other overlaps, stays as it was found.
 
     Raises
     ------
@@ -109,14 +105,14 @@ def process(
     shaping = deviations @ [rows.shape(F, one.name) if one.kind == "force" else nothing for one in scene.deviations]
     shape = shaping @ F
     if not deviated:
-        return _Process(rows, F, solver, increments, flush).run(deviations, shape)
+        return _Process(rows, F, solver, increments).run(deviations, shape)
     found = []
     for k, forces in enumerate(shaping):
         K = [
             sheet.deviated(factor.solve((own.T @ forces)[:, None])[:, 0])
             for sheet, factor, own in zip(sheets, factors, rows.parts)
         ]
-        one = _Process(rows, rows.flexibility(K)[0], solver, increments, flush).run(deviations[[k]], shape[[k]])
+        one = _Process(rows, rows.flexibility(K)[0], solver, increments).run(deviations[[k]], shape[[k]])
         found.append(one)
     every = (np.concatenate([getattr(one, key) for one in found]) for key in ("measurements", "force", "slip"))
     return Outcome(found[0].stages, *every, found[0].contacts)
@@ -320,9 +316,9 @@ class _Held:
 class _Process:
     """The stages, one after the other, at n deviations together."""
 
-    def __init__(self, rows: _Rows, F: np.ndarray, solver: Callable, increments: int, flush: bool):
+    def __init__(self, rows: _Rows, F: np.ndarray, solver: Callable, increments: int):
         self._rows, self._scene, self._F = rows, rows.scene, F
-        self._solver, self._increments, self._flush = solver, increments, flush
+        self._solver, self._increments = solver, increments
         self._mu = np.array([zone.friction for zone in self._scene.zones])[rows.zone]
         self._contact = np.arange(3 * len(rows.zone)).reshape(-1, 3)
         self._stroke = np.zeros(len(F))
@@ -402,8 +398,7 @@ class _Process:
         closing = [i for i in own if self._scene.welds[i].close]
         for i in closing:
             at = self._rows.weld[fused] == i
-            gap, area = found[:, at, 0] + self._gap[:, fused[at]], self._rows.area[fused[at]]
-            value[:, at, 0] -= gap if self._flush else (gap @ area / area.sum())[:, None]
+            value[:, at, 0] -= found[:, at, 0] + self._gap[:, fused[at]]  # at every node: electrodes press flush
         self._apart[fused], self._force[:, fused] = False, 0.0
         start, end = (each.reshape(len(each), -1) for each in (found, value))
         if closing:

@@ -72,11 +72,10 @@ class Case:
         samples: np.ndarray,
         mesh: tuple[float, float],
         increments: int = 8,
-        flush: bool = False,
     ) -> Outcome:
         """The solids on a mesh; each contact problem is solved by the program's solver, given their stiffness."""
         solver = partial(ContactSolver, semidefinite=True)
-        return process(scene, self.sheets(scene, *mesh), samples, solver, increments, BEYOND, flush=flush)
+        return process(scene, self.sheets(scene, *mesh), samples, solver, increments, BEYOND)
 
     def judged(self, scene: Scene, solid: Outcome, name: str) -> np.ndarray:
         """(n, stages, zones) which forces or slips are judged."""
@@ -164,16 +163,9 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
         nearing = found[-2]["key-characteristic"] / found[-1]["key-characteristic"]
         return [*findings, Finding("nearing", nearing)]
     settled = max(own[name] / limit for name, limit in limits.items())
-    flush = context.team.from_first(case.solids(scene, samples, meshes[0], flush=True))
-    wedge = case.errors(scene, flush, solids[0])
-    note = (
-        f"On the coarsest mesh: forces {100 * wedge['force']:.2g} %, key characteristics up to "
-        f"{1e3 * abs(flush.measurements - solids[0].measurements).max():.2g} µm."
-    )
     return [
         *findings,
         Finding(f"{prefix}settled", settled),
-        Finding(f"{prefix}flush", wedge["key-characteristic"], note),
     ]
 
 
@@ -281,14 +273,6 @@ STUDY = Study(
             0.5,
             quick=2.0,
             reason="A reference that may move by half of what it allows leaves as much to what it judges.",
-        ),
-        Acceptance(
-            "hat-flush",
-            "Hat: what key characteristics change if welds close their gaps all over the nugget and not in its mean, "
-            "over the larger of 10 % and 2 µm.",
-            1.0,
-            quick=2.0,
-            reason="As for key characteristics: what a meaning of the scene leaves open is an error of its answer.",
         ),
     ),
     seconds=(300, 100),
