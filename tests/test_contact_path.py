@@ -22,6 +22,13 @@ def follow(loads, path=None, S=None, mu=MU, anchor=None, law="coulomb", threads=
     return ContactSolver(S, mu, law=law, threads=threads).follow(loads[None], anchor=anchor, path=path)
 
 
+def one_increment(S, loads, **start):
+    """Samples of loads (n, 2, m, 3), slip measured from the origin if nothing else is given."""
+    n, _, m, _ = loads.shape
+    start = start or {"anchor": np.zeros((n, m, 2))}
+    return ContactSolver(S, 0.3).follow(loads.reshape(n, 2, -1), **start, path=Increments(1))
+
+
 def tractrix(path):
     """Error of a slider of normal force 1 and compliance 1, dragged across its string: tan(φ/2) falls by e^(-v/l)."""
     start, drag, string = 1.2, 1.0, MU
@@ -63,6 +70,39 @@ def test_a_contact_that_closes_and_sticks_stays_where_it_touched():
     np.testing.assert_allclose(found.anchor[0, 0], [0.37 * 0.4, 0], atol=1e-12)
     np.testing.assert_allclose(found.trace.slip[0, 0], 0, atol=1e-12)
     assert found.trace.work[0, 0] == pytest.approx(0, abs=1e-12)
+
+
+def rounded(a, random):
+    return a * (1 + 1e-14 * random.normal(size=a.shape))
+
+
+def test_what_an_increment_tells_does_not_hang_on_the_last_bits_of_its_inputs():
+    """At its start most contacts that press stand on their cone, and one of each sample touches without force."""
+    random = np.random.default_rng(0)
+    m, n = 12, 20
+    A = random.normal(size=(3 * m, 6))
+    S, loads = np.eye(3 * m) + A @ A.T / 30, np.zeros((n, 3, m, 3))
+    loads[:, 0, :, 0] = 0.1
+    loads[:, 1] = random.normal([-1, 0, 0], [0.2, 1, 1], (n, m, 3))
+    loads[:, 2] = loads[:, 1] + random.normal(0, [0, 0.5, 0.5], (n, m, 3))
+    loads[:, 2, :, 0] += random.choice([2.0, 0.3, -0.3], (n, m))
+    loads[:, 1, 0, 0] = 10.0
+    loads[:, 1, 0, 0] -= one_increment(S, loads[:, :2]).displacement[:, 0]
+    loads[:, 2, 0] = loads[:, 1, 0] + [-1.0, 1.0, 0.0]
+    before = one_increment(S, loads[:, :2])
+    found = one_increment(S, loads[:, 1:], force=before.force, anchor=before.anchor).trace
+    upper, force = np.triu(rounded(S, random)), before.force.copy()
+    force[:, 0] = np.where(force[:, 0] > 0, 0.0, 1e-15)
+    again = one_increment(
+        upper + np.triu(upper, 1).T,
+        rounded(loads[:, 1:], random),
+        force=rounded(force, random),
+        anchor=rounded(before.anchor, random),
+    ).trace
+    moved = np.abs(found.slip).max(axis=(0, 2))
+    assert moved.max() > 1 and moved[0] > 0.1
+    for name in ("slip", "length", "work", "share"):
+        np.testing.assert_allclose(getattr(again, name), getattr(found, name), rtol=0, atol=1e-9, err_msg=name)
 
 
 def test_a_load_that_turns_round_leaves_the_hysteresis_of_a_single_slider():

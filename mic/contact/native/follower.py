@@ -79,7 +79,7 @@ NEAR = 1e-7
 SAFETY, GROWTH = 0.8, 4.0
 #: A step in which contacts begin to press of which nothing is known is so long at most: the prediction leaves them out.
 FIRST = 1e-2
-#: Of the largest force: a tangential force that is less is none.
+#: Of the largest force: a tangential force that is less is none, nor, at the start of an increment, a normal one.
 ROUNDING = 1e-12
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
@@ -171,6 +171,14 @@ def _motion(w, unit):
     for k in range(len(unit)):
         total += (w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) * unit[k] ** 2
     return np.sqrt(total / max(len(unit), 1))
+
+
+@jit(void(VECTOR, VECTOR))
+def _forward(y, w):
+    """Sliders go a little forward along their way, so that a contact on its cone is one, whatever its last bits."""
+    for i in range(0, len(y), 3):
+        w[i + 1] -= NEAR * y[i + 1] + 1e-12 * abs(y[i])
+        w[i + 2] -= NEAR * y[i + 2]
 
 
 @jit(boolean(VECTOR, VECTOR, VECTOR, boolean))
@@ -1063,12 +1071,9 @@ def _compile(digest):
         phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         y, w, found = y0.copy(), w0.copy(), np.zeros(m, np.int64)
         dy, dw = np.empty(3 * m), np.empty(3 * m)
-        for k in range(m):  # a little forward along the way of a slider, so that one on its cone is one
-            i = 3 * k
-            w[i + 1] -= NEAR * y[i + 1] + 1e-12 * abs(y[i])
-            w[i + 2] -= NEAR * y[i + 2]
-            opened[k] = 1.0
-            gone[k, 0] = gone[k, 1] = 0.0
+        _forward(y, w)
+        opened[:] = 1.0
+        gone[:] = 0.0
         derivative(equation, parameters, y, w, phi, A, B, state0)
         for k in range(m):
             i = 3 * k
@@ -1376,8 +1381,15 @@ def _compile(digest):
                 solved, error = 1, 0.0
                 while True:
                     if order == 1:
-                        equation(parameters, y0, w0, phi, nothing, nothing, state0, False)
+                        wp[:] = w0
+                        _forward(y0, wp)
+                        equation(parameters, y0, wp, phi, nothing, nothing, state0, False)
+                        least = 0.0
                         for k in range(m):
+                            least = max(least, ROUNDING * y0[3 * k])
+                        for k in range(m):
+                            if y0[3 * k] <= least:  # it touches: its force grows from none, as where it closes
+                                state0[k] = OPEN
                             grip[k] = np.sqrt(y0[3 * k + 1] ** 2 + y0[3 * k + 2] ** 2)
                             if grip[k] > 0.0:
                                 e0[k, 0], e0[k, 1] = y0[3 * k + 1] / grip[k], y0[3 * k + 2] / grip[k]
