@@ -134,6 +134,9 @@ class Resolutions(Mapping[str, Resolution]):
             raise KeyError(stage)
         return self.course.resolutions[stage]
 
+    def __contains__(self, stage: object) -> bool:
+        return stage in self._stages
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._stages)
 

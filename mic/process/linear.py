@@ -25,7 +25,7 @@ from mic.product import product
 
 __all__ = ["Linear", "Staged"]
 
-#: Numbers that all maps of a process hold at most, 16 MB.
+#: Numbers that the maps of a process hold, about, 16 MB: more take longer to find than they save.
 MOST = 2_000_000
 
 
@@ -116,7 +116,7 @@ class Linear:
                 return None
             solved += sum(map(stage.solved, stage.needed))
         rows = 1 + deviations + solved * m * d
-        if not solved or rows * solved * 3 * m * d > MOST:
+        if not solved or rows * solved * m * d > MOST:
             return None
         return Probe(process, deviations, rows, (m, d)).found()
 
