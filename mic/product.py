@@ -47,7 +47,7 @@ def _threadpools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def product(samples: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def product(samples: np.ndarray, matrix: np.ndarray, found: np.ndarray | None = None) -> np.ndarray:
     """``X A``, one sample a row.
 
     Parameters
@@ -56,12 +56,14 @@ def product(samples: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         X.
     matrix : (k, l) array
         A. Where its rows do not lie one after the other in memory, as those of a transpose, they are copied.
+    found : (n, l) array, optional
+        What the product is added to, in place.
 
     Returns
     -------
     (n, l) array
     """
-    found = np.zeros((len(samples), matrix.shape[1]))
+    found = np.zeros((len(samples), matrix.shape[1])) if found is None else found
     if samples.size and matrix.size:
         samples = samples if samples.flags.c_contiguous else np.ascontiguousarray(samples)
         matrix = matrix if matrix.flags.c_contiguous else np.ascontiguousarray(matrix)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
 from mic.contact.path import Trace
+from mic.process.state import ProcessState
 
-__all__ = ["REACHED", "Evaluation", "Resolution"]
+__all__ = ["REACHED", "Course", "Evaluation", "Resolution", "Resolutions"]
 
 REACHED = 1e-3  # mm: a way that no gauge reads
 
@@ -86,6 +87,64 @@ class Resolution:
 
 
 @dataclass(frozen=True)
+class Course:
+    """What n assemblies went through.
+
+    Attributes
+    ----------
+    resolutions : dict of str to Resolution
+        By stage, for the stages that resolve contact.
+    readings : (n, r) array
+        As :class:`Evaluation` has them.
+    failed : (n,) bool array
+        Likewise.
+    state : mic.process.state.ProcessState
+        At the end of the stage that is told.
+    """
+
+    resolutions: dict[str, Resolution]
+    readings: np.ndarray
+    failed: np.ndarray
+    state: ProcessState
+
+
+class Resolutions(Mapping[str, Resolution]):
+    """By stage, in order; a course is gone through when one of them is first asked for.
+
+    Parameters
+    ----------
+    stages : sequence of str
+        Those that resolve contact.
+    course : function
+        Gives the :class:`Course`; called once.
+    """
+
+    def __init__(self, stages: Sequence[str], course: Callable[[], Course]):
+        self._stages, self._course = stages, course
+
+    @cached_property
+    def course(self) -> Course:
+        """What the assemblies went through."""
+        course = self._course()
+        del self._course  # with all that it was made from
+        return course
+
+    def __getitem__(self, stage: str) -> Resolution:
+        if stage not in self._stages:
+            raise KeyError(stage)
+        return self.course.resolutions[stage]
+
+    def __contains__(self, stage: object) -> bool:
+        return stage in self._stages
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._stages)
+
+    def __len__(self) -> int:
+        return len(self._stages)
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Outcome of n assemblies.
 
@@ -93,8 +152,8 @@ class Evaluation:
     ----------
     law : str
     deviations : (n, p) array
-    resolutions : dict of str to Resolution
-        By stage, for the stages that resolve contact.
+    resolutions : mapping of str to Resolution
+        By stage, for the stages that resolve contact; made when they are first asked for.
     measurements : (n, k) array
         Key characteristics in the scene's order, mm from nominal; empty where nothing reads them.
     readings : (n, r) array
@@ -107,7 +166,7 @@ class Evaluation:
 
     law: str
     deviations: np.ndarray
-    resolutions: dict[str, Resolution]
+    resolutions: Mapping[str, Resolution]
     measurements: np.ndarray
     readings: np.ndarray
     failed: np.ndarray
@@ -137,6 +196,8 @@ class Evaluation:
     @classmethod
     def join(cls, pieces: Sequence[Evaluation]) -> Evaluation:
         """Evaluations of one law, put one after the other."""
+        if len(pieces) == 1:
+            return pieces[0]
         stages = pieces[0].resolutions
         resolutions = {stage: Resolution.join([piece.resolutions[stage] for piece in pieces]) for stage in stages}
 

@@ -11,13 +11,14 @@ import numpy as np
 from mic.contact import ContactSolver, laws
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
-from mic.contact.path import Increments, Path, Trace
+from mic.contact.path import Increments, Path, PathSolution, Trace
 from mic.contact.watched import WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
 from mic.process.drive import Asks, Drive, drive
-from mic.process.evaluation import Evaluation, Resolution
+from mic.process.evaluation import Course, Evaluation, Resolution, Resolutions
 from mic.process.freedom import check_resting
+from mic.process.linear import Linear
 from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
@@ -167,6 +168,7 @@ class Process:
         ]
         self._changed_by, self._limited = np.zeros(len(self._changing)), limited
         self._varied: dict[bytes, Process] = {}
+        self._thickened = False  # whether its parts are of other thicknesses than the scene's
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
         self._starts, self._guessing = model.likely if starts is None else starts, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
@@ -250,24 +252,47 @@ class Process:
         if (deviations[:, self._changing] != self._changed_by).any():
             parted = self.parted(deviations)
             return Evaluation.join([process.evaluate(deviations[part], at) for part, process in parted])
-        asked, state = self.asked(deviations), self.start(len(deviations))
-        resolutions, readings = {}, np.zeros((len(deviations), 0))
         told = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1
+        asked, solutions = deviations.copy(), None
+        if self._linear is not None:
+            solutions, readings, failed = self._linear.follow(self.stages, deviations)
+        names = [stage.plan.name for stage in self.stages if stage.resolves]
+        resolutions = Resolutions(names, partial(self._through, asked, told, solutions))
+        if solutions is None:
+            readings, failed = resolutions.course.readings, resolutions.course.failed
+        read = self.model.characteristics.values(readings) if readings.size else readings
+        equilibrium = partial(self._equilibrium, self.stages[told], resolutions, asked)
+        found = Evaluation(self.law, deviations, resolutions, read, readings, failed, equilibrium)
+        if solutions is None and any(resolution.left.size for resolution in resolutions.values()):
+            short = np.flatnonzero(~found.built)
+            if short.size:
+                self._tell_needs(found, short)
+        return found
+
+    @one_thread
+    def _through(self, deviations: np.ndarray, told: int, solutions: Sequence[PathSolution] | None = None) -> Course:
+        """Take samples through all stages, one by one; where the contacts' paths are known, by these."""
+        asked, state = self.asked(deviations), self.start(len(deviations))
+        resolutions, readings, resolve = {}, np.zeros((len(deviations), 0)), None
+        if solutions is not None:
+            left, nothing = iter(solutions), np.zeros((len(deviations), 0))
+            resolve = lambda eliminated, state, drive, ramp, place: (next(left), nothing, place)
         for i, stage in enumerate(self.stages):
-            state, resolution = stage.advance(state, asked)
+            state, resolution = stage.advance(state, asked, resolve)
             if resolution is not None:
                 resolutions[stage.plan.name] = resolution
             if stage.plan.reads:
                 readings = state.reading["measurement"] + asked.measured
             if i == told:
-                equilibrium = partial(self._equilibrium, stage, state, deviations.copy())
-        read = self.model.characteristics.values(readings) if readings.size else readings
-        found = Evaluation(self.law, deviations, resolutions, read, readings, state.failed, equilibrium)
-        if any(resolution.left.size for resolution in resolutions.values()):
-            short = np.flatnonzero(~found.built)
-            if short.size:
-                self._tell_needs(found, short)
-        return found
+                end = state
+        return Course(resolutions, readings, state.failed, end)
+
+    @cached_property
+    def _linear(self) -> Linear | None:
+        """What is linear in the process; not worth it where parts are of one sample's thickness."""
+        if self._guessing or self._thickened:
+            return None
+        return Linear.of(self, len(self.model.scene.deviations))
 
     def asked(self, deviations: np.ndarray) -> Drive:
         """What deviations (n, p) ask of the assembly, affine in them."""
@@ -301,22 +326,24 @@ class Process:
                 vars(model)["eliminations"] = self.model.eliminations
             elif self._limited:
                 vars(model)["eliminations"] = eliminate_steps(model, self._plans)
-            alike = (model.contacts.friction == self.model.contacts.friction).all()
+            same = (model.contacts.friction == self.model.contacts.friction).all()
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
             how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
             how["plans"] = self._plans
             how["like"] = self if model.compliance is self.model.compliance else None
             try:
-                if not alike:  # what rests under one friction may not under another
+                if not same:  # what rests under one friction may not under another
                     check_resting(model, self._plans, [self._settings["law"].name])
                 process = Process(model, self.law, backend=backend, **how)
             except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
-            process._changed_by = amplitudes
+            process._changed_by, process._thickened = amplitudes, how["like"] is None
             vars(process)["_unit_motions"] = self._unit_motions
             if how["like"] is not None:
-                vars(process).update({name: getattr(self, name) for name in ("_held", "_unit_shapes", "_asks")})
+                vars(process).update(
+                    {name: getattr(self, name) for name in ("_held", "_unit_shapes", "_asks", "_linear")}
+                )
             if len(self._varied) >= (KEPT if model.compliance is self.model.compliance else 1):  # compliance is large
                 self._varied.clear()
             self._varied[key] = process
@@ -431,14 +458,14 @@ class Process:
         return self._held[name]
 
     @one_thread
-    def _equilibrium(self, last: PreparedStage, state: ProcessState, deviations):
+    def _equilibrium(self, last: PreparedStage, resolutions: Resolutions, deviations):
         """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end of a stage, the shape deviation
         included.
 
         The motions put the bilateral rows A at their values v: least squares over ``A G q = v − A H f``. Redundant rows
         take no part: their values have no effect, and may contradict the others.
         """
-        model, n = self.model, len(deviations)
+        model, n, state = self.model, len(deviations), resolutions.course.state
         reaction, value = (one.take(last.plan.bilateral) for one in (state.reaction, state.value))
         push = np.zeros((n, model.rows["clamp"].shape[0]))
         for i, force in state.push.items():

@@ -50,6 +50,8 @@ from mic.product import product
 
 __all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
 
+#: what finds the contacts' path of a step, see :meth:`PreparedStage.step`
+Resolve = Callable[..., tuple[PathSolution, np.ndarray, np.ndarray]]
 #: mm: a step's error is a share of this at least. By the usual tolerance forty steps that err alike leave the 2 µm that
 #: a coordinate measuring machine tells; a tighter one leaves less, however little the contacts move.
 LEAST_MOTION = 0.2
@@ -243,8 +245,17 @@ class PreparedStage:
         """(b + k, F) rows held at its end, and those that tell where resting parts are."""
         return self.steps[-1].bilateral
 
-    def advance(self, state: ProcessState, drive: Drive) -> tuple[ProcessState, Resolution | None]:
+    def advance(
+        self, state: ProcessState, drive: Drive, resolve: Resolve | None = None
+    ) -> tuple[ProcessState, Resolution | None]:
         """Take n assemblies through the stage.
+
+        Parameters
+        ----------
+        state : ProcessState
+        drive : Drive
+        resolve : function, optional
+            As :meth:`step` takes it.
 
         Returns
         -------
@@ -255,7 +266,7 @@ class PreparedStage:
         """
         start, solutions, ends = state, [], {}
         for eliminated in self.needed:
-            state, solution = self._step(eliminated, state, drive)
+            state, solution = self.step(eliminated, state, drive, resolve)
             solutions += [] if solution is None else [solution]
             ends[eliminated.step] = state
         if not self.resolves:
@@ -309,15 +320,26 @@ class PreparedStage:
             return drive.target["clamp"][:, row]
         return -drive.weld_gap[:, row]
 
-    def _step(self, eliminated, state, drive):
-        """The state after a step, and the path that its contacts went; None where they were not resolved."""
+    def step(
+        self, eliminated: EliminatedStep, state: ProcessState, drive: Drive, resolve: Resolve | None = None
+    ) -> tuple[ProcessState, PathSolution | None]:
+        """The state after a step, and the path that its contacts went; None where they were not resolved.
+
+        Parameters
+        ----------
+        eliminated, state, drive
+            The step, the state before it, and what drives it.
+        resolve : function, optional
+            Of these, the step's ramp and where resting parts are (n, k): the contacts' path, the forces (n, s) of the
+            stops, and where resting parts come to lie; default: what the contact law makes of them.
+        """
         step = eliminated.step
         ramp = self.ramp(step, state, drive)
         place = (drive.target if step.sets_down else state.reading)["rest"][:, eliminated.rest.row]  # of resting parts
         force, left, anchor, solution = state.force, state.left, state.anchor, None
         stop = self.stopped(step, state)
         if self.solved(eliminated):
-            solution, stop, place = self._resolve(eliminated, state, drive, ramp, place)
+            solution, stop, place = (resolve or self._resolve)(eliminated, state, drive, ramp, place)
             force = solution.force.reshape(force.shape)
             left = solution.displacement.reshape(force.shape).copy()
             left[:, :, 0] -= drive.gap

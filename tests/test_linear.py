@@ -1,0 +1,128 @@
+"""What is linear in a process gives what its stages give one by one, and the rest is made when it is asked for."""
+
+import numpy as np
+import pytest
+from support.springs import at_face, six, spring_model
+
+from mic.process.linear import MOST, Linear
+from mic.sampling.draw import draw
+
+
+def plates(gun=None, deviations=()):
+    """Two plates on springs, 0.3 mm apart, clamped and welded."""
+    weld = {"name": "W", "parts": ["a", "b"], "point": [5, 5, 0], "moment": False} | ({"gun": gun} if gun else {})
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        "locators": [*six("a"), *six("b")],
+        "clamps": [at_face("b", (0, 0, -1), name="C", stroke=-0.3)],
+        "welds": [weld],
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
+        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
+        "deviations": list(deviations),
+        "stages": [{"kind": kind} for kind in ("locate", "clamp", "weld", "release", "measure")],
+    }
+    return spring_model([0.3], [0.3], **keys)
+
+
+def one_by_one(process, deviations):
+    """Resolutions by stage, and what the measurements read, from the stages themselves."""
+    asked, state, resolutions, readings = process.asked(deviations), process.start(len(deviations)), {}, None
+    for stage in process.stages:
+        state, resolution = stage.advance(state, asked)
+        if resolution is not None:
+            resolutions[stage.plan.name] = resolution
+        if stage.plan.reads:
+            readings = state.reading["measurement"] + asked.measured
+    return resolutions, readings
+
+
+def close(found, expected, share=1e-9):
+    scale = np.abs(expected).max()
+    assert scale > 0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=share * scale)
+
+
+@pytest.mark.parametrize(
+    "name, law", [("lap_model", "coulomb"), ("lap_model", "associated"), ("hat_model", "frictionless")]
+)
+def test_samples_go_through_the_maps_as_through_the_stages(name, law, request):
+    process = request.getfixturevalue(name).process(law)
+    deviations = draw(process.model.scene, 5, 0, 4)
+    maps = Linear.of(process, deviations.shape[1])
+    assert maps is not None and len(maps.steps) > 1
+    resolutions, expected = one_by_one(process, deviations)
+    solutions, readings, failed = maps.follow(process.stages, deviations)
+    close(readings, expected)
+    assert not failed.any() and len(solutions) == len(maps.steps)
+    found = process.evaluate(deviations)
+    assert list(found.resolutions) == list(resolutions)
+    np.testing.assert_array_equal(found.readings, readings)
+    for stage, one in found.resolutions.items():
+        close(one.force, resolutions[stage].force)
+        close(one.reaction, resolutions[stage].reaction)
+        close(one.displacement, resolutions[stage].displacement, 1e-8)
+        np.testing.assert_array_equal(one.state, resolutions[stage].state)
+
+
+def test_contacts_are_given_the_same_problems(monkeypatch):
+    """Plates that overlap when a clamp lets them settle, and were moved aside before."""
+    named = [{"name": name, "kind": "locator", "target": name, "sigma": 0.1} for name in ("bl1", "bl4")]
+    process = plates(deviations=named).process("coulomb")
+    asked = []
+    for stage in process.stages:
+        for each in filter(stage.solved, stage.needed):
+            solver = stage.solver(each)
+            monkeypatch.setattr(solver, "follow", lambda *a, own=solver.follow: asked.append(a[:3]) or own(*a))
+    deviations = np.array([[0.1, 0.2], [-0.9, -0.3]])
+    maps = Linear.of(process, 2)
+    lift = maps.steps[0].overlap([np.column_stack([np.ones(2), deviations])])
+    assert lift.min() < 0 < lift.max()
+    one_by_one(process, deviations)
+    expected, asked[:] = list(asked), []
+    maps.follow(process.stages, deviations)
+    assert len(asked) == len(expected) > 1
+    for found, given in zip(asked, expected):
+        for one, other in zip(found, given):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * max(1, np.abs(other).max()))
+    assert all(np.abs(anchor).max() > 1e-3 for _, _, anchor in expected)
+
+
+def test_a_sample_has_the_same_bits_alone_and_among_others(lap_model):
+    process, deviations = lap_model.process("coulomb"), draw(lap_model.scene, 5, 0, 9)
+    together = process.evaluate(deviations)
+    for number in (0, 4, 8):
+        alone = process.evaluate(deviations[[number]])
+        np.testing.assert_array_equal(alone.measurements[0], together.measurements[number])
+        np.testing.assert_array_equal(alone.functional_force[0], together.functional_force[number])
+
+
+def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model, monkeypatch):
+    process, deviations = lap_model.process("coulomb"), draw(lap_model.scene, 5, 0, 3)
+    process.evaluate(deviations)  # the maps are made
+    calls = []
+    for stage in process.stages:
+        monkeypatch.setattr(stage, "advance", lambda *a, own=stage.advance: calls.append(1) or own(*a))
+    found, given = process.evaluate(deviations), deviations.copy()
+    deviations[:] = 0.0
+    assert not calls and np.abs(found.measurements).max() > 0
+    assert "release" in found.resolutions and "measure" not in found.resolutions and not calls
+    force = found.resolutions["release"].force
+    assert len(calls) == len(process.stages)
+    np.testing.assert_array_equal(force, process.evaluate(given).resolutions["release"].force)
+    count = len(calls)
+    assert found.motion.any() and found.functional_force.any() and len(calls) == count
+    with pytest.raises(KeyError):
+        found.resolutions["measure"]
+
+
+def test_what_is_too_large_is_not_kept(lap_model, monkeypatch):
+    process, count = lap_model.process("coulomb"), len(lap_model.scene.deviations)
+    assert Linear.of(process, count) is not None
+    monkeypatch.setattr("mic.process.linear.MOST", MOST // 100)
+    assert Linear.of(process, count) is None
+
+
+@pytest.mark.parametrize("gun", [None, 1.0])
+def test_limited_forces_are_not_linear(gun):
+    process = plates(gun=gun).process("coulomb")
+    assert (Linear.of(process, 0) is None) == bool(gun)
