@@ -39,8 +39,9 @@ def test_strip_pressed_on_a_stop(share):
     assert state.force[0, 0] == pytest.approx(max(0.0, P - stiffness * gap), rel=2e-3)
 
 
-def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch):
-    """A strip pressed on feet and dragged along them, loads that change, contacts that open, stick and slip."""
+def dragged(loads=slice(None)):
+    """A strip pressed on feet and dragged along them, loads that change, contacts that open, stick and slip: each
+    load's solution and iterations."""
     shell = strip(100.0, 10.0, 5.0, 10.0)
     x = shell.surface.points[:, 0]
     feet = np.flatnonzero((x > 30) & (x % 20 == 0))
@@ -48,23 +49,29 @@ def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch):
     C = interleave(*(vertex_rows(shell, feet, axis, side=-1) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))))
     push, lift = (vertex_rows(shell, tip, axis).mean(axis=0).A1 for axis in ((1.0, 0.3, 0), (0, 0, 1.0)))
     law = contact_law(1.0, np.full(len(feet), 0.01), 5 * E, 3, penalty=1e3)
-    loads = [-400 * lift, 2000 * push - 40 * lift, 5000 * push - 60 * lift, -5000 * push - 20 * lift, 5 * lift]
+    way = [-400 * lift, 2000 * push - 40 * lift, 5000 * push - 60 * lift, -5000 * push - 20 * lift, 5 * lift]
+    held = clamped(shell, np.flatnonzero(x == 0))
+    system = Equilibrium(Parts([shell], MPI.COMM_SELF), held, C, 3, held=True)
+    state, found = rest(system), []
+    for p in way[loads]:
+        state, history = system.newton(state, p, np.zeros(system.b), law)
+        found.append((state, history))
+    return found
 
-    def gone():
-        held = clamped(shell, np.flatnonzero(x == 0))
-        system = Equilibrium(Parts([shell], MPI.COMM_SELF), held, C, 3, held=True)
-        state, found = rest(system), []
-        for p in loads:
-            state, history = system.newton(state, p, np.zeros(system.b), law)
-            found.append((state, history))
-        return found
 
+@pytest.fixture(scope="module")
+def dragged_whole():
+    """By the whole system alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(equilibrium, "FACTORISED", -1e9)
+        patch.setattr(equilibrium, "Condensation", None)
+        return dragged()
+
+
+def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch, dragged_whole):
     monkeypatch.setattr(equilibrium, "FACTORISED", 1e9)  # pays from the second iteration on
-    condensed = gone()
-    monkeypatch.setattr(equilibrium, "FACTORISED", -1e9)  # never
-    monkeypatch.setattr(equilibrium, "Condensation", None)
     seen = set()
-    for (state, history), (exact, iterations) in zip(condensed, gone(), strict=True):
+    for (state, history), (exact, iterations) in zip(dragged(), dragged_whole, strict=True):
         assert np.abs(state.stacked - exact.stacked).max() < 1e-8 * np.abs(exact.stacked).max()
         assert np.abs(state.u - exact.u).max() < 1e-8 * np.abs(exact.u).max()
         assert len(history) == len(iterations)
@@ -72,6 +79,33 @@ def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch):
         assert steps == [(one.step, one.open, one.stick, one.slip) for one in iterations]
         seen |= {name for name in ("open", "stick", "slip") if getattr(iterations[-1], name)}
     assert seen == {"open", "stick", "slip"}
+
+
+@pytest.mark.parametrize("spoilt", ["astray", "singular", "no numbers"])
+def test_where_the_condensed_iterations_fail_those_of_the_whole_system_answer(monkeypatch, dragged_whole, spoilt):
+    """A compliance of the wrong sign, one that makes the tangent singular, and one without a number in it."""
+    failed = []
+
+    class Spoilt(equilibrium.Condensation):
+        def __init__(self, matrix, C):
+            super().__init__(matrix, C)
+            self.compliance = {"astray": -1.0, "singular": 0.0, "no numbers": np.nan}[spoilt] * self.compliance
+
+    def iterate(system, start, p, v, law, steps):
+        try:
+            return whole(system, start, p, v, law, steps)
+        except equilibrium.NoConvergence:
+            failed.append(steps.__name__)
+            raise
+
+    whole = Equilibrium._iterate
+    monkeypatch.setattr(Equilibrium, "_iterate", iterate)
+    monkeypatch.setattr(equilibrium, "FACTORISED", 1e9)
+    monkeypatch.setattr(equilibrium, "Condensation", Spoilt)
+    for (state, history), (exact, iterations) in zip(dragged(slice(3)), dragged_whole):
+        assert np.abs(state.stacked - exact.stacked).max() < 1e-8 * np.abs(exact.stacked).max()
+        assert len(history) == len(iterations)
+    assert failed and set(failed) == {"_condensed_step"}
 
 
 def block_on_feet():
