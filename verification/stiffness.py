@@ -78,7 +78,8 @@ class DeviatedStiffness:
 
             H(a) = H(m) + Σ_i (a_i − m_i) (H(m + s_i e_i) − H(m − s_i e_i)) / 2 s_i,
 
-        and G and the gaps alike.
+        and G and the gaps alike. Each H is first put on one support: P H P with P = 1 − G (GᵀG)⁻¹ Gᵀ differs from H by
+        rigid motions alone under forces that balance, and hangs on no choice of pins.
 
         Parameters
         ----------
@@ -102,7 +103,7 @@ class DeviatedStiffness:
             return replace(
                 middle,
                 compliance=Blocks(
-                    tuple(linear(lambda model, p=p: model.compliance.H[p], share) for p in parts),
+                    tuple(linear(lambda model, p=p: _unpinned(model, p), share) for p in parts),
                     tuple(linear(lambda model, p=p: model.compliance.G[p], share) for p in parts),
                 ),
                 contacts=replace(middle.contacts, gap=linear(lambda model: model.contacts.gap, share)),
@@ -110,3 +111,10 @@ class DeviatedStiffness:
             )
 
         return at
+
+
+def _unpinned(model: ReducedModel, p: int) -> np.ndarray:
+    H, G = model.compliance.H[p], model.compliance.G[p]
+    Q = np.linalg.qr(G / np.linalg.norm(G, axis=0))[0]
+    half = H - Q @ (Q.T @ H)
+    return half - (half @ Q) @ Q.T
