@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 from support.springs import at_face, six, spring_model
 
-from mic.process.linear import MOST, Linear
+from mic.process.linear import Linear
+from mic.process.process import Process
 from mic.sampling.draw import draw
+
+
+@pytest.fixture(autouse=True)
+def room(monkeypatch):
+    """Room for the maps of followed paths, of many steps."""
+    monkeypatch.setattr("mic.process.linear.MOST", 10_000_000)
 
 
 def plates(gun=None, deviations=()):
@@ -46,7 +53,7 @@ def close(found, expected, share=1e-9):
     "name, law", [("lap_model", "coulomb"), ("lap_model", "associated"), ("hat_model", "frictionless")]
 )
 def test_samples_go_through_the_maps_as_through_the_stages(name, law, request):
-    process = request.getfixturevalue(name).process(law)
+    process = Process(request.getfixturevalue(name), law)
     deviations = draw(process.model.scene, 5, 0, 4)
     maps = Linear.of(process, deviations.shape[1])
     assert maps is not None and len(maps.steps) > 1
@@ -88,7 +95,7 @@ def test_contacts_are_given_the_same_problems(monkeypatch):
 
 
 def test_a_sample_has_the_same_bits_alone_and_among_others(lap_model):
-    process, deviations = lap_model.process("coulomb"), draw(lap_model.scene, 5, 0, 9)
+    process, deviations = Process(lap_model, "coulomb"), draw(lap_model.scene, 5, 0, 9)
     together = process.evaluate(deviations)
     for number in (0, 4, 8):
         alone = process.evaluate(deviations[[number]])
@@ -97,7 +104,7 @@ def test_a_sample_has_the_same_bits_alone_and_among_others(lap_model):
 
 
 def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model, monkeypatch):
-    process, deviations = lap_model.process("coulomb"), draw(lap_model.scene, 5, 0, 3)
+    process, deviations = Process(lap_model, "coulomb"), draw(lap_model.scene, 5, 0, 3)
     process.evaluate(deviations)  # the maps are made
     calls = []
     for stage in process.stages:
@@ -116,9 +123,9 @@ def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model
 
 
 def test_what_is_too_large_is_not_kept(lap_model, monkeypatch):
-    process, count = lap_model.process("coulomb"), len(lap_model.scene.deviations)
+    process, count = Process(lap_model, "coulomb"), len(lap_model.scene.deviations)
     assert Linear.of(process, count) is not None
-    monkeypatch.setattr("mic.process.linear.MOST", MOST // 100)
+    monkeypatch.setattr("mic.process.linear.MOST", 10_000)
     assert Linear.of(process, count) is None
 
 

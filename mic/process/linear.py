@@ -25,8 +25,8 @@ from mic.product import product
 
 __all__ = ["Linear", "Staged"]
 
-#: Numbers that the maps of a process hold, about, 16 MB: more take longer to find than they save.
-MOST = 2_000_000
+#: Numbers that the maps of a process hold, about, 4 MB: beside larger problems the stages' own work is little.
+MOST = 500_000
 
 
 class Staged(Protocol):
