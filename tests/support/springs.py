@@ -105,7 +105,7 @@ def spring_model(gap, weld_gap=(), **scene):
         _pairs([zone.coefficient("default") for zone in scene.zones], gap),
         NOWHERE,
         size,
-        np.concatenate([np.zeros(0), *(np.eye(1, rows)[0] * gap for rows, gap in zip(size, weld_gap, strict=True))]),
+        np.concatenate([np.zeros(0), *(np.eye(1, rows)[0] * gap for rows, gap in zip(size, weld_gap))]),
         no_shape,
         no_shape,
         {},
