@@ -132,6 +132,7 @@ def verification() -> dict[str, str]:
         title = re.search(r"^# (.*)$", text, re.MULTILINE)[1]
         claim = re.search(r"\*\*Claim\.\*\*\s+(.*?)\n\n", text, re.DOTALL)[1].replace("\n", " ")
         lines.append(f"| [{title}](verification/{study.name}.md) | {claim} |")
+    lines += ["", _linked(ROOT / "verification" / "README.md")]
     lines += ["", *_toctree([study.name for study in studies], "verification/")]
     return pages | {"verification.md": "\n".join(lines)}
 

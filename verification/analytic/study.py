@@ -282,6 +282,6 @@ STUDY = Study(
             ),
         ),
     ),
-    seconds=(20, 14),
+    seconds=(14, 14),
     run=run,
 )

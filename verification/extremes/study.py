@@ -4,6 +4,7 @@ says so."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -261,9 +262,8 @@ def try_drawn(context, cell):
     return row | {"with its remedy": outcome["outcome"]}
 
 
-def drawn(context):
-    """The cells of the design over all axes at once."""
-    rows = context.team.map(lambda cell: try_drawn(context, cell), design.cells(context.quick))
+def drawn(rows):
+    """What was found of the cells of the design over all axes at once."""
     table = pd.DataFrame(rows, columns=["family", "cell", "outcome", "error", "reason", "with its remedy"])
     refused = table[table["outcome"] == "refused"].drop(columns=["outcome", "error"])
     worked = (refused["with its remedy"] == "right").mean() if len(refused) else 1.0
@@ -280,7 +280,12 @@ def run(context):
     cells = [
         (name, function, value, right) for name, function, values, right in sweeps(context.quick) for value in values
     ]
-    table = pd.DataFrame(context.team.map(lambda cell: attempt(context, *cell), cells))
+    # Half of the time goes into the problem of the most contacts, the last of its sweep: it comes first.
+    tasks = [partial(attempt, context, *cell) for cell in cells]
+    order = sorted(range(len(cells)), key=lambda i: -cells[i][2] if cells[i][1] is contacts else 0)
+    tasks = [tasks[i] for i in order] + [partial(try_drawn, context, cell) for cell in design.cells(context.quick)]
+    found = context.team.map(lambda task: task(), tasks)
+    table = pd.DataFrame([found[order.index(i)] for i in range(len(cells))])
     outcome = table["outcome"].value_counts()
     refused = table[table["outcome"] == "refused"][["sweep", "value", "reason"]]
     return [
@@ -294,7 +299,7 @@ def run(context):
             table.drop(columns="reason"),
         ),
         Finding("refused", int(outcome.get("refused", 0)) / len(table), table=refused if len(refused) else None),
-        *drawn(context),
+        *drawn(found[len(cells) :]),
     ]
 
 
@@ -342,6 +347,6 @@ STUDY = Study(
             reason="A remedy that does not work is none.",
         ),
     ),
-    seconds=(310, 30),
+    seconds=(220, 30),
     run=run,
 )

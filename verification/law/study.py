@@ -357,6 +357,6 @@ STUDY = Study(
             reason="1e4 times the limit of the agreement: a law ignored by one of the routes could not hide.",
         ),
     ),
-    seconds=(330, 120),
+    seconds=(80, 120),
     run=run,
 )

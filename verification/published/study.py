@@ -249,6 +249,6 @@ STUDY = Study(
             reason="A reference errs by no more than a fifth of the limit.",
         ),
     ),
-    seconds=(8, 8),
+    seconds=(18, 18),
     run=run,
 )

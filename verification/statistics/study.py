@@ -227,6 +227,6 @@ STUDY = Study(
             ),
         ),
     ),
-    seconds=(90, 10),
+    seconds=(460, 10),
     run=run,
 )
