@@ -329,9 +329,19 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
         np.testing.assert_allclose(
             part.surface.corner_normals, np.broadcast_to(turned, (len(part.surface.triangles), 3, 3))
         )
-    assert np.abs(opening(lap, "contact", parts)[::3]).max() < 1e-9
+    read = np.ones(lap.rows["contact"].shape[0])  # no row of a contact reads a rotation
+    assert np.abs(opening(lap, "contact", parts, read)[::3]).max() < 1e-9
     fields["upper"][:, :3] += 0.1 * turned
-    np.testing.assert_allclose(opening(lap, "contact", deviated_parts(lap, fields))[::3], 0.1, rtol=1e-9)
+    np.testing.assert_allclose(opening(lap, "contact", deviated_parts(lap, fields), read)[::3], 0.1, rtol=1e-9)
+
+
+def test_how_an_averaged_weld_tilts_on_deviated_meshes_is_what_the_shape_reads(scene, cache):
+    welds = [weld.model_copy(update={"fused": False}) for weld in scene.welds]
+    lap = assemble(scene.model_copy(update={"welds": welds}), cache)
+    read = 1.0 + np.arange(lap.rows["weld"].shape[0])
+    found = opening(lap, "weld", lap.parts, read).reshape(-1, 6)
+    np.testing.assert_array_equal(found[:, 3:], read.reshape(-1, 6)[:, 3:])
+    assert not found[:, :3].any()
 
 
 def test_every_node_of_the_zone(scene, cache):

@@ -53,12 +53,13 @@ class DeviatedStiffness:
         parts = deviated_parts(assembly, self._full.shape_fields(deviations))
         found = [provider.find(part).coefficients([part])[part.name] for part in parts]
         gap, weld_gap = (
-            opening(assembly, kind, parts) - model.rows[kind] @ (model.shape @ deviations)
+            opening(assembly, kind, parts, read) - read
             for kind in ("contact", "weld")
+            for read in [model.rows[kind] @ (model.shape @ deviations)]
         )
         contacts, joints = model.contacts, model.joints
-        normal = [row for i, size in enumerate(joints.size) for row in joints.normal(i)[: 1 if size == 6 else None]]
-        weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0  # how averaged welds tilt, the shape tells
+        normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
+        weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0
         return replace(
             model,
             compliance=Blocks(tuple(one.H for one in found), tuple(one.G for one in found)),

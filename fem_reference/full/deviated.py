@@ -45,7 +45,7 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
     ]
 
 
-def opening(assembly, kind: str, parts: list[Part]) -> np.ndarray:
+def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndarray:
     """(r,) change of the distance between the two mid-surfaces along each row of a kind, nominal to deviated, mm.
 
     Parameters
@@ -54,12 +54,15 @@ def opening(assembly, kind: str, parts: list[Part]) -> np.ndarray:
     kind : {"contact", "weld"}
     parts : list of Part
         As :func:`deviated_parts` made them.
+    read : (r,) array
+        What the rows read of the deviations of shape: it is the answer of those that read rotations.
     """
+    turns = abs(assembly.rows[kind]) @ np.concatenate([part.functionals.rotation for part in parts]) > 0
     before, after = (
         assembly.rows[kind] @ np.concatenate([_position(part) for part in version])
         for version in (assembly.parts, parts)
     )
-    return after - before
+    return np.where(turns, read, after - before)
 
 
 def _deviated(surface, field):

@@ -231,7 +231,7 @@ class FullModel:
         parts = assembly.parts
         if self.deviated:
             parts = deviated_parts(assembly, mesh.vertex_fields(u))
-            shape |= {kind: opening(assembly, kind, parts)[None] for kind in ("contact", "weld")}
+            shape |= {kind: opening(assembly, kind, parts, shape[kind][0])[None] for kind in ("contact", "weld")}
         if more:
             parts = [part.at(part.thickness + more[part.name]) if part.name in more else part for part in parts]
             faces = self._faces @ deviations
