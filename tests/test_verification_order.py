@@ -77,4 +77,5 @@ def test_a_path_that_drifts_is_caught(wheelhouse):
     found = study.evaluate(model, study.increments(others[0], 1), deviations[:3])
     clamp = found.resolutions["clamp"]
     drifted = replace(clamp, trace=replace(clamp.trace, slip=1.02 * clamp.trace.slip + 4e-3))
-    assert study.departure(replace(found, resolutions=found.resolutions | {"clamp": drifted}), found, model)[0] > 1
+    resolutions = {**found.resolutions, "clamp": drifted}
+    assert study.departure(replace(found, resolutions=resolutions), found, model)[0] > 1
