@@ -17,7 +17,7 @@ from mic.scene.load import read_table
 from verification.comparison import difference, reduced_and_assembly
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
-WARM = {"name": "W", "kind": "temperature", "parts": ["lower"], "mean": 40.0, "sigma": 1.0}
+WARM = {"name": "W", "kind": "temperature", "part": "lower", "mean": 40.0, "sigma": 1.0}
 
 
 def lap(stiffness="mean", mean=-5.0, **keys):
