@@ -47,13 +47,13 @@ def coefficients(
     if assembly.scene.stiffness == "nominal":
         return found, cached
     first = comm is None or comm.rank == 0
-    fields = None
+    fields: dict[str, np.ndarray] = {}
     if first:
         mean = np.array([deviation.mean for deviation in assembly.scene.deviations])
         fields = shape_fields(assembly, Reduction.build(assembly, found), mean)
     fields = fields if comm is None else comm.bcast(fields)
     parts = deviated_parts(assembly, fields)
-    own, known = influence_coefficients(replace(assembly, parts=parts), cache, progress, comm)
+    own, known = influence_coefficients(replace(assembly, parts=tuple(parts)), cache, progress, comm)
     both = {name: replace(one, deviated=(fields[name], own[name])) for name, one in found.items() if name in own}
     return both, {name: cached[name] and known[name] for name in cached}
 
@@ -99,8 +99,9 @@ def carrying(
     Parameters
     ----------
     model : Reduction
-        Of the nominal meshes.
+        Of the nominal meshes, or with the stiffness of another shape.
     assembly : Assembly
+        With nominal gaps.
     fields : mapping of str to (v, 6) array
         The shape at the vertices of each part, mm and rad.
     own : mapping of str to InfluenceCoefficients
@@ -114,13 +115,13 @@ def carrying(
         for kind in ("contact", "weld")
         for read in [model.rows[kind] @ (model.shape @ deviations)]
     )
-    contacts, joints = model.contacts, Joints(tuple(model.weld_size))
+    contacts, joints = assembly.contacts, Joints(tuple(model.weld_size))
     normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
     weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0
     found = [own[part.name] for part in parts]
     return replace(
         model,
         compliance=Blocks(tuple(one.H for one in found), tuple(one.G for one in found)),
-        contacts=replace(contacts, gap=contacts.gap + gap[:: contacts.dimension]),
-        weld_gap=model.weld_gap + weld_gap,
+        contacts=replace(model.contacts, gap=contacts.gap + gap[:: contacts.dimension]),
+        weld_gap=assembly.weld_gap + weld_gap,
     )
