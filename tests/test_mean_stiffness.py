@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,25 @@ def test_the_mean_sample_is_that_of_full_elements_on_its_own_mesh(built):
     full = FullModel(assembly, deviated=True).evaluate(mean)
     assert difference(model.evaluate(mean), 0, full).largest < 1e-7
     assert difference(models["nominal"][0].evaluate(mean), 0, full).largest > 1e-3
+
+
+@pytest.mark.fem
+def test_gaps_go_with_the_mean_shape(built):
+    """On the hat, whose bends turn; between flat sheets normals turn with the gap and leave it as it was."""
+    folder = LAP.parent / "hat_on_plate"
+    table = mic.load_scene(folder).model_dump(mode="json", exclude={"folder"})
+    table["parts"] = [part | {"size": 12.0} for part in table["parts"]]
+    table["zones"] = [zone | {"pairs": 6} for zone in table["zones"]]
+    for stage in table["stages"]:
+        if stage["kind"] in ("clamp", "weld", "release"):
+            stage |= {"path": "increments", "increments": 1}
+    table |= {"report": {"laws": ["coulomb"]}, "stiffness": "mean"}
+    model, assembly = reduced_and_assembly(read_table(table, folder / "scene.toml"), built[0])
+    mean, change = model.deviations({})[0], model.contacts.gap - assembly.contacts.gap
+    full = FullModel(assembly, deviated=True).evaluate(mean)
+    assert difference(model.evaluate(mean), 0, full).largest < 1e-7
+    wrong = replace(model, contacts=replace(model.contacts, gap=assembly.contacts.gap - change))
+    assert difference(wrong.evaluate(mean), 0, full).largest > 0.1
 
 
 @pytest.mark.fem
