@@ -103,15 +103,15 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     MissingProvider
         If influence coefficients must be computed and nothing that can is installed.
     """
-    from mic.compliance.cache import influence_coefficients
     from mic.model.assembly import assemble
     from mic.process.model import ReducedModel
     from mic.process.plan import plan_assembly
+    from mic.process.stiffness import coefficients
 
     cache = cache or cache_folder()
     assembly = assemble(scene, cache, check=plan_assembly)
     plan_assembly(assembly)  # a process that cannot be is refused before anything is factorised
-    return ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
+    return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
 
 
 def check(scene: Scene, cache: Path | None = None) -> tuple[Warned, ...]:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.compliance.cache import influence_coefficients
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import SceneError
 from mic.geometry.told import mended
@@ -24,6 +23,7 @@ from mic.model.overlap import frozen_gaps
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
+from mic.process.stiffness import coefficients
 from mic.results.accuracy import write_accuracy
 from mic.results.condensed import Condensed
 from mic.results.digest import BlockSamples
@@ -117,7 +117,7 @@ def run(
 
         on_first(world, prepare)  # a folder that cannot be used is refused before anything is computed
         with clock("influence coefficients"):
-            influence, cached = influence_coefficients(assembly, cache, say, world)
+            influence, cached = coefficients(assembly, cache, say, world)
             reused = [name for name, hit in cached.items() if hit]
             if reused:
                 listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")

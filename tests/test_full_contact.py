@@ -8,12 +8,12 @@ from support.processes import ROOT, on_processes
 
 import mic
 from fem_reference.full import equilibrium
-from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.equilibrium import NoConvergence
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.compliance.cache import influence_coefficients
 from mic.contact.watched import PENETRATION
 from mic.model.assembly import assemble
+from mic.model.deviated import deviated_parts, opening
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.sampling.draw import draw

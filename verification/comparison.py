@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from mic.compliance.cache import influence_coefficients
 from mic.contact import certify
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.process.stiffness import coefficients
 from mic.scene import Scene
 
 __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "relative", "zone_slip"]
@@ -22,7 +22,7 @@ def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assem
     """The reduced model of a scene and the assembly that it came from, made by the production path on this process
     alone."""
     assembly = assemble(scene, cache)
-    return ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]), assembly
+    return ReducedModel.build(assembly, coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]), assembly
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,14 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.model import FullModel
 from mic.compliance import provider
 from mic.compliance.blocks import Blocks
 from mic.errors import SceneError
 from mic.model.assembly import Assembly
+from mic.model.deviated import deviated_parts
 from mic.process.model import ReducedModel
+from mic.process.stiffness import carrying
 
 __all__ = ["DeviatedStiffness"]
 
@@ -50,22 +51,10 @@ class DeviatedStiffness:
     def at(self, deviations: np.ndarray) -> ReducedModel:
         """The model for one sample, whose deviations (p,) are to be given to it."""
         assembly, model = self._assembly, self._model
-        parts = deviated_parts(assembly, self._full.shape_fields(deviations))
-        found = [provider.find(part).coefficients([part])[part.name] for part in parts]
-        gap, weld_gap = (
-            opening(assembly, kind, parts, read) - read
-            for kind in ("contact", "weld")
-            for read in [model.rows[kind] @ (model.shape @ deviations)]
-        )
-        contacts, joints = model.contacts, model.joints
-        normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
-        weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0
-        return replace(
-            model,
-            compliance=Blocks(tuple(one.H for one in found), tuple(one.G for one in found)),
-            contacts=replace(contacts, gap=contacts.gap + gap[:: contacts.dimension]),
-            weld_gap=model.weld_gap + weld_gap,
-        )
+        fields = self._full.shape_fields(deviations)
+        parts = deviated_parts(assembly, fields)
+        found = {part.name: provider.find(part).coefficients([part])[part.name] for part in parts}
+        return carrying(model, assembly, fields, found, deviations)
 
     def shaping(self) -> np.ndarray:
         """(p,) bool: the deviations that give a part another shape."""

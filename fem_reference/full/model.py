@@ -17,13 +17,13 @@ import numpy as np
 from mpi4py import MPI
 from scipy.sparse import block_diag, csr_matrix
 
-from fem_reference.full.deviated import deviated_parts, opening
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
 from mic.model.characteristics import Characteristics
+from mic.model.deviated import deviated_parts, opening
 from mic.model.shape import controlling_forces, datum_rows, known_shapes, thickening
 from mic.model.sources import changed, sources, thicker
 from mic.process.drive import drive

@@ -9,13 +9,13 @@ from functools import wraps
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mic import cache_folder
-from mic.compliance.cache import influence_coefficients
 from mic.console import plain
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
+from mic.process.stiffness import coefficients
 from mic.results.folder import RunFolder
 from mic.results.identity import identity
 from mic.runs import Listener, hold
@@ -100,8 +100,8 @@ def reduced(console, source):
     say = lambda line: console.print(f"{plain(line)} …", highlight=False)
     assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
     plan_assembly(assembly)
-    coefficients, _ = influence_coefficients(assembly, cache_folder(), say)
-    return ReducedModel.build(assembly, coefficients), assembly.parts
+    influence, _ = coefficients(assembly, cache_folder(), say)
+    return ReducedModel.build(assembly, influence), assembly.parts
 
 
 def law_of(model, law):

@@ -165,7 +165,10 @@ def _print_optimisation(console, sentences):
 
 
 def _at_hand(assembly):
-    """The reduced model, where the influence coefficients are cached and it is not large; else None."""
+    """The reduced model, where the influence coefficients are cached, all of them nominal, and it is not large; else
+    None."""
+    if assembly.scene.stiffness != "nominal":
+        return None
     if len(assembly.contacts) <= LOOKED_AT and all(is_cached(part, cache_folder()) for part in assembly.parts):
         return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
     return None

@@ -31,6 +31,9 @@ class InfluenceCoefficients:
         What the coefficients were computed from (element, sizes, versions), for the record.
     thicknesses : Thicknesses, optional
         Those at other thicknesses, of a part whose thickness varies.
+    deviated : ((v, 6) array, InfluenceCoefficients), optional
+        A shape at the part's vertices, displacements and rotations, mm and rad, and the coefficients of the part that
+        carries it.
 
     Raises
     ------
@@ -43,6 +46,7 @@ class InfluenceCoefficients:
     G: np.ndarray
     provenance: dict = field(default_factory=dict)
     thicknesses: Thicknesses | None = None
+    deviated: tuple[np.ndarray, InfluenceCoefficients] | None = None
 
     def __post_init__(self):
         n = len(self.H)

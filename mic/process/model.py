@@ -6,10 +6,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from mic.compliance.coefficients import InfluenceCoefficients
+from mic.errors import SceneError
+from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
 from mic.model.resting import RestRows
 from mic.process.actions import Joints
@@ -17,6 +20,7 @@ from mic.process.evaluation import Evaluation
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
+from mic.process.stiffness import carrying
 from mic.product import one_thread
 from mic.scene import Scene
 
@@ -31,6 +35,28 @@ class ReducedModel(Reduction):
 
     What is prepared for a contact law is prepared once and kept.
     """
+
+    @classmethod
+    def build(cls, assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> Self:
+        """As :meth:`mic.model.reduction.Reduction.build`, with the stiffness that the scene asks for.
+
+        Raises
+        ------
+        ValueError
+            As there.
+        SceneError
+            If the coefficients lack that stiffness: not all that builds models looks for it.
+        """
+        nominal = super().build(assembly, influence)
+        if assembly.scene.stiffness == "nominal":
+            return nominal
+        fields, own = {}, {}
+        for part in assembly.parts:
+            deviated = influence[part.name].deviated
+            if deviated is None or len(deviated[1].H) != len(part.functionals):
+                raise SceneError('stiffness: what is asked for here knows "nominal" alone; leave the key out for it')
+            fields[part.name], own[part.name] = deviated
+        return carrying(nominal, assembly, fields, own, nominal.deviations({})[0])
 
     @property
     def joints(self) -> Joints:

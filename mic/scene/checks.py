@@ -42,6 +42,7 @@ def problems(scene, whole: bool = True) -> list[str]:
         check_stations,
         check_positions,
         check_optimisation,
+        check_stiffness,
         *(check_held,) * whole,
     ):
         try:
@@ -160,6 +161,27 @@ def check_correlations(scene) -> None:
             if name in seen:
                 found.append(f"{at}: {name!r} stands there twice; put all that varies with it into one matrix, once")
             seen.add(name)
+    _raise(found)
+
+
+def check_stiffness(scene) -> None:
+    """The stiffness of the mean shape is that of sheets of one thickness, known by their meshes."""
+    if scene.stiffness == "nominal":
+        return
+    found = []
+    for i, part in enumerate(scene.parts):
+        for key in ("stiffness", "compliance"):
+            if getattr(part, key) is not None:
+                at = entry("parts", i, part, key)
+                found.append(f"{at}: a matrix cannot follow a shape; leave the scene's stiffness nominal")
+    for i, item in enumerate(scene.deviations):
+        if item.kind == "thickness":
+            at = entry("deviations", i, item)
+            found.append(f"{at}: thickness changes the stiffness, too; take it out, or leave the scene's nominal")
+    if scene.report.fields:
+        found.append("report.fields: are those of parts on their nominal meshes; leave them out, or stiffness nominal")
+    if scene.optimise is not None:
+        found.append("optimise: knows the nominal stiffness alone; take the table out, or leave stiffness nominal")
     _raise(found)
 
 

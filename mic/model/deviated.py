@@ -67,6 +67,8 @@ def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndar
 
 def _deviated(surface, field):
     """A surface displaced at its vertices, its normals turned by the rotations there: n + θ × n, to first order."""
+    if not field.any():
+        return surface
     normals, rotation = surface.corner_normals, field[surface.triangles, 3:]
     return Surface(surface.points + field[:, :3], surface.triangles, normals + np.cross(rotation, normals))
 
