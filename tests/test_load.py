@@ -123,6 +123,10 @@ def test_without_gmsh_the_message_names_the_extra(tmp_path):
 HOSTILE = {
     "it ends the program": ("import os\nos._exit(0)", r"ends the program \(exit status 0\).*take the exit out"),
     "its build ends the program": ("import os\n" + BUILD + "os._exit(3)", r"ends the program \(exit status 3\)"),
+    "its mesh finds no room": (  # as on a full disk, nothing more can be written
+        "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + BUILD + POINTS + ", [[0, 1, 2]]",
+        "cannot be written into .*: make room on that disk, or let TMPDIR name",
+    ),
     "it crashes": (
         f"import os\n{BUILD}os.kill(os.getpid(), {int(signal.SIGSEGV)})",
         r"crashes \(signal 11\).*run it by itself",

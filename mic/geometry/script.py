@@ -37,6 +37,7 @@ from mic.geometry.surface import Surface
 __all__ = ["build", "load_script", "named_sizes"]
 
 LIMIT = 600.0  # s
+UNWRITTEN = 73  # exit status of a script's process that cannot write its answer
 RANKS = ("OMPI_", "PMIX_", "PMI_")  # by these variables a process that MPI has started is known: a script is none
 PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
 
@@ -161,6 +162,11 @@ def _silence(status: int | None) -> str:
         )
     if status < 0:
         return f"the script crashes (signal {-status}), likely in a library; run it by itself, and mend it"
+    if status == UNWRITTEN:
+        return (
+            f"its mesh cannot be written into {tempfile.gettempdir()}: make room on that disk, or let TMPDIR name a "
+            "folder on another"
+        )
     return f"the script ends the program (exit status {status}) instead of returning a mesh; take the exit out"
 
 
@@ -172,8 +178,11 @@ def _answer(folder: Path) -> None:
         found = _sizes(path) if request["size"] is None else _mesh(folder, path, request)
     except BaseException as problem:  # a script is the user's own program and may raise anything
         found = {"reason": _reason(problem, path)}
-    (folder / "answer.part").write_text(json.dumps(found))
-    (folder / "answer.part").replace(folder / "answer.json")
+    try:
+        (folder / "answer.part").write_text(json.dumps(found))
+        (folder / "answer.part").replace(folder / "answer.json")
+    except OSError:  # nor can it be told why
+        raise SystemExit(UNWRITTEN) from None
 
 
 def _sizes(path: Path) -> dict[str, Any]:

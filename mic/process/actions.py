@@ -258,6 +258,11 @@ class Joints:
         """The rows of a weld that tell how far its sheets stand apart: the mean along n, and how that tilts."""
         return [int(self.first[weld]) + row for row in NORMAL[self.size[weld]]]
 
+    @property
+    def normals(self) -> np.ndarray:
+        """(k,) those of all welds."""
+        return np.array([row for weld in range(len(self.size)) for row in self.normal(weld)], dtype=int)
+
 
 Move = tuple[Action, ...]  #: actions that happen together, contact active throughout
 

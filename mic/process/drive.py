@@ -109,8 +109,7 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], ask
         target[kind][:, row] += share * deviations[:, j]
     for row, j, share in asks.push:
         push[:, row] += share * deviations[:, j]
-    contacts, joints = assembly.contacts, Joints(tuple(assembly.weld_size))
-    normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
+    contacts, normal = assembly.contacts, Joints(tuple(assembly.weld_size)).normals
     weld_gap = np.tile(assembly.weld_gap, (len(deviations), 1))
     weld_gap[:, normal] += shape["weld"][:, normal]
     return Drive(

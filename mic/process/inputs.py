@@ -156,8 +156,7 @@ class Inputs:
         for kind, moved in self.target.items():
             target[kind] += np.tile(moved, (n, 1))
         rest["push"] += np.tile(self.push, (n, 1))
-        joints = Joints(tuple(model.weld_size))
-        normal = {row for weld in range(len(joints.size)) for row in joints.normal(weld)}
+        normal = set(Joints(tuple(model.weld_size)).normals)
         for place in self.places:
             # Where the row stands then, the stress-free shape is another, and so is the gap of a weld.
             drawn, (kind, row) = deviations @ (model.rows["position"][place.number] @ model.shape).ravel(), place.row

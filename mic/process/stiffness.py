@@ -115,8 +115,7 @@ def carrying(
         for kind in ("contact", "weld")
         for read in [model.rows[kind] @ (model.shape @ deviations)]
     )
-    contacts, joints = assembly.contacts, Joints(tuple(model.weld_size))
-    normal = [row for weld in range(len(joints.size)) for row in joints.normal(weld)]
+    contacts, normal = assembly.contacts, Joints(tuple(model.weld_size)).normals
     weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0
     found = [own[part.name] for part in parts]
     return replace(
