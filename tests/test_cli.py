@@ -32,7 +32,7 @@ def elsewhere(tmp_path, monkeypatch):
 def command(cache, tmp_path):
     def call(*arguments, check=True):
         done = subprocess.run(
-            [sys.executable, "-m", "mic.cli", *map(str, arguments)],
+            [sys.executable, "-m", "mic", *map(str, arguments)],
             cwd=tmp_path,
             capture_output=True,
             text=True,

@@ -27,7 +27,7 @@ __all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", 
 
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
 
-_LARGE = 5e7  # bytes of values, from which on memory is worth a fiftieth of a second
+_LARGE = 1e8  # bytes of values, from which on memory is worth a tenth of the time: pages given back are had anew
 
 # MUMPS's numbers of what this module sets or reads (MUMPS 5.5 users' guide, sections 5 and 6)
 _SPD = 1  # SYM

@@ -175,10 +175,12 @@ def _answer(folder: Path) -> None:
     request = json.loads((folder / "request.json").read_text())
     path = Path(request["path"])
     try:
-        found = _sizes(path) if request["size"] is None else _mesh(folder, path, request)
+        found, arrays = (_sizes(path), {}) if request["size"] is None else _mesh(path, request)
     except BaseException as problem:  # a script is the user's own program and may raise anything
-        found = {"reason": _reason(problem, path)}
+        found, arrays = {"reason": _reason(problem, path)}, {}
     try:
+        if arrays:
+            np.savez(folder / "mesh.npz", **arrays)
         (folder / "answer.part").write_text(json.dumps(found))
         (folder / "answer.part").replace(folder / "answer.json")
     except OSError:  # nor can it be told why
@@ -190,7 +192,8 @@ def _sizes(path: Path) -> dict[str, Any]:
     return {"sizes": {str(name): float(_size(script, str(name), 1.0)) for name in getattr(script, "SIZES", {})}}
 
 
-def _mesh(folder: Path, path: Path, request: Mapping[str, Any]) -> dict[str, Any]:
+def _mesh(path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the script read, and the arrays of its mesh."""
     size = request["size"]
     if request["graded"] is not None:
         size = GradedSize(size, *request["graded"])
@@ -201,8 +204,7 @@ def _mesh(folder: Path, path: Path, request: Mapping[str, Any]) -> dict[str, Any
     arrays = {"points": surface.points, "triangles": surface.triangles}
     if surface.given_normals is not None:
         arrays["normals"] = surface.given_normals
-    np.savez(folder / "mesh.npz", **arrays)
-    return read.header()
+    return read.header(), arrays
 
 
 def _reason(problem: BaseException, path: Path) -> str:
