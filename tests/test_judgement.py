@@ -911,7 +911,7 @@ def test_a_strict_run_is_refused_before_long_work(tmp_path, monkeypatch, cache):
     def compute(*_):
         raise AssertionError("influence coefficients were asked for")
 
-    monkeypatch.setattr("mic.runs.influence_coefficients", compute)
+    monkeypatch.setattr("mic.runs.coefficients", compute)
     out = tmp_path / "out"
     done = CliRunner().invoke(app, ["run", nonsense(tmp_path), "--strict", "--out", str(out)])
     assert isinstance(done.exception, SceneError) and "zone lap: friction = 27" in str(done.exception)
