@@ -173,9 +173,8 @@ def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path
     def compute(*_):
         raise AssertionError("influence coefficients were asked for")
 
-    for module in ("mic.runs", "mic.commands.check", "mic.commands.call"):
-        known = hasattr(sys.modules[module], "coefficients")
-        monkeypatch.setattr(f"{module}.{'coefficients' if known else 'influence_coefficients'}", compute)
+    for name in ("runs.coefficients", "commands.check.influence_coefficients", "commands.call.coefficients"):
+        monkeypatch.setattr(f"mic.{name}", compute)
     where = ["--out", str(tmp_path / "out")] if order == "run" else []
     done = CliRunner().invoke(app, [order, scene, *where])
     assert isinstance(done.exception, mic.SceneError)
