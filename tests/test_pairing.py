@@ -81,8 +81,7 @@ def beside(pairs, bodies, angle, thickness, at_nodes=False):
         surface, patch = bodies[0].surface, pair.patches[0]
         normal = surface.normals[patch.triangle]
         if at_nodes:
-            corners = surface.vertex_normals[surface.triangles[patch.triangle]]
-            normal = np.einsum("qi,qij->qj", patch.barycentric, corners)
+            normal = surface.smooth_normals(patch.triangle, patch.barycentric)
         along = np.einsum("ij,ij->i", second - first, normal)
         sideways = np.linalg.norm(second - first - along[:, None] * normal, axis=1)
         if (sideways > np.tan(np.radians(angle)) * np.abs(along) + 0.05 * thickness + 1e-5).any():
@@ -313,6 +312,45 @@ def test_every_node_is_every_node_of_both_sheets():
     found = np.array([pair.point[:2] for pair in pairs])
     np.testing.assert_allclose(np.unique(found.round(6), axis=0), np.unique(points.round(6), axis=0), atol=2e-6)
     assert len(found) == len(np.unique(points.round(6), axis=0))
+
+
+@pytest.mark.parametrize("beyond", [None, 3.0])
+@pytest.mark.parametrize("bent_first", [False, True])
+@pytest.mark.parametrize("angle", [45.0, 90.0])
+def test_a_node_on_a_fold_presses_along_the_flange_and_not_along_the_mean_of_flange_and_wall(angle, bent_first, beyond):
+    """A flange on a flat sheet, or on another whose wall leaves the other way, from a fold that lies beyond its own."""
+    dy, dz = 20 * np.cos(np.radians(angle)), 20 * np.sin(np.radians(angle))
+    bent = Surface(*extrude([(25, 1), (5, 1), (5 - dy, 1 + dz)], 0.0, 20.0, 2.3))
+    sheet = plane(0, size=30.0, n=13)
+    if beyond is not None:
+        end = 5 + beyond
+        sheet = Surface(*extrude([(25, 0), (end, 0), (end - dy, -dz)], 0.0, 20.0, 2.1))
+    bodies = (Side(bent, 1.0), Side(sheet, 1.0))[:: 1 if bent_first else -1]
+    pairs = node_pairs(zone(max_gap=0.5), *bodies)
+    for pair in pairs:
+        np.testing.assert_allclose(np.abs(pair.frame[2, 0]), 1.0, atol=1e-9)
+        assert pair.gap == pytest.approx(0.0, abs=1e-9)
+    ending = int(bent_first != (beyond is None))
+    surface, line = bodies[ending].surface, [5.0 + (beyond or 0.0), 1.0 if beyond is None else 0.0]
+    fold = np.flatnonzero(np.abs(surface.points[:, 1:] - line).max(1) < 1e-9)
+    flange = np.ptp(surface.corners[:, :, 2], axis=1) < 1e-9
+    thirds = np.bincount(
+        surface.triangles[flange].ravel(), np.repeat(surface.areas[flange] / 3, 3), len(surface.points)
+    )
+    read = np.array([surface.at(p.triangle, p.barycentric)[0] for p in (pair.patches[ending] for pair in pairs)])
+    own = np.array([pair.patches[ending].barycentric.max() > 1 - 1e-9 for pair in pairs])  # other nodes read within
+    for k in fold:  # half of its area of the flange, since both sheets have nodes, and none of the wall's
+        at = own & (np.linalg.norm(read - surface.points[k], axis=1) < 1e-9)
+        assert any(pairs[i].area == pytest.approx(thirds[k] / 2) for i in np.flatnonzero(at))
+
+
+def test_a_node_in_a_corner_faces_both_walls_of_another_that_it_lies_in():
+    inner = Side(Surface(*extrude([(25, 1), (1, 1), (1, 25)], 0.0, 20.0, 2.3)), 1.0)
+    outer = Side(Surface(*extrude([(26, 0), (0, 0), (0, 26)], 0.0, 20.0, 2.1)), 1.0)
+    fold = [pair for pair in node_pairs(zone(max_gap=2.0), inner, outer) if np.allclose(pair.point[1:], 1)]
+    ways = np.array([np.abs(pair.frame[1:, 0]).round(9) for pair in fold])
+    there = np.isclose(inner.surface.points[:, 1:], 1).all(1).sum()
+    assert len(ways) == 2 * there and (ways == [1, 0]).all(1).sum() == there == (ways == [0, 1]).all(1).sum()
 
 
 @pytest.mark.parametrize("within_first", [False, True])

@@ -632,8 +632,8 @@ def node_pairs(zone, first: Side, second: Side, pressed: Sequence[Pressed] = ())
 
     Those of one surface alone would miss where the other ends. A rigid fixture has no vertices of its own. The zone's
     own number, spacing or choice of points plays no part. A vertex stands for a third of the area around it, half of it
-    where both bodies have vertices, and looks along the mean normal of its triangles. Vertices that lie upon each other
-    are one.
+    where both bodies have vertices, and looks along the normal of its sheet; on a fold, of each sheet that ends there
+    and faces the other body. Vertices that lie upon each other are one.
 
     Raises
     ------
@@ -676,13 +676,41 @@ def _upon(cloud, other, tie):
 
 
 def _vertices(zone, body, opposite):
-    """Vertices of one body that face the other; the area of each is a third of the triangles about it."""
+    """Vertices of one body that face the other; the area of each is a third of the triangles about it.
+
+    A vertex on a fold is looked at from each sheet that ends there, with the area of that sheet: along their mean it
+    would press askew, by more than the angle of friction at half of a bend. Of those that find the same closest point
+    the one stays that faces it.
+    """
     surface = body.surface
-    vertex, use = _vertex_uses(surface)
+    vertex, normal = surface.triangles.ravel(), surface.corner_normals.reshape(-1, 3)
+    alike = np.column_stack([vertex, normal.round(6)])  # those of one sheet are projected once
+    _, use, of = np.unique(alike, axis=0, return_index=True, return_inverse=True)
+    area = np.bincount(of.ravel(), np.repeat(surface.areas / 3, 3))
     triangle, corner = np.divmod(use, 3)
-    area = np.bincount(surface.triangles.ravel(), np.repeat(surface.areas / 3, 3))[vertex]
-    normal, angle = surface.vertex_normals[vertex], np.radians(zone.max_angle_deg)
-    return _project(body, opposite, zone.max_gap, angle, triangle, np.eye(3)[corner], area, normal)
+    angle = np.radians(zone.max_angle_deg)
+    cloud = _project(body, opposite, zone.max_gap, angle, triangle, np.eye(3)[corner], area, normal[use])
+    return _best_facing(cloud, surface.triangles[cloud.triangle, cloud.barycentric.argmax(1)], body, opposite)
+
+
+def _best_facing(cloud, vertex, body, opposite):
+    """Of points that are one vertex and have one closest point, the one along whose normal that lies; the area of those
+    that look its way is its own."""
+    foot, area = opposite.surface.at(cloud.other_triangle, cloud.other_barycentric), cloud.area.copy()
+    order = np.lexsort((-cloud.distance, vertex))
+    kept: list[int] = []
+    for i in order:
+        for k in reversed(kept):
+            if vertex[k] != vertex[i]:
+                kept.append(i)
+                break
+            turn = cloud.normal[k] @ cloud.normal[i]
+            if turn > OPPOSITE and np.linalg.norm(foot[k] - foot[i]) <= _tie(body, opposite):
+                area[k] += area[i] * (turn > np.cos(np.radians(FOLD)))
+                break
+        else:
+            kept.append(i)
+    return replace(cloud, area=area).take(np.sort(np.array(kept, dtype=np.int64)))
 
 
 def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
@@ -944,18 +972,6 @@ def _centres(point, weight, count, tie, fixed):
         centres = moved
         cells.move(centres)
     return centres
-
-
-def _vertex_uses(surface):
-    """Vertices (v,) that triangles use, and of each the corner 3 k + c whose triangle k lies most nearly across the
-    vertex normal."""
-    vertex = surface.triangles.ravel()
-    along = np.einsum("ij,ij->i", np.repeat(surface.normals, 3, axis=0), surface.vertex_normals[vertex])
-    most = np.full(len(surface.points), -np.inf)
-    np.maximum.at(most, vertex, along)
-    use = np.flatnonzero(along >= most[vertex] - EQUAL)
-    used, first = np.unique(vertex[use], return_index=True)
-    return used, use[first]
 
 
 def _tie(*bodies) -> float:
