@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,11 +53,13 @@ def measure(scene, arguments) -> list[str]:
     model = mic.reduce(scene)
     model.eliminations  # noqa: B018  (once for all laws, candidates or not)
     deviations = draw(scene, scene.monte_carlo.seed, 0, arguments.samples)
-    Process(model, LAW, starts={}).evaluate(deviations[:1])  # compiles
-    ahead, _ = timed(lambda: model.likely)
+    Process(model, LAW, foreseen={}).evaluate(deviations[:1])  # compiles
+    ahead, _ = timed(lambda: model.foreseen)
     process = Process(model, LAW)
     watched, found = timed(lambda: process.evaluate(deviations))
-    knowing = Process(model, LAW, starts=process.carried)
+    touching = {step: one.touching for step, one in process.seen.items()}
+    sets = {step: replace(one, touching=touching[step]) for step, one in model.foreseen.items()}
+    knowing = Process(model, LAW, foreseen=sets)
     known, again = timed(lambda: knowing.evaluate(deviations))
     touch = max(int((one.force[:, :, 0] > 0).sum(axis=1).max()) for one in found.resolutions.values())
     ok = ~(found.failed | again.failed)

@@ -201,7 +201,7 @@ def _reduced(assembly: Assembly, influence: dict[str, InfluenceCoefficients]) ->
     """The reduced model, with all that it prepares once for all laws."""
     model = ReducedModel.build(assembly, influence)
     model.eliminations  # noqa: B018
-    model.likely  # noqa: B018
+    model.foreseen  # noqa: B018
     return model
 
 

@@ -14,7 +14,7 @@ from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
 from mic.contact.problems import compliant
 from mic.contact.states import OPEN
-from mic.contact.watched import PENETRATION, WatchedSolver
+from mic.contact.watched import PENETRATION, Foreseen, WatchedSolver
 
 M, N = 60, 12
 
@@ -164,15 +164,56 @@ def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch)
     step, spent = NativeSolver.step, []
 
     def counted(*args):
-        leg = step(*args)
-        spent.append(int(leg.factorisations.sum()))
-        return leg
+        before = int(args[-1].factorisations.sum())
+        step(*args)
+        spent.append(int(args[-1].factorisations.sum()) - before)
 
     monkeypatch.setattr(NativeSolver, "step", counted)
     monkeypatch.setattr("mic.contact.native.solver.SWEEPS", 1)  # more would leave Newton's method little to do
     found = [followed(watched(problem), problem[2][[i]], Increments(1)) for i in range(N)]
     assert sum(one > 0 for one in spent) > N  # in more rounds than samples
     assert sum(int(each.trace.factorisations[0]) for each in found) == sum(spent)
+
+
+def test_forces_are_forecast_to_change_as_those_of_the_sample_with_the_nearest_gaps():
+    seen = Foreseen(
+        touching=np.array([True, True]),
+        load=np.array([[-1.0, 0.5], [-0.1, -2.0]]),
+        change=np.array([[4.0, 1.0, 0.0, -3.0, 0.0, 1.0], [-2.0, 0.0, 1.0, 8.0, 0.0, 0.0]]),
+    )
+    force = np.array([[1.0, 0.0, 0.5, 2.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    forecast = seen.forces(np.array([[-0.9, 0.4], [-0.3, -1.5]]), force)
+    np.testing.assert_array_equal(forecast[0], [5.0, 1.0, 0.5, 0.0, 0.0, 0.0])  # the second lets go
+    np.testing.assert_array_equal(forecast[1], [0.0, 0.0, 0.0, 8.0, 0.0, 0.0])
+    assert not Foreseen.nothing(2, 3).forces(np.ones((2, 2)), force).any()
+
+
+def test_a_forecast_saves_factorisations_and_does_not_move_the_outcome(problem):
+    b = problem[2]
+    plain = followed(watched(problem), b, Increments(1))
+    change, load = plain.force, b[:, 1, ::3]
+    touching = (plain.force[:, ::3] > 0).any(axis=0)
+    spent = {}
+    for name, told in {"none": change[:0], "right": change, "wrong": -3.0 * change[::-1] + change.max()}.items():
+        seen = Foreseen(touching, load[: len(told)], told)
+        found = followed(watched(problem, start=touching, foreseen=seen), b, Increments(1))
+        assert found.converged.all() and (found.rung == "increments").all()
+        np.testing.assert_allclose(found.displacement, plain.displacement, atol=1e-6)
+        np.testing.assert_allclose(found.trace.work, plain.trace.work, atol=1e-6 * plain.trace.work.max())
+        spent[name] = found.trace.factorisations.sum()
+    assert spent["right"] < 0.7 * spent["none"] < spent["wrong"]
+
+
+def test_a_guessing_solver_tells_what_its_samples_went_through(problem):
+    b = problem[2]
+    solver = watched(problem, guessing=True)
+    found = followed(solver, b, Increments(1))
+    seen = solver.seen
+    assert found.converged.all()
+    np.testing.assert_array_equal(seen.load, b[:, 1, ::3])
+    np.testing.assert_array_equal(seen.change, found.force)
+    again = solver.follow(np.stack([b[:, 1], b[:, 0]], axis=1), found.force, found.anchor, Increments(1))
+    np.testing.assert_array_equal(solver.seen.change[N:], again.force - found.force)
 
 
 @pytest.mark.parametrize("law", ["coulomb", "micro-slip"])

@@ -167,7 +167,8 @@ def test_along_the_hats_followed_path_too(hat_model):
     assert found.exact.all() and min(len(trail.ends) for trails in found.steps.values() for trail in trails) > 1
     assert sum(len(trails[0].ends) for trails in found.steps.values()) > 50
     slope = found.jacobian * sigmas(hat_model)
-    assert off(slope, extrapolated(hat_model, frozen(process, found.steps), samples)) < EXACT
+    # Rounding of the values leaves 1e-7 of the slopes over smaller steps, and a third of that over these.
+    assert off(slope, extrapolated(hat_model, frozen(process, found.steps), samples, 6 * STEP)) < EXACT
 
 
 @pytest.mark.parametrize("way", ["one-step", 8, "followed"])

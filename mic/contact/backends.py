@@ -74,17 +74,31 @@ class Backend(Protocol):
 
     def step(
         self,
-        b0: np.ndarray,
-        b1: np.ndarray,
+        among: np.ndarray,
+        some: np.ndarray,
+        b: np.ndarray,
         force: np.ndarray,
         anchor: np.ndarray,
-        own: np.ndarray,
+        working: np.ndarray,
         guess: np.ndarray,
-    ) -> Leg:
-        """As :meth:`follow` in one increment, each sample with contacts `own` (n, m) of its own: the others take no
-        part and count as open.
+        near: bool,
+        leg: Leg,
+    ) -> None:
+        """One increment of samples `some` (k,) of a batch, each with contacts of its own.
 
-        `guess` (n, d m) are forces at the end to try first, for samples that have any.
+        Parameters
+        ----------
+        among : (l,) int array
+            Numbers of this problem's contacts among the batch's m.
+        b, force, anchor : (n, 2, d m), (n, d m), (n, m, 2) array
+            Loads, forces and anchors of the batch, as :meth:`follow` has them.
+        working : (n, m) bool array
+            A sample's own contacts; all of them are among this problem's.
+        guess : (n, d m) array
+            Forces at the end to begin with, for samples that have any: so `near` that they may be tried as they are,
+            or a forecast.
+        leg : Leg
+            Of the batch: what was found of the samples' own contacts is put there, and factorisations are added.
         """
 
     def infeasible(self, b: np.ndarray) -> bool:

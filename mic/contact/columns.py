@@ -74,12 +74,10 @@ class Columns:
 
     def block(self, numbers: np.ndarray) -> np.ndarray:
         """(k, k) rows and columns with these numbers of a matrix that is symmetric but for rounding; without it."""
+        from mic.contact.native.kernels import symmetric  # compiles, or reads the cache, when it is imported
+
         self._provide(numbers)
-        at, own = self._at[numbers], np.empty((len(numbers), len(numbers)))
-        given = at < len(self._given)
-        own[given] = self._given[np.ix_(at[given], numbers)]
-        own[~given] = self._own[np.ix_(at[~given] - len(self._given), numbers)]
-        return 0.5 * (own + own.T)
+        return symmetric(self._given, self._own, self._at, np.ascontiguousarray(numbers, dtype=np.int64))
 
     def first(self, count: int) -> Columns:
         """(count, count) the first rows and columns."""

@@ -206,6 +206,19 @@ class Leg:
     given_up: np.ndarray
     trail: np.ndarray | None = None
 
+    @classmethod
+    def start(cls, n: int, m: int) -> Leg:
+        """No forces yet, all contacts open on all of the way, with friction."""
+        trace = Trace.start(n, m)
+        trace.share[:, :, OPEN] = 1.0
+        return cls(
+            force=np.zeros((n, 3 * m)),
+            b=np.zeros((n, 3 * m)),
+            anchor=np.zeros((n, m, 2)),
+            given_up=np.zeros(n, dtype=bool),
+            **vars(trace),
+        )
+
 
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
     """Leg by leg, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""

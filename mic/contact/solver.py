@@ -60,7 +60,8 @@ class ContactSolver:
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs a law without friction.
     semidefinite : bool
-        Whether S is known to be positive semidefinite, by the way it was made: looking takes a Cholesky factorisation.
+        Whether S is known to be symmetric and positive semidefinite, by the way it was made: looking takes a Cholesky
+        factorisation.
 
     Attributes
     ----------
@@ -108,7 +109,8 @@ class ContactSolver:
         # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series) if self._series.any() else self.S
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
-        self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.ravel()))
+        # S is semidefinite: its largest entry lies on the diagonal.
+        self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.diagonal()))
         self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
         self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
 
@@ -139,7 +141,7 @@ class ContactSolver:
         some = copy(self)
         some.contacts, some.S = len(index), block(self.S, index, self.dimension)
         some._sliding = some.S if self._sliding is self.S else block(self._sliding, index, self.dimension)
-        diagonal = some.S.diagonal()  # S is semidefinite: its largest entry lies there
+        diagonal = some.S.diagonal()
         some._rigid, some._strange = not diagonal.any(), bool(beyond(diagonal))
         some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]
         some._series, some._stiffness = self._series[rows], self._stiffness[own]
@@ -386,9 +388,11 @@ def _checked_compliance(S, dimension, semidefinite):
     if S.ndim != 2 or S.shape[0] != S.shape[1] or len(S) % dimension:
         rows = "m" if dimension == 1 else "3m"
         raise ValueError(f"S must be square with {rows} rows and columns; got shape {S.shape}")
-    largest = np.abs(S).max(initial=0.0)
     if (S.diagonal() < 0.0).any():
         raise ValueError("S must be positive semidefinite; it has a negative diagonal entry")
+    if semidefinite:
+        return np.ascontiguousarray(S)
+    largest = np.abs(S).max(initial=0.0)
     asymmetry = np.abs(S - S.T).max(initial=0.0)
     if asymmetry > ASYMMETRY_REFUSED * largest:
         raise ValueError(
@@ -400,7 +404,7 @@ def _checked_compliance(S, dimension, semidefinite):
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
     S = np.ascontiguousarray(0.5 * S + 0.5 * S.T)
-    if largest > 0.0 and not semidefinite and not _semidefinite(S / largest):
+    if largest > 0.0 and not _semidefinite(S / largest):
         raise ValueError(
             f"S must be positive semidefinite; it has an eigenvalue below -{INDEFINITE:g} of its largest entry, so "
             "that some forces would do work for nothing; check the signs of its rows"

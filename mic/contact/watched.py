@@ -10,31 +10,33 @@ to `PENETRATION`, at the cost of those that touch.
 Where friction acts, what a contact has been through counts: candidates that penetrate by more than `ON_THE_WAY` where
 a step of the path ended join as well, though they may be apart at its end. Of several legs that is seen of the last.
 
-A sample begins with the candidates that carry force, and with a set that the caller gives, the same for all samples;
-of a set of more than `MANY`, with those that carry force where its path begins or ends. Of a crowd (`CROWD`) who
-carries force is guessed without friction, and what penetrates joins as on a path. The outcome of a sample does not
-depend on what it is solved together with.
+A sample begins with the candidates that carry force, and with those that did in a few samples, the same for all
+(`Foreseen`); of a set of more than `MANY`, with those that carry force where its path begins or ends. Of a crowd
+(`CROWD`) who carries force is guessed without friction, and what penetrates joins as on a path. One increment begins
+with forces that change as they did in that one of the few samples whose loads are nearest. The outcome of a sample does
+not depend on what it is solved together with.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import FRICTIONLESS, Law
-from mic.contact.path import Followed, Increments, Path, PathSolution, Trace, at_once
+from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN
 from mic.contact.trail import Trail, trails
 
-__all__ = ["PENETRATION", "WatchedSolver"]
+__all__ = ["PENETRATION", "Foreseen", "WatchedSolver"]
 
 PENETRATION = 1e-6  # mm: how far a candidate outside of the working set may penetrate
 ON_THE_WAY = 1e-4  # mm: and how far it may before the path's end, where an error does not stay but for friction's
@@ -45,6 +47,38 @@ MANY = 300  # contacts that a sample may begin a path with unasked
 PREPARED = 1500  # contacts that are prepared for all samples together: some 0.3 GB
 TOGETHER = 5000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
 CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What a few samples of m contacts went through on a path: others begin with it, and do not end by it.
+
+    Attributes
+    ----------
+    touching : (m,) bool array
+        Contacts that carried force at the end in any of them.
+    load : (k, m) array
+        Of k of them, the contacts' gaps without contact forces at the path's end, mm.
+    change : (k, d m) array
+        By how much the contact forces changed, N.
+    """
+
+    touching: np.ndarray
+    load: np.ndarray
+    change: np.ndarray
+
+    @classmethod
+    def nothing(cls, m: int, d: int) -> Foreseen:
+        """Of no sample."""
+        return cls(np.zeros(m, dtype=bool), np.empty((0, m)), np.empty((0, d * m)))
+
+    def forces(self, load: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """(n, d m) forecast from forces (n, d m) at the start of a path, at whose end gaps are `load` (n, m): they
+        change as those of the sample whose gaps are nearest; nothing where that leaves no pressure."""
+        if not len(self.load):
+            return np.zeros_like(force)
+        forecast = (force + self.change[cdist(load, self.load).argmin(axis=1)]).reshape(*load.shape, -1)
+        return np.where(forecast[:, :, :1] > 0.0, forecast, 0.0).reshape(force.shape)
 
 
 class WatchedSolver:
@@ -68,6 +102,8 @@ class WatchedSolver:
         Whether to guess who carries force, at a fraction of the cost: all samples share a working set, which loses
         again what lets go, and each round begins where the one before ended. Of more than `CROWD` candidates the guess
         is without friction.
+    foreseen : Foreseen, optional
+        What others went through, which tells where one increment begins; default: nothing.
     **settings
         Of :class:`mic.contact.ContactSolver`.
 
@@ -87,12 +123,15 @@ class WatchedSolver:
         allowed: np.ndarray,
         law: Law,
         guessing: bool = False,
+        foreseen: Foreseen | None = None,
         **settings,
     ):
         self.law, self._S, self._settings = law, S, settings
         self._d = settings.get("dimension", 3)
         self._friction = friction if law.frictional else Friction.of(0.0, len(start))
         self._parameters = law.parameters(self._friction)
+        nothing = Foreseen.nothing(len(start), self._d)
+        self._foreseen, self._guessed = foreseen or nothing, [nothing]
         self._start, self._allowed, self._guessing = start & allowed, allowed, guessing
         self._crowd = law.frictional and len(start) > CROWD
         self.carried = np.zeros(len(start), dtype=bool)
@@ -119,6 +158,12 @@ class WatchedSolver:
         some._prepared = None if self._prepared is None else of(self._prepared, self._joined)
         return some
 
+    @property
+    def seen(self) -> Foreseen:
+        """What samples went through so far; loads and changes where it was guessed who carries force."""
+        load, change = (np.concatenate([getattr(one, name) for one in self._guessed]) for name in ("load", "change"))
+        return Foreseen(self.carried, load, change)
+
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """As :meth:`mic.contact.ContactSolver.bound`, over all candidates."""
         return self.law.bound(normal, self._parameters)
@@ -139,7 +184,12 @@ class WatchedSolver:
         plain = isinstance(path, Increments) and path.count == 1 and not path.recorded and b.shape[1] == 2
         crowd = self._guessing or self._start.sum() > MANY
         if not plain or crowd or not self.law.followed or self._settings.get("backend", "native") != "native":
-            return self._grown(b, force, anchor, path)
+            found = self._grown(b, force.copy(), anchor, path)
+            if self._guessing:
+                kept = found.converged
+                load, change = b[kept, -1, :: self._d], (found.force - force)[kept]
+                self._guessed.append(Foreseen(self.carried, load, change))
+            return found
         found = self._stepped(b, force, anchor)
         lost = np.flatnonzero(~found.converged)
         return found.put(lost, self._grown(b[lost], force[lost], anchor[lost], path)) if len(lost) else found
@@ -149,49 +199,47 @@ class WatchedSolver:
         each begins where the one before ended. What ends too far from its law, or nowhere, has not converged."""
         n, m, d = len(b), len(self._start), self._d
         working = self._start | self._allowed & _loaded(force.reshape(n, m, d)[:, :, 0])
-        found, todo, solver = self._open(n, m), np.arange(n), None
-        solved, from_ = np.zeros(n, dtype=bool), np.zeros_like(b[:, 1])  # from where slip is measured
+        leg, u, solved, todo, solver = Leg.start(n, m), b[:, 1].copy(), np.zeros(n, dtype=bool), np.arange(n), None
+        guess, near = self._foreseen.forces(b[:, 1, ::d], force), False
         for _ in range(ROUNDS):
             self._prepare(working[todo].any(axis=0))
-            joined, solver = self._joined, self._prepared
-            if solver is None or (working[todo] & ~joined).any():
+            solver = self._prepared
+            if solver is None or (working[todo] & ~self._joined).any():
                 break
-            rows, own, places = np.flatnonzero(np.repeat(joined, d)), working[todo], np.ix_(todo, joined)
-            b0, b1, before, guess = (np.take(a[todo], rows, axis=1) for a in (b[:, 0], b[:, 1], force, found.force))
-            leg = solver.backend.step(b0, b1, before, anchor[places], own[:, joined], guess)
-            at = np.ix_(todo, rows)
-            found.force[at], from_[at] = leg.force, leg.b
-            u = self._S.under(found.force[todo]) + b[todo, 1]
-            stands = u.reshape(-1, m, d)[:, :, 1:].copy()
-            stands[own] = leg.anchor[own[:, joined]]
-            found.displacement[todo], found.anchor[todo] = u, stands
-            for name in ("slip", "length", "work", "share"):
-                getattr(found.trace, name)[places] = getattr(leg, name)
-            found.trace.factorisations[todo] += leg.factorisations
-            unseen = self._unseen(u, anchor[todo], None, own)
+            among = np.flatnonzero(self._joined)
+            solver.backend.step(among, todo, b, force, anchor, working, guess, near, leg)
+            u[todo] = self._S.under(leg.force[todo]) + b[todo, 1]
+            unseen = self._unseen(u[todo], anchor[todo], None, working[todo])
             grows = (unseen > PENETRATION).any(axis=1)
-            solved[todo] = ~leg.given_up & ~grows
-            grows &= ~leg.given_up
+            solved[todo] = ~leg.given_up[todo] & ~grows
+            grows &= ~leg.given_up[todo]
             todo = todo[grows]
             if not len(todo):
                 break
             for sample, depth in zip(todo, unseen[grows]):
                 working[sample, self._joining(depth, False)] = True
+            guess, near = leg.force, True
+        found = self._open(n, m)
         if solver is None:
             return replace(found, converged=solved)
         rows, taken = np.repeat(self._joined, d), np.repeat(working, d, axis=1)
-        moved = np.where(taken, found.displacement - b[:, 1], 0.0)[:, rows]
-        residual, converged, status = solver.judged(from_[:, rows], found.force[:, rows], moved)
+        moved = np.where(taken, u - b[:, 1], 0.0)[:, rows]
+        residual, converged, status = solver.judged(leg.b[:, rows], leg.force[:, rows], moved)
         converged &= solved
-        self.carried |= _loaded(found.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
-        trace = replace(found.trace, error=np.full(n, np.nan), steps=np.ones(n, dtype=np.int64))
+        self.carried |= _loaded(leg.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
+        stands = u.reshape(n, m, d)[:, :, 1:].copy()
+        stands[working] = leg.anchor[working]
+        error, steps = np.full(n, np.nan), np.ones(n, dtype=np.int64)
         return replace(
             found,
-            trace=trace,
+            force=leg.force,
+            displacement=u,
+            anchor=stands,
+            trace=Trace(leg.slip, leg.length, leg.work, leg.share, error, steps, leg.factorisations),
             residual=residual,
             converged=converged,
             status=status,
-            iterations=trace.factorisations.copy(),
+            iterations=leg.factorisations.copy(),
             rung=np.full(n, "increments", dtype=object),
         )
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
+from mic.contact.watched import Foreseen
 from mic.errors import SceneError
 from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
@@ -82,8 +83,8 @@ class ReducedModel(Reduction):
 
     @cached_property
     @one_thread
-    def likely(self) -> dict[tuple[str, Step], np.ndarray]:
-        """Candidates (m,) that are likely to carry force, by stage and step, for all contact laws alike."""
+    def foreseen(self) -> dict[tuple[str, Step], Foreseen]:
+        """What samples are likely to go through, by stage and step, for all contact laws alike."""
         return Process.look_ahead(self)
 
     @cached_property
@@ -113,7 +114,7 @@ class ReducedModel(Reduction):
         none = np.zeros((len(self.shape), len(scene.deviations) - len(self.scene.deviations)))
         shape, forces = (np.column_stack([known, none]) for known in (self.shape, self.shape_forces))
         found = replace(self, scene=scene, shape=shape, shape_forces=forces)
-        vars(found).update({name: getattr(self, name) for name in ("eliminations", "likely", "rest")})
+        vars(found).update({name: getattr(self, name) for name in ("eliminations", "foreseen", "rest")})
         return found
 
     def evaluate(self, deviations: Any, law: str | None = None) -> Evaluation:

@@ -12,7 +12,7 @@ from mic.contact import ContactSolver, laws
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, PathSolution, Trace
-from mic.contact.watched import WatchedSolver
+from mic.contact.watched import Foreseen, WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
 from mic.process.drive import Asks, Drive, drive
@@ -44,7 +44,7 @@ def contact_solver(
     own: np.ndarray,
     friction: Friction,
     step: Step,
-    start: np.ndarray,
+    foreseen: Foreseen | None = None,
     guessing: bool = False,
     **settings,
 ):
@@ -61,8 +61,8 @@ def contact_solver(
     friction : Friction
         Of the contacts.
     step : Step
-    start : (m,) bool array
-        Candidates that take part from the beginning.
+    foreseen : Foreseen, optional
+        What this step did to a few samples; default: nothing is known.
     guessing : bool
         As :class:`mic.contact.watched.WatchedSolver` has it.
     **settings
@@ -75,14 +75,16 @@ def contact_solver(
     if not (contacts.watched.any() or out.any()):
         return ContactSolver(S.block(np.arange(len(S))), friction, **settings)
     always = np.ones(stops.count, dtype=bool)
+    foreseen = foreseen or Foreseen.nothing(len(contacts) + stops.count, contacts.dimension)
     return WatchedSolver(
         S,
         friction,
         np.concatenate([contacts.point, np.zeros((stops.count, 3))]),
         np.concatenate([APART * np.sqrt(contacts.area), np.zeros(stops.count)]),
-        np.concatenate([~contacts.watched | start, always]),
+        np.concatenate([~contacts.watched, always]) | foreseen.touching,
         np.concatenate([~out, always]),
         guessing=guessing,
+        foreseen=foreseen,
         **settings,
     )
 
@@ -103,9 +105,8 @@ class Process:
         Threads of the native solver over the samples of a batch.
     path_tolerance : float, optional
         Of the paths that are followed, see :class:`mic.contact.path.Followed`; default: the scene's.
-    starts : mapping, optional
-        Candidates (m,) that take part from the beginning, by stage and step; default:
-        :attr:`mic.process.model.ReducedModel.likely`.
+    foreseen : mapping, optional
+        What a few samples went through, by stage and step; default: :attr:`mic.process.model.ReducedModel.foreseen`.
     limited : bool
         Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
     plans : sequence of StagePlan, optional
@@ -135,7 +136,7 @@ class Process:
         backend: str = "native",
         threads: int = 1,
         path_tolerance: float | None = None,
-        starts: Mapping[tuple[str, Step], np.ndarray] | None = None,
+        foreseen: Mapping[tuple[str, Step], Foreseen] | None = None,
         limited: bool = True,
         plans: Sequence[StagePlan] | None = None,
         like: Process | None = None,
@@ -170,7 +171,7 @@ class Process:
         self._varied: dict[bytes, Process] = {}
         self._thickened = False  # whether its parts are of other thicknesses than the scene's
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
-        self._starts, self._guessing = model.likely if starts is None else starts, False
+        self._foreseen, self._guessing = model.foreseen if foreseen is None else foreseen, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
         self._path_tolerance = path_tolerance
         self.stages = self._prepared([path_of(plan, obeyed, path_tolerance) for plan in self._plans])
@@ -194,35 +195,34 @@ class Process:
             known = self._like._solver(stage, eliminated)
             self._solvers[key] = known.under(stops_of(contacts, step).friction(friction))
         else:
-            start = self._starts.get((stage, step), np.zeros(len(contacts), dtype=bool))
+            foreseen = self._foreseen.get((stage, step))
             self._solvers[key] = contact_solver(
-                contacts, *eliminated.compliance, friction, step, start, self._guessing, **self._settings
+                contacts, *eliminated.compliance, friction, step, foreseen, self._guessing, **self._settings
             )
         return self._solvers[key]
 
     @classmethod
-    def look_ahead(cls, model) -> dict[tuple[str, Step], np.ndarray]:
-        """Which candidates (m,) are likely to carry force, by stage and step: those that do in a few samples, always
-        the same, under Coulomb's law where tangents are modelled, with one increment a step, all on one working set.
+    def look_ahead(cls, model) -> dict[tuple[str, Step], Foreseen]:
+        """What a few samples, always the same, go through where there are candidates, by stage and step: under
+        Coulomb's law where tangents are modelled, with one increment a step, all on one working set.
 
-        A sample starts from them, whatever samples it is evaluated with.
+        A sample starts from it, whatever samples it is evaluated with.
         """
         if not model.contacts.watched.any():
             return {}
-        ahead = cls(model, "coulomb" if model.contacts.dimension == 3 else "frictionless", starts={})
+        ahead = cls(model, "coulomb" if model.contacts.dimension == 3 else "frictionless", foreseen={})
         mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
         draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
         draws[0] = 0.0
         draws[:, ahead._changing] = 0.0
         ahead.stages, ahead._guessing = ahead._prepared([Increments(1)] * len(ahead.stages)), True
         ahead.attempt(mean + sigma * draws)
-        return ahead.carried
+        return ahead.seen
 
     @property
-    def carried(self) -> dict[tuple[str, Step], np.ndarray]:
-        """Candidates (m,) that carried force at the end of a step in any sample so far, by stage and step."""
-        m = len(self.model.contacts)
-        return {key[-1]: one.carried[:m] for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
+    def seen(self) -> dict[tuple[str, Step], Foreseen]:
+        """What samples went through so far, by stage and step."""
+        return {key[-1]: one.seen for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
 
     @property
     def redundant(self) -> list[str]:
@@ -321,7 +321,7 @@ class Process:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
             model = self.model.changed(deviations)
-            vars(model).update({name: getattr(self.model, name) for name in ("likely", "rest")})
+            vars(model).update({name: getattr(self.model, name) for name in ("foreseen", "rest")})
             if model.compliance is self.model.compliance:
                 vars(model)["eliminations"] = self.model.eliminations
             elif self._limited:
@@ -329,7 +329,7 @@ class Process:
             same = (model.contacts.friction == self.model.contacts.friction).all()
             backend = "native" if self._settings["backend"] == "native" else "paper"
             how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
-            how |= {"path_tolerance": self._path_tolerance, "starts": self._starts, "limited": self._limited}
+            how |= {"path_tolerance": self._path_tolerance, "foreseen": self._foreseen, "limited": self._limited}
             how["plans"] = self._plans
             how["like"] = self if model.compliance is self.model.compliance else None
             try:
@@ -366,7 +366,7 @@ class Process:
             self.law,
             backend=backend,
             path_tolerance=self._path_tolerance,
-            starts={},
+            foreseen={},
             limited=False,
             **settings,
         )

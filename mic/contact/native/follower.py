@@ -100,6 +100,8 @@ CHORD, CHANGES = 0.3, 0.3
 EVEN, STRETCH = 0.3, 1e4
 #: Contacts that close in a step are looked at one by one, but those after so many.
 ONE_BY_ONE = 8
+#: Sweeps where a forecast of the forces is what they begin with: it saves two in three, and two of Newton's steps.
+FORECAST = 10
 #: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
 HELP, PATIENCE = 6, 40
 
@@ -1241,6 +1243,7 @@ def _compile(digest):
             MATRIX,
             BLOCKS,
             MATRIX,
+            boolean,
         )
     )
     def follow(
@@ -1269,6 +1272,7 @@ def _compile(digest):
         passed,
         passed_force,
         guess,
+        near,
     ):
         """Every sample of a batch from one load to the next.
 
@@ -1302,6 +1306,8 @@ def _compile(digest):
             Receive where the first k steps end, and the forces there; of second order from the start on, at 0.
         guess : (n, 3m) array
             Of the forces at the end, for one step of first order; (0, 3m) for none.
+        near : bool
+            Whether Newton's method tries the guess as it is; if not, sweeps begin with it.
         """
         size = Q0.shape[1]
         m = len(parameters)
@@ -1445,12 +1451,14 @@ def _compile(digest):
                                 if order == 2 and state0[k] == SLIP and y0[i] > 0.0:
                                     grown = max(y[i], 0.0) / y0[i]
                                     y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
+                        if len(guess) > 0 and not near:
+                            y[:] = guess[sample]
                         times(W, y, w)
                         w += q
-                        end, near = target == 1.0, False
-                        if len(guess) > 0:
-                            near = lands(equation, W, parameters, guess[sample], y, w, q, tol, done)
-                        if near:
+                        end, landed = target == 1.0, False
+                        if len(guess) > 0 and near:
+                            landed = lands(equation, W, parameters, guess[sample], y, w, q, tol, done)
+                        if landed:
                             solved = 1
                         else:
                             solved, own, inverse = solve(
@@ -1562,20 +1570,24 @@ def _compile(digest):
             MATRIX,
             MATRIX,
             VECTOR,
-            MATRIX,
-            MATRIX,
-            MATRIX,
-            MATRIX,
+            COUNTS,
+            COUNTS,
             NUMBER,
             int64,
+            BLOCKS,
             MATRIX,
+            BLOCKS,
+            types.Array(boolean, 2, "C"),
+            MATRIX,
+            boolean,
+            MATRIX,
+            MATRIX,
+            BLOCKS,
             BLOCKS,
             MATRIX,
             MATRIX,
             BLOCKS,
             types.Array(int64, 2, "C"),
-            MATRIX,
-            types.Array(boolean, 2, "C"),
         )
     )
     def follow_among(
@@ -1583,64 +1595,88 @@ def _compile(digest):
         W,
         P,
         parameters,
-        unit,
-        Q0,
-        Q1,
-        L,
-        Y,
+        D,
+        among,
+        some,
         tol,
         sweeps,
+        b,
+        force,
+        anchor,
+        working,
+        guess,
+        near,
+        found,
         Q,
+        L,
         slip,
         length,
         work,
         share,
         counts,
-        guess,
-        working,
     ):
-        """One step of first order of every sample, with the contacts of its own working set alone.
+        """One step of first order of samples, each with the contacts of its own working set alone.
 
-        As :func:`follow` with one sample at a time and what :func:`block` takes of W: the others have neither force nor
-        part in Q, nor in what is told of the way.  ``guess`` (n, 3m) is of the forces at the end, where it has any.
+        As :func:`follow` with one sample at a time and what :func:`block` takes of W; but loads, forces and all that is
+        found are those of a batch over all contacts, in mm and N, of which W has some.
+
+        Parameters
+        ----------
+        D : (3k,) array
+            Units of the scaled forces of W's contacts.
+        among, some : (k,), (l,) int array
+            Numbers of W's contacts among all m, and of the samples in the batch.
+        b, force, anchor : (n, 2, 3m), (n, 3m), (n, m, 2) array
+            Loads, and forces and anchors at the start.
+        working : (n, m) bool array
+        guess : (n, 3m) array
+            Of the forces at the end, for samples that have any: taken as it is where it is ``near``, else as a
+            forecast, with which few sweeps begin.
+        found, Q, L, slip, length, work, share : (n, 3m), (n, 3m), (n, m, 2), (n, m, 2), (n, m), (n, m), (n, m, 3) array
+            Receive forces, the right-hand side, anchors and what :class:`mic.contact.path.Trace` holds, of the contacts
+            of the working sets; the others are not touched.
+        counts : (n, 5) int array
         """
         digest  # noqa: B018
         at_end, none, nothing = np.ones(1), np.empty((1, 0)), np.empty((1, 0, 0))
         estimate = np.zeros(1)
-        for s in range(len(Q0)):
-            own = np.flatnonzero(working[s])
+        for s in some:
+            own = np.flatnonzero(working[s][among])
             m, done = len(own), counts[s : s + 1]
             some_P, some_parameters = np.empty((m, P.shape[1])), np.empty((m, parameters.shape[1]))
             size = 1, 3 * m
             q0, q1, y, start, q = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
-            anchor = np.empty((1, 2 * m))
+            anchors, unit = np.empty((1, 2 * m)), np.empty(m)
             guessed = False
             for a in range(m):
                 k = own[a]
+                i, j = 3 * a, 3 * among[k]
                 some_P[a], some_parameters[a] = P[k], parameters[k]
+                unit[a] = 1.0 / D[3 * k + 1]
                 for c in range(3):
-                    q0[0, 3 * a + c], q1[0, 3 * a + c] = Q0[s, 3 * k + c], Q1[s, 3 * k + c]
-                    y[0, 3 * a + c], start[0, 3 * a + c] = Y[s, 3 * k + c], guess[s, 3 * k + c]
-                    guessed = guessed or guess[s, 3 * k + c] != 0.0
+                    d = D[3 * k + c]
+                    q0[0, i + c], q1[0, i + c] = b[s, 0, j + c] * d, b[s, 1, j + c] * d
+                    y[0, i + c], start[0, i + c] = force[s, j + c] / d, guess[s, j + c] / d
+                    guessed = guessed or guess[s, j + c] != 0.0
                 for c in range(2):
-                    anchor[0, 2 * a + c] = L[s, 2 * k + c]
+                    anchors[0, 2 * a + c] = anchor[s, among[k], c] / unit[a]
             slips, lengths, works, shares = np.zeros((1, m, 2)), np.zeros((1, m)), np.zeros((1, m)), np.zeros((1, m, 3))
             follow(
                 equation,
                 block(W, own, 3),
                 some_P,
                 some_parameters,
-                unit[own],
+                unit,
                 q0,
                 q1,
-                anchor,
+                anchors,
                 y,
                 1,
                 at_end,
                 0.0,
                 0.0,
                 tol,
-                sweeps,
+                min(sweeps, FORECAST) if guessed and not near else sweeps,
                 q,
                 slips,
                 lengths,
@@ -1651,16 +1687,17 @@ def _compile(digest):
                 none,
                 nothing,
                 start if guessed else start[:0],
+                near,
             )
-            Y[s] = 0.0
-            Q[s] = 0.0
             for a in range(m):
-                k = own[a]
-                length[s, k], work[s, k] = lengths[0, a], works[0, a]
+                k = among[own[a]]
+                i, j = 3 * a, 3 * k
+                length[s, k], work[s, k] = lengths[0, a] * unit[a], works[0, a]
                 for c in range(3):
-                    Q[s, 3 * k + c], Y[s, 3 * k + c], share[s, k, c] = q[0, 3 * a + c], y[0, 3 * a + c], shares[0, a, c]
+                    d = D[3 * own[a] + c]
+                    found[s, j + c], Q[s, j + c], share[s, k, c] = y[0, i + c] * d, q[0, i + c] / d, shares[0, a, c]
                 for c in range(2):
-                    L[s, 2 * k + c], slip[s, k, c] = anchor[0, 2 * a + c], slips[0, a, c]
+                    L[s, k, c], slip[s, k, c] = anchors[0, 2 * a + c] * unit[a], slips[0, a, c] * unit[a]
 
     return follow, follow_among
 

@@ -39,6 +39,7 @@ __all__ = [
     "solve_by_sweeps",
     "solve_frictionless",
     "starting_scale",
+    "symmetric",
     "system",
     "times",
 ]
@@ -51,6 +52,12 @@ EQUATION = void(MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS, boolean)
 EQUATION_POINTER = types.FunctionType(EQUATION)
 #: Of a contact's own matrix: what is less is rounding.
 RANK = 1e-10
+#: Of a slider's λ: a change after which the next one is rounding.
+NEARLY = 1e-9
+#: Steps of Newton's method without a gain before it is given up.
+PATIENT = 10
+#: Rows and columns of pieces of a matrix that are taken with those of its transpose.
+TILE = 32
 
 
 def _kept(decorator):
@@ -142,34 +149,36 @@ def _coulomb_contact(P, mu, qn, q1, q2, slip):
     low, high = 0.0, -1.0
     lam = slip if slip > 0.0 else 0.1 * (l1 + l2) + floor
     x = y = yn = 0.0
+    free, near = -qn / nn, False
     for _ in range(80):
-        x, y = h1 / (l1 + lam), h2 / (l2 + lam)
-        t = np.sqrt(x * x + y * y)
-        yn = -qn / nn - p1 * x - p2 * y
-        excess = t - mu * yn
+        i1, i2 = 1.0 / (l1 + lam), 1.0 / (l2 + lam)
+        x, y = h1 * i1, h2 * i2
+        square = x * x + y * y
+        t = np.sqrt(square)
+        yn = free - p1 * x - p2 * y
+        bound = mu * yn
+        excess = t - bound
         if excess > 0.0:
             low = lam
         else:
             high = lam
-        if abs(excess) <= 4e-16 * t:
+        if near or abs(excess) <= 4e-16 * t:
             break
         new = -1.0
         if t > 0.0:
-            dx, dy = -x / (l1 + lam), -y / (l2 + lam)
-            dt = (x * dx + y * dy) / t
-            dn = -(p1 * dx + p2 * dy)
+            dx, dy = -x * i1, -y * i2
+            dt, dn = x * dx + y * dy, -(p1 * dx + p2 * dy)  # dt: t times the derivative of t
             if yn > 0.0:
-                slope = dn / (mu * yn * yn) - dt / (t * t)
+                slope = dn * square * t - dt * bound * yn
                 if slope != 0.0:
-                    new = lam - (1.0 / t - 1.0 / (mu * yn)) / slope
-            elif dt - mu * dn != 0.0:
-                new = lam - excess / (dt - mu * dn)
+                    new = lam + excess * yn * square / slope
+            elif dt - mu * dn * t != 0.0:
+                new = lam - excess * t / (dt - mu * dn * t)
         if high < 0.0:
             new = min(max(new, 2.0 * lam), 100.0 * lam)
         elif not low < new < high:
             new = 0.5 * (low + high)
-        if abs(new - lam) <= 4e-16 * lam:
-            break
+        near = abs(new - lam) <= NEARLY * lam  # Newton's next error is the square of this one
         lam = new
     if yn <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -252,21 +261,21 @@ def derivative(equation, parameters, y, w, phi, A, B, state):
     equation(parameters, y, w, phi, A, B, state, True)
     for k in range(len(state)):
         i = 3 * k
-        if state[k] == OPEN:
-            phi[i], phi[i + 1], phi[i + 2] = y[i], y[i + 1], y[i + 2]
-            A[k] = B[k] = 0.0
-            A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = 1.0
-        elif state[k] == STICK:
-            phi[i], phi[i + 1], phi[i + 2] = w[i], w[i + 1], w[i + 2]
-            A[k] = B[k] = 0.0
-            B[k, 0, 0] = B[k, 1, 1] = B[k, 2, 2] = 1.0
+        if state[k] == SLIP:
+            continue
+        open_, z = (1.0, y) if state[k] == OPEN else (0.0, w)
+        phi[i], phi[i + 1], phi[i + 2] = z[i], z[i + 1], z[i + 2]
+        for row in range(3):
+            for column in range(3):
+                A[k, row, column] = B[k, row, column] = 0.0
+            A[k, row, row], B[k, row, row] = open_, 1.0 - open_
 
 
 @jit(VECTOR(MATRIX, VECTOR))
-def _solve_dense(J, r):
-    """``J⁻¹ r``; zeros if the matrix is singular to the last bit."""
+def _solve_dense(columns, r):
+    """``J⁻¹ r`` of a matrix given by its columns, ``Jᵀ``, as LAPACK has it; zeros if it is singular to the last bit."""
     try:
-        return np.linalg.solve(J, r)
+        return np.linalg.solve(columns.T, r)
     except Exception:
         return np.zeros_like(r)
 
@@ -334,6 +343,24 @@ def responses(S, T, at, F, out):
                 row[j] += S0[j] * f0 + S1[j] * f1 + S2[j] * f2 + S3[j] * f3
 
 
+@jit(MATRIX(MATRIX, MATRIX, COUNTS, COUNTS))
+def symmetric(S, T, at, numbers):
+    """Rows and columns `numbers` of a matrix, the mean of it and its transpose; column k is row ``at[k]`` of S, T."""
+    n, size = len(numbers), len(S)
+    out = np.empty((n, n))
+    for a in range(n):
+        k = at[numbers[a]]
+        column, target = S[k] if k < size else T[k - size], out[a]
+        for b in range(n):
+            target[b] = column[numbers[b]]
+    for first in range(0, n, TILE):  # pieces of both that stay in the cache
+        for second in range(0, first + 1, TILE):
+            for a in range(first, min(first + TILE, n)):
+                for b in range(second, min(second + TILE, a)):
+                    out[a, b] = out[b, a] = 0.5 * (out[a, b] + out[b, a])
+    return out
+
+
 @jit(MATRIX(MATRIX, COUNTS, int64))
 def block(S, own, size):
     """Rows and columns of the contacts `own`, `size` each, of a matrix over all: a fraction of the cost of taking rows,
@@ -372,131 +399,161 @@ def system(W, A, B, own, damping):
     return J
 
 
-@jit(void(VECTOR, MATRIX))
-def _across(l, N):
-    """The first two columns of N (3, 3) become unit vectors perpendicular to l (3,) and to each other."""
-    i = 0
-    for j in range(1, 3):
-        if abs(l[j]) < abs(l[i]):
-            i = j
-    length = np.sqrt(l[0] * l[0] + l[1] * l[1] + l[2] * l[2])
-    n0, n1, n2 = l[0] / length, l[1] / length, l[2] / length
-    along = l[i] / length
-    u0, u1, u2 = -along * n0, -along * n1, -along * n2
-    if i == 0:
-        u0 += 1.0
-    elif i == 1:
-        u1 += 1.0
+@jit(void(NUMBER, NUMBER, NUMBER, BLOCKS, int64))
+def _across(l0, l1, l2, N, a):
+    """The first two columns of ``N[a]`` (3, 3) become unit vectors perpendicular to l and to each other."""
+    length = np.sqrt(l0 * l0 + l1 * l1 + l2 * l2)
+    n0, n1, n2 = l0 / length, l1 / length, l2 / length
+    if abs(l0) <= abs(l1) and abs(l0) <= abs(l2):
+        u0, u1, u2 = 1.0 - n0 * n0, -n0 * n1, -n0 * n2
+    elif abs(l1) <= abs(l2):
+        u0, u1, u2 = -n1 * n0, 1.0 - n1 * n1, -n1 * n2
     else:
-        u2 += 1.0
+        u0, u1, u2 = -n2 * n0, -n2 * n1, 1.0 - n2 * n2
     size = np.sqrt(u0 * u0 + u1 * u1 + u2 * u2)
     u0, u1, u2 = u0 / size, u1 / size, u2 / size
-    N[0, 0], N[1, 0], N[2, 0] = u0, u1, u2
-    N[0, 1], N[1, 1], N[2, 1] = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
+    N[a, 0, 0], N[a, 1, 0], N[a, 2, 0] = u0, u1, u2
+    N[a, 0, 1], N[a, 1, 1], N[a, 2, 1] = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
 
 
-@jit(int64(MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR))
-def _unknowns(A, B, phi, M, N, x):
-    """How many unknowns ``A x + B p = -Φ`` of one contact leaves where p hangs on others, 2 or 3.
+@jit(int64(BLOCKS, BLOCKS, VECTOR, int64, BLOCKS, BLOCKS, int64, VECTOR))
+def _unknowns(A, B, phi, k, M, N, a, x):
+    """How many unknowns ``A x + B p = -Φ`` of the contact k leaves where p hangs on others, 2 or 3.
 
-    A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then ``x`` (3,)
-    receives one that obeys it, N what may be added to it, and M the combinations of rows that are left, both (3, 3) in
-    their first two columns.
+    A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then its entries of
+    ``x`` receive one that obeys it, ``N[a]`` what may be added to it, and ``M[a]`` the combinations of rows that are
+    left, both (3, 3) in their first two columns.
     """
-    l, largest = np.zeros(3), 0.0
+    l0 = l1 = l2 = largest = 0.0
     for j in range(3):
         i = (j + 1) % 3
-        c0 = B[1, i] * B[2, j] - B[2, i] * B[1, j]
-        c1 = B[2, i] * B[0, j] - B[0, i] * B[2, j]
-        c2 = B[0, i] * B[1, j] - B[1, i] * B[0, j]
-        size = np.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+        c0 = B[k, 1, i] * B[k, 2, j] - B[k, 2, i] * B[k, 1, j]
+        c1 = B[k, 2, i] * B[k, 0, j] - B[k, 0, i] * B[k, 2, j]
+        c2 = B[k, 0, i] * B[k, 1, j] - B[k, 1, i] * B[k, 0, j]
+        size = c0 * c0 + c1 * c1 + c2 * c2
         if size > largest:
-            largest, l[0], l[1], l[2] = size, c0 / size, c1 / size, c2 / size
-    g, ahead = np.zeros(3), 0.0
-    for row in range(3):
-        ahead -= l[row] * phi[row]
-        for j in range(3):
-            g[j] += l[row] * A[row, j]
-    square = g[0] * g[0] + g[1] * g[1] + g[2] * g[2]
-    full = largest == 0.0 or square < RANK * RANK
-    for j in range(3):
-        size = np.sqrt(B[0, j] ** 2 + B[1, j] ** 2 + B[2, j] ** 2)
-        full = full or abs(l[0] * B[0, j] + l[1] * B[1, j] + l[2] * B[2, j]) > RANK * size
-    if full:
-        x[:] = 0.0
+            largest, l0, l1, l2 = size, c0, c1, c2
+    if largest == 0.0:
         return 3
+    size = np.sqrt(largest)
+    l0, l1, l2 = l0 / size, l1 / size, l2 / size
     for j in range(3):
-        x[j] = ahead / square * g[j]
-    _across(l, M)
-    _across(g, N)
+        b0, b1, b2 = B[k, 0, j], B[k, 1, j], B[k, 2, j]
+        across = l0 * b0 + l1 * b1 + l2 * b2
+        if across * across > RANK * RANK * (b0 * b0 + b1 * b1 + b2 * b2):
+            return 3
+    g0 = l0 * A[k, 0, 0] + l1 * A[k, 1, 0] + l2 * A[k, 2, 0]
+    g1 = l0 * A[k, 0, 1] + l1 * A[k, 1, 1] + l2 * A[k, 2, 1]
+    g2 = l0 * A[k, 0, 2] + l1 * A[k, 1, 2] + l2 * A[k, 2, 2]
+    square, i = g0 * g0 + g1 * g1 + g2 * g2, 3 * k
+    if square < RANK * RANK:
+        return 3
+    ahead = -(l0 * phi[i] + l1 * phi[i + 1] + l2 * phi[i + 2]) / square
+    x[i], x[i + 1], x[i + 2] = ahead * g0, ahead * g1, ahead * g2
+    _across(l0, l1, l2, M, a)
+    _across(g0, g1, g2, N, a)
     return 2
 
 
-@jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR, VECTOR))
-def _linear_step(W, A, B, phi, state, known, z, damping, x, product):
+@jit(MATRIX(MATRIX, COUNTS))
+def _apart(W, own):
+    """Rows and columns of the contacts `own`; in a row all columns n come first, then t1, then t2."""
+    count = len(own)
+    out = np.empty((3 * count, 3 * count))
+    for a in range(3 * count):
+        line, target = W[3 * own[a // 3] + a % 3], out[a]
+        first, second, third = target[:count], target[count : 2 * count], target[2 * count :]
+        for b in range(count):
+            j = 3 * own[b]
+            first[b], second[b], third[b] = line[j], line[j + 1], line[j + 2]
+    return out
+
+
+@jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR))
+def _linear_step(W, A, B, phi, state, known, z, damping, x):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
-    Fills ``x`` and ``product = W x``.  Contacts that slide have two unknowns, others three.
+    Fills ``x``.  Contacts that slide have two unknowns, others three: the matrix has the first ones of all contacts,
+    then the second ones, then the third, so that what is computed for one of them is computed for all in a row.
     """
     m = len(state)
     unknown = np.flatnonzero(state != known)
     count = len(unknown)
-    for k in range(m):
-        for i in range(3 * k, 3 * k + 3):
-            x[i] = -z[i] if state[k] == known else 0.0
-    M, N, first = np.empty((count, 3, 3)), np.empty((count, 3, 3)), np.zeros(count + 1, np.int64)
+    for i in range(len(x)):
+        x[i] = -z[i] if state[i // 3] == known else 0.0
+    if count == 0:
+        return
+    M, N, some = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.full(count, 3)
+    threes = 0
     for a in range(count):
         k = unknown[a]
-        M[a], N[a] = np.eye(3), np.eye(3)
-        some = 3
         if state[k] == SLIP:
-            some = _unknowns(A[k], B[k], phi[3 * k : 3 * k + 3], M[a], N[a], x[3 * k : 3 * k + 3])
-        first[a + 1] = first[a] + some
-    times(W, x, product)
-    size = first[count]
-    if size == 0:
-        return
-    moved, line = np.empty((3 * count, size)), np.empty(len(x))  # what each unknown moves
-    for a in range(count):
-        i = 3 * unknown[a]
-        W0, W1, W2 = W[i], W[i + 1], W[i + 2]
-        for p in range(first[a], first[a + 1]):
-            n0, n1, n2 = N[a, 0, p - first[a]], N[a, 1, p - first[a]], N[a, 2, p - first[a]]
-            for j in range(len(x)):
-                line[j] = n0 * W0[j] + n1 * W1[j] + n2 * W2[j]
-            line[i] += damping * n0
-            line[i + 1] += damping * n1
-            line[i + 2] += damping * n2
-            for b in range(count):
-                j = 3 * unknown[b]
-                moved[3 * b, p], moved[3 * b + 1, p], moved[3 * b + 2, p] = line[j], line[j + 1], line[j + 2]
-    r, J, rest = np.empty(size), np.empty((size, size)), np.empty(3)
+            some[a] = _unknowns(A, B, phi, k, M, N, a, x)
+        if some[a] == 3:
+            for c in range(3):
+                M[a, c, c] = N[a, c, c] = 1.0
+        threes += some[a] == 3
+    own, size = _apart(W, unknown), 2 * count + threes
+    product = np.zeros(3 * count)  # W x, as far as it is known
+    for k in range(m):
+        for i in range(3 * k, 3 * k + 3):
+            if x[i] != 0.0 and state[k] == known:
+                for b in range(count):
+                    for c in range(3):
+                        product[c * count + b] += W[i, 3 * unknown[b] + c] * x[i]
+    for a in range(3 * count):
+        value, line = x[3 * unknown[a // 3] + a % 3], own[a]
+        if value != 0.0:
+            for j in range(3 * count):
+                product[j] += line[j] * value
+    place, last = np.empty((3, count), np.int64), 2 * count  # of each contact's unknowns
+    r, rest = np.empty(size), np.empty(3)
+    C, D = np.zeros((3, 3, count)), np.zeros((3, 3, count))  # Mᵀ B and Mᵀ A N: unknown, column, contact
     for a in range(count):
         k, i = unknown[a], 3 * unknown[a]
-        W0, W1, W2 = moved[3 * a], moved[3 * a + 1], moved[3 * a + 2]
+        place[0, a], place[1, a], place[2, a] = a, count + a, -1
+        if some[a] == 3:
+            place[2, a] = last
+            last += 1
         for c in range(3):
             rest[c] = -phi[i + c]
             for j in range(3):
-                rest[c] -= A[k, c, j] * x[i + j] + B[k, c, j] * product[i + j]
-        for p in range(first[a], first[a + 1]):
-            m0, m1, m2 = M[a, 0, p - first[a]], M[a, 1, p - first[a]], M[a, 2, p - first[a]]
-            r[p] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
-            b0 = m0 * B[k, 0, 0] + m1 * B[k, 1, 0] + m2 * B[k, 2, 0]
-            b1 = m0 * B[k, 0, 1] + m1 * B[k, 1, 1] + m2 * B[k, 2, 1]
-            b2 = m0 * B[k, 0, 2] + m1 * B[k, 1, 2] + m2 * B[k, 2, 2]
-            target = J[p]
-            for j in range(size):
-                target[j] = b0 * W0[j] + b1 * W1[j] + b2 * W2[j]
+                rest[c] -= A[k, c, j] * x[i + j] + B[k, c, j] * product[j * count + a]
+        for p in range(some[a]):
+            m0, m1, m2 = M[a, 0, p], M[a, 1, p], M[a, 2, p]
+            r[place[p, a]] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
             for c in range(3):
-                own = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
-                for q in range(first[a], first[a + 1]):
-                    target[q] += own * N[a, c, q - first[a]]
-    d = _solve_dense(J, r)
+                C[p, c, a] = m0 * B[k, 0, c] + m1 * B[k, 1, c] + m2 * B[k, 2, c]
+                MA = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
+                for q in range(some[a]):
+                    D[p, q, a] += MA * N[a, c, q]
     for a in range(count):
-        for q in range(first[a], first[a + 1]):
+        for c in range(3):
+            own[3 * a + c, c * count + a] += damping
+    columns, line = np.empty((size, size)), np.empty(3 * count)
+    line0, line1, line2 = line[:count], line[count : 2 * count], line[2 * count :]
+    for a in range(count):
+        W0, W1, W2 = own[3 * a], own[3 * a + 1], own[3 * a + 2]
+        for q in range(some[a]):
+            n0, n1, n2 = N[a, 0, q], N[a, 1, q], N[a, 2, q]
+            for j in range(3 * count):
+                line[j] = n0 * W0[j] + n1 * W1[j] + n2 * W2[j]
+            target = columns[place[q, a]]
+            for p in range(2):
+                row, C0, C1, C2 = target[p * count : (p + 1) * count], C[p, 0], C[p, 1], C[p, 2]
+                for b in range(count):
+                    row[b] = C0[b] * line0[b] + C1[b] * line1[b] + C2[b] * line2[b]
+            if threes > 0:
+                for b in range(count):
+                    if some[b] == 3:
+                        target[place[2, b]] = C[2, 0, b] * line0[b] + C[2, 1, b] * line1[b] + C[2, 2, b] * line2[b]
+            for p in range(some[a]):
+                target[place[p, a]] += D[p, q, a]
+    d = _solve_dense(columns, r)
+    for a in range(count):
+        for q in range(some[a]):
             for c in range(3):
-                x[3 * unknown[a] + c] += N[a, c, q - first[a]] * d[q]
-    times(W, x, product)
+                x[3 * unknown[a] + c] += N[a, c, q] * d[place[q, a]]
 
 
 @jit(
@@ -528,7 +585,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     a proximal point about the current ``y`` and stays bounded, and the solution is not moved.  Steps are halved up to
     ``halvings`` times until the norm of ``Φ`` falls.  Without halving they are taken whole: from afar the norm may rise
     for a step or two while states change, and then falls to zero where a search along the line would get stuck; after
-    six steps without a gain the search ends.
+    :data:`PATIENT` steps without a gain the search ends.
 
     Parameters
     ----------
@@ -548,30 +605,35 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     state, trial_state = np.empty(m, np.int64), np.empty(m, np.int64)
     step, change = np.empty(n), np.empty(n)
     trial_y, trial_w = y.copy(), w.copy()
-    trial = error = _merit(equation, parameters, y, w, phi, state)
-    size = force_scale(scale, q, y, w)
-    gained = 0
-    for iteration in range(steps):
-        if error <= tol * size or iteration - gained > 6:
+    error, size, gained = np.inf, 0.0, 0
+    for iteration in range(steps + 1):
+        derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
+        trial = np.sqrt(np.dot(phi, phi))
+        if iteration == 0 or trial < error or (halvings > 0 and np.isfinite(trial)):
+            error, gained = trial, iteration
+            y[:], w[:] = trial_y, trial_w
+            size = force_scale(scale, q, y, w)
+        if error <= tol * size or iteration - gained > PATIENT or iteration == steps or not np.isfinite(trial):
             return error / size if size > 0.0 else 0.0, iteration
         stuck = free = 0
-        derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
         for k in range(m):
             stuck += state[k] == STICK
             free += state[k] == OPEN
         if stuck > free and len(inverse) > 0:
-            _linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change, step)
+            _linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change)
+            times(inverse, change, step)
         elif m - free > crowd:
             return error / size if size > 0.0 else 0.0, iteration
         else:
-            _linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step, change)
+            _linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step)
         if halvings == 0:
             trial_y += step
         else:
+            times(W, step, change)
             length = 1.0
             for _ in range(halvings):
-                trial_y = y + length * step
-                trial_w = w + length * change
+                trial_y[:] = y + length * step
+                trial_w[:] = w + length * change
                 trial = _merit(equation, parameters, trial_y, trial_w, trial_phi, trial_state)
                 if trial <= (1.0 - 1e-4 * length) * error:
                     break
@@ -580,13 +642,6 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
                 return error / size, iteration + 1
         times(W, trial_y, trial_w)
         trial_w += q
-        trial = _merit(equation, parameters, trial_y, trial_w, trial_phi, trial_state)
-        if not np.isfinite(trial):
-            return error / size, iteration + 1
-        if trial < error or halvings > 0:
-            error, gained = trial, iteration + 1
-            y[:], w[:] = trial_y, trial_w
-            size = force_scale(scale, q, y, w)
     return error / size if size > 0.0 else 0.0, steps
 
 

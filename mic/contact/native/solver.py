@@ -17,7 +17,6 @@ from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
-from mic.contact.states import OPEN
 from mic.contact.trail import Trail, trails
 
 __all__ = ["NativeSolver"]
@@ -67,8 +66,9 @@ class NativeSolver:
             parameters = law.scaled(parameters, d_n, d_t)
         else:
             self.scaling = inverse_root(diagonal)
-        W = np.ascontiguousarray(S * self.scaling[:, None] * self.scaling)
-        self.problem = ScaledProblem.of(law, W, parameters)
+        W = S * self.scaling[:, None]
+        W *= self.scaling
+        self.problem = ScaledProblem.of(law, np.ascontiguousarray(W), parameters)
         self._apart: list[NativeSolver] | None = None
 
     def under(self, friction: Friction) -> NativeSolver:
@@ -227,40 +227,42 @@ class NativeSolver:
                 *settings,
                 *(a[own] for a in (Q, slip, length, work, share, estimate, counts, passed, passed_force)),
                 unguessed,
+                False,
             )
 
         self._each(chunk, n)
         trail = self._trails(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None
         return self._leg(Y, Q, L, slip, length, work, share, counts, estimate, trail)
 
-    def step(self, b0, b1, force, anchor, own: np.ndarray, guess: np.ndarray) -> Leg:
+    def step(self, among, some, b, force, anchor, working, guess, near, leg: Leg) -> None:
         """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
-        problem, D, n, m = self.problem, self.scaling, len(b0), len(self.problem.parameters)
-        unit = 1.0 / D.reshape(m, 3)[:, 1]
-        scaled = b0 * D, b1 * D, (anchor / unit[:, None]).reshape(n, 2 * m), force / D
-        given = tuple(map(np.ascontiguousarray, scaled))
-        Q, start, own = np.empty((n, 3 * m)), np.ascontiguousarray(guess / D), np.ascontiguousarray(own)
-        slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
-        share[:, :, OPEN] = 1.0
-        counts = np.zeros((n, 5), dtype=np.int64)
+        problem, D = self.problem, self.scaling
+        given = tuple(map(np.ascontiguousarray, (b, force, anchor, working, guess)))
+        told = leg.force, leg.b, leg.anchor, leg.slip, leg.length, leg.work, leg.share
+        counts = np.zeros((len(b), 5), dtype=np.int64)
         _, follow_among = follower.follower()
 
-        def chunk(some):
+        def chunk(own):
             follow_among(
                 problem.equation,
                 problem.W,
                 problem.factors,
                 problem.parameters,
-                unit,
-                *(a[some] for a in given),
+                D,
+                among,
+                some[own],
                 ladder.MARGIN * self.tol,
                 SWEEPS * problem.law.gauss_seidel,
-                *(a[some] for a in (Q, slip, length, work, share, counts, start, own)),
+                *given,
+                near,
+                *told,
+                counts,
             )
 
-        self._each(chunk, n)
-        _, _, L, Y = given
-        return self._leg(Y, Q, L, slip, length, work, share, counts, np.full(n, np.nan))
+        self._each(chunk, len(some))
+        leg.steps[some] = counts[some, follower.STEPS]
+        leg.factorisations[some] += counts[some, follower.FACTORISATIONS]
+        leg.given_up[some] = counts[some, follower.FAILED] > 0
 
     def _leg(self, Y, Q, L, slip, length, work, share, counts, error, trail=None) -> Leg:
         """What the follower tells in scaled quantities, in mm and N."""
