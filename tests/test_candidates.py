@@ -12,7 +12,7 @@ import mic
 from mic.compliance.cache import influence_coefficients
 from mic.compliance.support import statically_determinate
 from mic.errors import SceneError
-from mic.model.assembly import _held, assemble
+from mic.model.assembly import assemble
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.studies.density import DENSER, denser
@@ -145,19 +145,22 @@ def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, tmp_path, 
     assert clamped.displacement[0, :, 0].max() < 6e-5  # mm; with cells across the rest's rim 10 to 13 e-5
 
 
-def test_a_rest_takes_part_where_it_backs_a_clamp_and_decides_no_spacing(lap_scene):
-    clamp = lap_scene.clamps[0].model_copy(update={"radius": 5.0})
-    rest = lap_scene.locators[0].model_copy(update={"point": clamp.point, "radius": 4.0, "direction": (0.0, 0.0, 1.0)})
-    assert (_held(rest, [clamp]).radius, _held(rest, [clamp]).backs) == (4.0, 5.0)
-    x, y, z = clamp.point
-    for elsewhere in (
-        {"point": (x + 9.1, y, z)},
-        {"direction": (1.0, 0.0, 0.0)},
-        {"radius": 0.0},
-    ):
-        held = _held(rest.model_copy(update=elsewhere), [clamp])
-        assert held.radius == held.backs == 0.0
-    assert _held(rest, []).radius == 0.0
+def test_a_locator_has_a_rim_where_it_backs_a_clamp_and_decides_no_spacing(tmp_path, cache):
+    """Not where it holds along the sheets, holds a node, has the rim of the clamp's pad, or stands beside that."""
+    scene = on_a_rest(tmp_path, 4.0)
+
+    def points(**keys):
+        locators = [one.model_copy(update=keys) if one.name == "rest" else one for one in scene.locators]
+        assembly = assemble(scene.model_copy(update={"locators": locators}), cache)
+        assert assembly.spacing == (4.0,)
+        return assembly.contacts.point
+
+    without = points(radius=5.0)
+    for keys in ({"direction": (1.0, 0.0, 0.0)}, {"radius": 0.0}):
+        np.testing.assert_array_equal(points(**keys), without)
+    assert points().shape != without.shape
+    beside = {"point": (28.0, 32.5, 0.0)}
+    np.testing.assert_array_equal(points(**beside, radius=4.0), points(**beside, radius=0.0))
 
 
 @pytest.mark.fem
