@@ -90,6 +90,79 @@ def test_the_nominal_lap_joint_does_not_move(model):
     assert evaluation.resolutions["release"].force[0, :, 0].sum() < 0.05 * clamps
 
 
+ALIKE = """
+from mic.geometry.structured import extrude
+
+def build(part, size):
+    z = {"lower": 0.0, "upper": 1.0}[part]
+    return extrude([(0, z), (48, z)], 0.0, 60.0, size)
+"""
+HELD = [
+    (6, 6, [0, 0, 1]),
+    (54, 6, [0, 0, 1]),
+    (30, 44, [0, 0, 1]),
+    (6, 6, [0, 1, 0]),
+    (54, 6, [0, 1, 0]),
+    (6, 6, [1, 0, 0]),
+]
+
+
+def on_a_rest(folder, radius):
+    """Two sheets alike that are held at like places; a clamp's pad of 5 mm presses both onto a rest of `radius`, mm."""
+    (folder / "alike.py").write_text(ALIKE)
+    parts = [("lower", 0), ("upper", 1)]
+    tables = [f"[[stages]]\nkind = '{kind}'" for kind in ("locate", "clamp", "measure")]
+    tables += [
+        f"[[parts]]\nname = '{part}'\ngeometry = 'alike.py'\nsize = 3.0\nthickness = 1\nyoung = 210000\npoisson = 0.3"
+        for part, _ in parts
+    ]
+    tables += [
+        f"[[locators]]\nname = '{part}-{i}'\npart = '{part}'\npoint = [{x}, {y}, {z}]\ndirection = {direction}"
+        for part, z in parts
+        for i, (x, y, direction) in enumerate(HELD)
+    ]
+    tables += [
+        f"[[locators]]\nname = 'rest'\npart = 'lower'\npoint = [28, 23, 0]\ndirection = [0, 0, 1]\nradius = {radius}\n"
+        "stage = 'clamp'",
+        "[[clamps]]\nname = 'C'\npart = 'upper'\npoint = [28, 23, 1]\ndirection = [0, 0, -1]\nforce = 100",
+        "[[zones]]\nname = 'all'\nparts = ['lower', 'upper']",
+        "[[deviations]]\nname = 'D'\nkind = 'clamp'\ntarget = 'C'\nsigma = 1",
+        "[[measurements]]\nname = 'M'\npart = 'upper'\npoint = [50, 40, 1]\ndirection = [0, 0, 1]\nlower = -1\n"
+        "upper = 1",
+        "[report]\nlaws = ['frictionless']",
+    ]
+    (folder / "scene.toml").write_text("name = 'rest'\n" + "\n".join(tables))
+    return mic.load_scene(folder)
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("radius", [2.5, 4.0, 7.0])
+def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, tmp_path, cache):
+    """Half of what each pad presses passes from sheet to sheet right there, so that both bend alike."""
+    model = mic.reduce(on_a_rest(tmp_path, radius), cache)
+    clamped = model.evaluate({}).resolutions["clamp"]
+    assert clamped.force[0, :, 0].sum() > 95
+    assert clamped.displacement[0, :, 0].max() < 6e-5  # mm; with cells across the rest's rim 10 to 13 e-5
+
+
+def test_a_locator_has_a_rim_where_it_backs_a_clamp_and_decides_no_spacing(tmp_path, cache):
+    """Not where it holds along the sheets, holds a node, has the rim of the clamp's pad, or stands beside that."""
+    scene = on_a_rest(tmp_path, 4.0)
+
+    def points(**keys):
+        locators = [one.model_copy(update=keys) if one.name == "rest" else one for one in scene.locators]
+        assembly = assemble(scene.model_copy(update={"locators": locators}), cache)
+        assert assembly.spacing == (4.0,)
+        return assembly.contacts.point
+
+    without = points(radius=5.0)
+    for keys in ({"direction": (1.0, 0.0, 0.0)}, {"radius": 0.0}):
+        np.testing.assert_array_equal(points(**keys), without)
+    assert points().shape != without.shape
+    beside = {"point": (28.0, 32.5, 0.0)}
+    np.testing.assert_array_equal(points(**beside, radius=4.0), points(**beside, radius=0.0))
+
+
 @pytest.mark.fem
 @pytest.mark.parametrize(
     "path, keys", [("hat_on_plate/scene.toml", {}), ("wheelhouse/watched.toml", {"spacing": 20.0})]

@@ -275,6 +275,28 @@ def test_no_candidate_reads_across_the_rim_of_a_pad():
     assert len(alone) == len(pairs)
 
 
+def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stands_nearer_for_it():
+    """A small rest has as many candidates as its share of the pad; how near all others stand the clamp decides."""
+    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    centre = np.array([9.0, 10.5, 0.5])
+    clamp, rest = Pressed(centre, 5.0), Pressed(centre, 3.5, backs=5.0)
+    pairs = find_pairs(zone(pairs=None), *bodies, pressed=[clamp, rest])
+    area = 0.0
+    for pair in pairs:
+        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        for radius in (3.5, 5.0):
+            within = np.linalg.norm(x[:, :2] - centre[:2], axis=1) <= radius + 1e-5
+            assert within.all() or not within.any()
+        area += pair.area * (radius == 5.0 and within.all())
+    assert area == pytest.approx(np.pi * 25, rel=0.05)
+    assert min(pair.apart for pair in pairs) == pytest.approx(10 / 3)
+    tiny = replace(rest, radius=1.0)
+    spacing = [candidate_spacing(zone(pairs=None), *bodies, pressed=[clamp, one]) for one in (rest, tiny)]
+    assert spacing == [candidate_spacing(zone(pairs=None), *bodies, pressed=[clamp])] * 2
+    one = find_pairs(zone(pairs=None), *bodies, pressed=[clamp, tiny])
+    assert len(one) == len(find_pairs(zone(pairs=None), *bodies, pressed=[clamp]))
+
+
 def bend(turn, size, z=0.0):
     """A sheet in the plane z, 10 mm long, that goes on in an arc of 8 mm by facets of `turn`, 20 mm wide."""
     profile = [(0.0, z), (10.0, z)]

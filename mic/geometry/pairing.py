@@ -22,8 +22,9 @@ length of the edge; at the *corners* of their borders, and where folds end on th
 every place where something presses the sheets together; and over the rest, each reading a cell. Under a clamp's pad
 they are 2/3 r apart, however coarse the elements: on a single one the sheets could tilt like on a hinge. Contact begins
 where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a nugget or
-outside, so that no pair fights the weld that it lies at half; and within a clamp's pad or outside, so that what two
-pads press uniformly the cells between them carry uniformly, and a nominal assembly does not move.
+outside, so that no pair fights the weld that it lies at half; and within a pad or outside, be it a clamp's or that of a
+rest beneath it: what each presses uniformly the cells between them carry uniformly, and a nominal assembly does not
+move. Pads of two sizes press unlike within the smaller and in the ring about it.
 
 A pair's normal is that of the curved sheet which the triangles stand for, between the normals at their corners. Across
 a bend of a few facets those of the facets jump by more than the angle of friction, and with them what a pair carries,
@@ -140,18 +141,22 @@ class Pressed:
         mm.
     radius : float
         Of a clamp's pad, mm: candidates are so near to each other that a few lie under it. Of a weld's nugget, mm. Of
-        both, candidates lie within or outside, none across the rim. Nothing hangs on that of a locator.
+        both, candidates lie within or outside, none across the rim; so of a rest that backs clamps. 0 of any other
+        locator.
     weld : int
         Number of the weld; -1 for anything else.
     normal : (3,) array, optional
         Of a weld, from the zone's first body to its second where they are joined. On the other face of a sheet within a
         hem, which looks the opposite way, nothing is joined; without it the weld joins either face.
+    backs : float
+        Of a rest, the largest radius of the clamps' pads that it backs, mm; 0 of anything else.
     """
 
     point: np.ndarray
     radius: float = 0.0
     weld: int = -1
     normal: np.ndarray | None = None
+    backs: float = 0.0
 
 
 def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[Pressed] = ()) -> list[ContactPair]:
@@ -185,7 +190,7 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     if zone.candidates:
         spacing = candidate_spacing(zone, first, second, pressed)
         pads = sorted((one for one in pressed if one.weld < 0 and one.radius), key=lambda one: one.radius)
-        finer = [(one, min(spacing, PAD * one.radius)) for one in pads]
+        finer = [(one, min(spacing, PAD * max(one.radius, one.backs))) for one in pads]
         return _candidates(zone, sampled, other, spacing, anchors, pressed, finer, swap)
     area = _facing(zone, sampled, other, _first_spacing(sampled.surface)).area.sum()
     count = len(zone.points or ()) or zone.pairs
@@ -268,7 +273,7 @@ def _shared(cloud, face, count, tie):
 def _candidates(zone, sampled, other, spacing, anchors, pressed, pads, swap) -> list[ContactPair]:
     """Candidates: along the edges of both sheets, where something presses them together, and over all the rest.
 
-    `pads` are the clamps and how far apart candidates stand under each, the smallest clamp first.
+    `pads` are the clamps and the rests beneath them, and how far apart candidates stand under each, the smallest first.
     """
     tie = max(sampled.surface.tie, other.surface.tie)
     cloud = _facing(zone, sampled, other, spacing / FINE, pads)
@@ -571,7 +576,7 @@ def candidate_spacing(zone, first: Side, second: Side, pressed: Sequence[Pressed
             )
         return zone.spacing
     thinner = _thinner(sampled, other)
-    radii = [place.radius for place in pressed if place.radius and place.weld < 0]
+    radii = [place.radius for place in pressed if place.radius and place.weld < 0 and not place.backs]
     flat = max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
     radius = min(_bend_radius(body.surface, own, cloud.area) for body, own in surfaces)
     return min(flat, max(FACET * element, BENDS * np.sqrt(radius * thinner)))

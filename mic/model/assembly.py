@@ -52,6 +52,7 @@ from mic.store import Format, fingerprint
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
 SET_UP = Format("set of parts and contact pairs", 1, ABSENT)
+BACKING = 0.5  # cosine of the angle between a clamp and a locator: beyond it they press on one line
 MOST = 64  # of them that are kept: each is of one scene as it stood once
 
 
@@ -553,11 +554,26 @@ def _zone_pairs(scene, bodies, pressed, every_node, problems: Problems) -> list[
 
 def _pressed(scene, zone, bodies) -> list[Pressed]:
     """Where something presses the bodies of a zone together: clamps, welds and locators."""
-    places = [Pressed(np.array(item.point), item.radius) for item in scene.clamps if item.part in zone.parts]
+    clamps = [item for item in scene.clamps if item.part in zone.parts]
+    places = [Pressed(np.array(item.point), item.radius) for item in clamps]
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
             places.append(Pressed(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
-    return places + [Pressed(np.array(item.point)) for item in scene.locators if item.part in zone.parts]
+    return places + [_held(item, clamps) for item in scene.locators if item.part in zone.parts]
+
+
+def _held(locator, clamps) -> Pressed:
+    """Where a locator holds; with the radius of its pad where it backs a clamp: it holds along the line on which that
+    presses, and their pads overlap."""
+    point, backs = np.array(locator.point), 0.0
+    for clamp in clamps:
+        along = np.array(clamp.direction) / np.linalg.norm(clamp.direction)
+        step = point - np.array(clamp.point)
+        beside = np.linalg.norm(step - (step @ along) * along)
+        opposed = abs(along @ locator.direction) > BACKING * np.linalg.norm(locator.direction)
+        if locator.radius and opposed and beside < clamp.radius + locator.radius:
+            backs = max(backs, clamp.radius)
+    return Pressed(point, locator.radius if backs else 0.0, backs=backs)
 
 
 def _weld_normal(zone, weld, bodies) -> np.ndarray | None:
