@@ -234,6 +234,21 @@ def test_ill_conditioned_compliance(condition, law):
     assert_solved(solve(S, problem.b, 0.27, law), S, problem.b, 0.27, law)
 
 
+@pytest.mark.parametrize("condition", [1e4, 1e7])
+@pytest.mark.parametrize("m", [2, 3])
+def test_slip_that_opens_contacts_is_found_where_nothing_overlaps(m, condition):
+    """Under the associated law a contact with a gap carries force where it slips by more than the gap allows. Without
+    overlaps nor forces an error had no size, and no force at all passed for the solution of an easier problem."""
+    mu, apart = np.full(m, 1.5), 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        S = compliant(m, rng, condition, 10.0)
+        problem = manufactured(S, mu, 4, rng, 0.1, 0.3, ASSOCIATED)
+        apart += ((problem.b[:, ::3] > 0.0).all(axis=1) & problem.force.any(axis=1)).sum()
+        assert_solved(solve(S, problem.b, mu, "associated"), S, problem.b, mu, "associated")
+    assert apart >= 5  # of 160: these are what it is about
+
+
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("length, force", [(1e-3, 1.0), (1.0, 1e-3), (1e-3, 1e3), (1e6, 1e-6)])
 def test_units_do_not_matter(length, force, law):

@@ -6,6 +6,7 @@ from support.panels import NU, PLACES, E, T, functionals, grid, panel
 from support.shells import at, supported_solution
 
 from fem_reference.shell.factorisation import FactorisationError
+from fem_reference.shell.needles import NEEDLE, without_needles
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Patch, Surface
@@ -224,3 +225,85 @@ def test_patches_share_rows_with_points():
     )
     L = part.functional_matrix(rows)
     assert L.nnz == 1 and L[0, part.vertex_displacement_dofs[surface.triangles[triangle, corner], 1]] == 1
+
+
+# --- needles
+
+
+def bent(columns):
+    """A cylindrical panel of 60 × 50 mm with the edges of its elements at these shares of its length."""
+    at = np.array(columns)
+    n = len(at) - 1
+
+    def shape(X, Y):
+        x = at[np.rint(n * X).astype(int)]
+        return np.column_stack([60 * x, 50 * Y, 8 * x**2])
+
+    return grid(n, 8, shape)
+
+
+COLUMNS = [0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0]
+
+
+def narrowed(*narrow):
+    """The panel with columns of elements so narrow, as shares of the others, beside its fourth edge."""
+    return bent(COLUMNS[:4] + [0.375 + 0.125 * share for share in narrow] + COLUMNS[4:])
+
+
+def bending(surface, thickness):
+    """Work of three forces that bend a panel, in balance, and the displacement (n_points, 3) that they make beside a
+    rigid motion that the vertices of :func:`bent` do not show."""
+    part = ShellPart(surface, thickness, E, NU)
+    rows = functionals(surface, [[10.0, 10.0, 0.2], [22.6, 25.0, 1.1], [40.0, 30.0, 3.6]], 6.0)
+    H, G = part.influence(rows)
+    force = np.zeros((len(rows), 1))
+    force[[2, 14, 26], 0] = 1.0, -2.0, 1.0
+    force -= G @ np.linalg.lstsq(G, force, rcond=None)[0]
+    again = ShellPart(surface, thickness, E, NU)  # fields of coefficients that were kept
+    moved = again.field(rows, force)[:, :3, 0]
+    rigid, seen = again.rigid_field()[:, :3], np.isin(surface.points[:, 0], bent(COLUMNS).points[:, 0])
+    motion = np.linalg.lstsq(rigid[seen].reshape(-1, 6), moved[seen].ravel(), rcond=None)[0]
+    return (force.T @ H @ force).item(), moved - rigid @ motion
+
+
+@pytest.mark.parametrize(("thickness", "narrow"), [(0.5, 1e-5), (0.01, 1e-4), (0.01, 1e-5)])
+def test_a_part_with_needles_is_that_without_them(thickness, narrow, caplog):
+    """They drown the bending of the others; the sheet is as soft, and bends as far, as if there were none."""
+    work, moved = bending(narrowed(narrow), thickness)
+    assert "so narrow beside the others" in caplog.text
+    expected, shape = bending(bent(COLUMNS), thickness)
+    assert work == pytest.approx(expected, rel=0.002)
+    ends = np.delete(np.arange(len(moved)), np.s_[4 * 9 : 5 * 9])  # the needles' other side follows its first
+    assert abs(moved[ends] - shape).max() < 0.005 * abs(shape).max()
+    assert abs(moved[4 * 9 : 5 * 9] - moved[3 * 9 : 4 * 9]).max() < 0.005 * abs(shape).max()
+
+
+def test_needles_that_cost_few_digits_stay(caplog):
+    work, _ = bending(narrowed(0.5 * NEEDLE), 1.2)
+    assert not caplog.text
+    assert work == pytest.approx(bending(bent(COLUMNS), 1.2)[0], rel=0.002)
+
+
+def test_what_is_no_needle_is_left_and_refused():
+    """Elements narrower than others by less, needles in a row that would draw the mesh together, and elements whose
+    freedoms do not all stand at their corners."""
+    assert without_needles(bent(COLUMNS)) is None and without_needles(narrowed(1.1 * NEEDLE)) is None
+    assert without_needles(narrowed(*(0.8 * NEEDLE * np.arange(1, 5)))) is None
+    for surface, element in (
+        (narrowed(*(0.8 * NEEDLE * np.arange(1, 5))), "dkt-opt-curved"),
+        (narrowed(1e-5), "p2-cr"),
+    ):
+        part = ShellPart(surface, 1e-3, E, NU, element)
+        with pytest.raises(FactorisationError, match="narrow"):
+            part.solve(np.zeros((part.ndof, 1)))
+
+
+@pytest.mark.parametrize("narrow", [0.8 * NEEDLE, 1e-5])
+def test_no_vertex_moves_farther_than_it_may(narrow):
+    surface = narrowed(narrow)
+    left, number = without_needles(surface)
+    assert len(left.triangles) == len(bent(COLUMNS).triangles) and len(left.points) == len(bent(COLUMNS).points)
+    moved = np.linalg.norm(surface.points - left.points[number], axis=1)
+    needle = np.isin(np.arange(len(moved)), np.r_[3 * 9 : 5 * 9])
+    assert (moved[~needle] == 0).all() and moved.max() <= NEEDLE * surface.edge_lengths.max()
+    assert left.areas.sum() == pytest.approx(surface.areas.sum(), rel=1e-4)

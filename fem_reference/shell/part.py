@@ -7,6 +7,7 @@ determinate support vanish under self-equilibrated loads, so that nothing but a 
 
 from __future__ import annotations
 
+import logging
 from functools import cached_property
 from typing import Any
 
@@ -20,12 +21,16 @@ from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat
 from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
-from fem_reference.shell.factorisation import Factorisation, FactorisationError, upper_triangle
+from fem_reference.shell.factorisation import Factorisation, FactorisationError, OutOfMemory, upper_triangle
 from fem_reference.shell.influence import influence_matrix
+from fem_reference.shell.interpolation import P1
+from fem_reference.shell.needles import NEEDLE, without_needles
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
 __all__ = ["RIGID_MOTION_TOLERANCE", "ShellPart"]
+
+_log = logging.getLogger(__name__)
 
 RIGID_MOTION_TOLERANCE = 1e-2  # reached where t/L ~ 1e-5 on curved shells
 
@@ -96,6 +101,7 @@ class ShellPart:
             )
         self.surface, self.element, self.comm = surface, element, comm
         self._kind, self._normals = ELEMENTS[element], None
+        self._stand_in: ShellPart | None = None
         self.thickness, self.young, self.poisson = float(thickness), float(young), float(poisson)
         self._build_tables()
 
@@ -353,7 +359,7 @@ class ShellPart:
     @property
     def memory(self) -> float:
         """MB that the factors took at most while they were computed."""
-        return self._factorisation.memory
+        return self._serving.memory
 
     def _check_conditioning(self, factorisation: Factorisation) -> None:
         """Move the pins rigidly and see whether the part follows: the exact answer to six solves is known.
@@ -371,25 +377,85 @@ class ShellPart:
                 "precision, or has elements so narrow beside the others that digits are lost: mesh it anew"
             )
 
+    @property
+    def _serving(self) -> Factorisation:
+        """The factors that solve: the part's own, or those of what stands in for it."""
+        if self._stand_in is None:
+            try:
+                return self._factorisation
+            except FactorisationError as refusal:
+                self._give_way(refusal)
+        return self._stand_in._factorisation
+
+    def _give_way(self, refusal: FactorisationError) -> None:
+        """Let the part without its needles stand in, the freedoms of which the others follow; raise where nothing can.
+
+        Only a part that could not be solved gives way: all others are as they were.
+        """
+        plain = self._kind.displacement is P1 and self._kind.rotation is P1 and self.comm.size == 1
+        found = without_needles(self.surface) if plain and not isinstance(refusal, OutOfMemory) else None
+        if found is None:
+            raise refusal
+        left, number = found
+        self._stand_in = part = ShellPart(left, self.thickness, self.young, self.poisson, self.element)
+        d = self.surface.points - left.points[number]
+        own, theirs = ((each._vertex_dofs[:, :3], each._vertex_dofs[:, 3:]) for each in (self, part))
+        rows, columns, values = [], [], []
+        for axis in range(3):
+            rows += [own[0][:, axis], own[1][:, axis]]
+            columns += [theirs[0][number, axis], theirs[1][number, axis]]
+            values += 2 * [np.ones(len(d))]
+            for sign, turn, along in ((1.0, (axis + 1) % 3, (axis + 2) % 3), (-1.0, (axis + 2) % 3, (axis + 1) % 3)):
+                rows.append(own[0][:, axis])  # (θ × d) of this axis
+                columns.append(theirs[1][number, turn])
+                values.append(sign * d[:, along])
+        every = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        self._follows = coo_matrix(every, (self.ndof, part.ndof)).tocsr()
+        _log.warning(
+            "%d elements are so narrow beside the others that digits are lost, and are left out: the ends of their "
+            "sides that are shorter than %g of the longest are made one",
+            len(self.surface.triangles) - len(left.triangles),
+            NEEDLE,
+        )
+
+    @cached_property
+    def _vertex_dofs(self) -> np.ndarray:
+        """(n_points, 6) global freedoms u and θ at each vertex, of an element that has all of them there."""
+        dofs = np.empty((len(self.surface.points), 6), dtype=np.int64)
+        dofs[self.surface.triangles] = np.concatenate([self._displacement_dofs, self._rotation_dofs], axis=2)
+        return dofs
+
     def solve(self, nodal_forces: np.ndarray) -> np.ndarray:
         """Freedoms (ndof, r) of the pinned part under the load vectors (ndof, r); one factorisation serves all calls.
 
         N and N mm in, mm and rad out.
         """
         nodal_forces = np.asarray(nodal_forces, dtype=float)
+        factors = self._serving
+        if self._stand_in is not None:
+            return self._follows @ self._stand_in.solve(self._follows.T @ nodal_forces)
         freedoms = np.zeros_like(nodal_forces)
-        freedoms[self._free] = self._factorisation.solve(nodal_forces[self._free])
+        freedoms[self._free] = factors.solve(nodal_forces[self._free])
         return freedoms
 
     def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
         """Compliance H (n, n) of the pinned part at the functionals, and their readings G (n, 6) of the rigid modes.
 
-        Forces f (n,) on the functionals move them by H f + G q, q (6,) being the rigid motion, once Gᵀ f = 0.
+        Forces f (n,) on the functionals move them by H f + G q, q (6,) being the rigid motion, once Gᵀ f = 0. Where
+        needles of elements cost the digits, H is that of the part without them (`fem_reference.shell.needles`).
         """
         L = self.functional_matrix(functionals)
+        if self._stand_in is None:
+            try:
+                return self._influence(L), L @ self.rigid_modes
+            except FactorisationError as refusal:
+                self._give_way(refusal)
+        return self._stand_in._influence((L @ self._follows).tocsr()), L @ self.rigid_modes
+
+    def _influence(self, L: csr_matrix) -> np.ndarray:
         H, self._factorisation = influence_matrix(self._pinned[0], L[:, self._free])
         self._check_conditioning(self._factorisation)
-        return H, L @ self.rigid_modes
+        return H
 
     def field(self, functionals: Functionals, forces: np.ndarray) -> np.ndarray:
         """Displacements and rotations (n_points, 6, r) at the vertices of the pinned part.

@@ -186,6 +186,13 @@ def _round(x, R):
     return R - np.sqrt(R**2 - x**2)
 
 
+def _spaced(first: float, last: float, spacing) -> np.ndarray:
+    """Points from the first to the last, as far apart as ``spacing(x)`` asks, nearly."""
+    x = np.linspace(first, last, 100_001)
+    count = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (1 / spacing(x)[1:] + 1 / spacing(x)[:-1])))
+    return np.interp(np.linspace(0.0, count[-1], max(1, round(count[-1])) + 1), count, x)
+
+
 def _meshed(outline, largest: float, reach):
     """A mesh as fine as the contact there, whose sides are the outline's first, growing with the distance from it."""
     kept = len(reach) - 1
@@ -202,16 +209,27 @@ class Punch:
     Attributes
     ----------
     size : float
-        Element size in the contact, mm, a divisor of 2; an eighth of it where the contact ends.
+        Element size in the contact, mm; nearer to its end than `width` in proportion to the distance, down to `least`.
+    end : float
+        Where the contact ends, mm from the axis: 40.40 on the finest mesh, where the edge has been round for 0.4 mm.
+    width : float
+        mm.
+    least : float
+        Share of the size at the contact's end.
     """
 
     size: float
+    end: float = 40.4
+    width: float = 7.0
+    least: float = 1 / 256
+
+    def _spacing(self, x):
+        return self.size * np.clip(abs(x - self.end) / self.width, self.least, 1.0)
 
     def solve(self, friction: float) -> float:
         """Displacement of the middle of the cylinder's face, mm, down negative."""
-        h, flat, fillet = self.size, 40.0, 10.0
-        fine, far = round(16 / h), round(38.0 / h)  # the contact ends where the edge begins to be round
-        reach = np.concatenate([np.linspace(0, 38.0, far + 1), np.linspace(38.0, 42.0, 2 * fine + 1)[1:]])
+        flat, fillet = 40.0, 10.0
+        reach = np.concatenate([_spaced(0.0, flat, self._spacing), _spaced(flat, 42.0, self._spacing)[1:]])
         curve = np.where(reach > flat, fillet - np.sqrt(np.maximum(fillet**2 - (reach - flat) ** 2, 0)), 0.0)
         rest = np.arcsin((reach[-1] - flat) / fillet)
         angle = np.linspace(rest, np.pi / 2, max(3, round((np.pi / 2 - rest) * fillet / 2)))[1:]

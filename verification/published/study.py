@@ -14,7 +14,7 @@ from verification.study import Acceptance, Finding, Study
 
 #: Published values, mm: code_aster's command files ssnp154a-d and ssna122a-b, by order of their elements and friction.
 ROLLER = {(1, 0.0): -1.30690, (1, 0.1): -1.30108, (2, 0.0): -1.30802, (2, 0.1): -1.30264}
-PUNCH = {(1, 0.0): -0.130734, (1, 0.1): -0.128580, (2, 0.0): -0.132941, (2, 0.1): -0.130794}
+PUNCH = {(1, 0.0): -0.1307341, (1, 0.1): -0.1285802, (2, 0.0): -0.1329412, (2, 0.1): -0.1307935}
 
 
 @dataclass(frozen=True)
@@ -249,6 +249,6 @@ STUDY = Study(
             reason="A reference errs by no more than a fifth of the limit.",
         ),
     ),
-    seconds=(18, 18),
+    seconds=(30, 30),
     run=run,
 )
