@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.sparse import csr_matrix, diags
 
+from mic.model.assembly import assemble
 from mic.sampling.draw import draw
 from mic.scene import SETTINGS
 from verification.algebra.study import STUDY as ALGEBRA
@@ -174,6 +175,16 @@ def test_mesh_sequences_without_an_order():
     )
     assert converge((4, 2, 1), (1.1, 1.0, 1.0)).index == pytest.approx(0, abs=1e-12)
     assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
+
+
+def test_contact_pairs_read_the_same_on_all_meshes(cache):
+    """Cells that are divided anew on each mesh stand elsewhere, and are larger or smaller by some hundredths."""
+    first, *held = [shipped("lap_joint", size) for size in (2.5, 2.5, 1.25)]
+    pairs = assemble(first, cache).contacts
+    discs = [assemble(mesh.same_discs(scene, pairs), cache) for scene in held]
+    coarse, fine = (made.contacts for made in discs)
+    assert np.abs(coarse.point - fine.point).max() < 2e-3 and coarse.bearing == pytest.approx(fine.bearing, rel=1e-12)
+    assert coarse.bearing.sum() == pytest.approx(pairs.area.sum(), rel=1e-9)
 
 
 def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
