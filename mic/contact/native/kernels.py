@@ -292,6 +292,14 @@ def force_scale(scale, q, y, w):
     return max(scale, np.sqrt(max(energy, 0.0)))
 
 
+@jit(NUMBER(NUMBER, NUMBER))
+def _relative(error, size):
+    """``error / size``; beside nothing no error is none, and any other is beyond all bounds."""
+    if size > 0.0:
+        return error / size
+    return 0.0 if error == 0.0 else np.inf
+
+
 @jit(void(MATRIX, VECTOR, VECTOR))
 def times(W, x, out):
     """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes; two of the others at a time."""
@@ -614,7 +622,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
             y[:], w[:] = trial_y, trial_w
             size = force_scale(scale, q, y, w)
         if error <= tol * size or iteration - gained > PATIENT or iteration == steps or not np.isfinite(trial):
-            return error / size if size > 0.0 else 0.0, iteration
+            return _relative(error, size), iteration
         stuck = free = 0
         for k in range(m):
             stuck += state[k] == STICK
@@ -623,7 +631,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
             _linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change)
             times(inverse, change, step)
         elif m - free > crowd:
-            return error / size if size > 0.0 else 0.0, iteration
+            return _relative(error, size), iteration
         else:
             _linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step)
         if halvings == 0:
@@ -639,10 +647,10 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
                     break
                 length *= 0.5
             else:
-                return error / size, iteration + 1
+                return _relative(error, size), iteration + 1
         times(W, trial_y, trial_w)
         trial_w += q
-    return error / size if size > 0.0 else 0.0, steps
+    return _relative(error, size), steps
 
 
 @jit(NUMBER(VECTOR))
@@ -840,7 +848,7 @@ def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations, factorisations)
             for _ in range(12):
                 error = np.linalg.norm(np.minimum(y, w))
                 size = force_scale(scale, q, y, w)
-                error = error / size if size > 0.0 else 0.0
+                error = _relative(error, size)
                 if error < best:
                     best = error
                     Y[s] = y
