@@ -59,6 +59,9 @@ class Listener:
         """Entered for the Monte Carlo; what it gives is called with (law, number of samples) after each block."""
         return nullcontext(lambda law, count: None)
 
+    def gathered(self, outcome: Outcome) -> None:
+        """What the samples and the study of their path gave; tables and fields follow."""
+
 
 def run(
     scene: Scene,
@@ -382,6 +385,7 @@ def _conclude(
             listener.say(sentence)
     with clock("error of the path"):
         write_path_study(outcome)
+    listener.gathered(outcome)
     with clock("statistics"):
         write_tables(outcome)
     with clock("fields"):
