@@ -12,6 +12,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import SceneError
@@ -32,7 +33,7 @@ from mic.results.folder import Block, RunFolder, keeps, versions
 from mic.results.forecast import duration, forecast
 from mic.results.identity import identity, inputs
 from mic.results.lock import locked
-from mic.results.outcome import Outcome, read_outcome
+from mic.results.outcome import Outcome, Written, read_outcome
 from mic.results.schema import CONTACTS
 from mic.results.summary import write_path_study, write_summary, write_tables
 from mic.results.sums import Sums
@@ -57,6 +58,9 @@ class Listener:
     def sampling(self, laws: Sequence[str], samples: int) -> AbstractContextManager[Callable[[str, int], None]]:
         """Entered for the Monte Carlo; what it gives is called with (law, number of samples) after each block."""
         return nullcontext(lambda law, count: None)
+
+    def gathered(self, outcome: Outcome) -> None:
+        """What the samples and the study of their path gave; tables and fields follow."""
 
 
 def run(
@@ -131,14 +135,15 @@ def run(
             for sentence in notes:
                 listener.say(f"note: {sentence}")
         with clock("Monte Carlo"):
-            found = _sampled(folder, model, laws, samples, seed, listener)
+            written = Written()
+            found = _sampled(folder, model, laws, samples, seed, listener, written)
             samples = on_first(world, lambda: RunFolder(folder).record()["samples"])
         if world is not None and world.rank > 0:
             return None
         for law, count in found.items():
             if count:
                 listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
-        return conclude(folder, clock.seconds, listener, cache, model)
+        return conclude(folder, clock.seconds, listener, cache, model, written)
 
 
 def sample_into(
@@ -177,7 +182,7 @@ def sample_into(
     folder, listener = Path(folder), listener or Listener()
     with hold(folder, listener):
         on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, listener, replace))
-        return _sampled(folder, model, laws, samples, seed, listener)
+        return _sampled(folder, model, laws, samples, seed, listener, Written())
 
 
 def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) -> tuple[Assembly, list[str]]:
@@ -223,12 +228,12 @@ def _prepare(
         listener.say(sentence)
 
 
-def _sampled(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:
+def _sampled(folder, model: ReducedModel, laws, samples, seed, listener, written: Written) -> dict[str, int]:
     """So many samples, or as many of them as the accuracy takes that the scene asks for: whole blocks, each time a
     third more, so that the same are drawn however often a run is interrupted."""
     accuracy, world = model.scene.monte_carlo.accuracy, communicator()
     if accuracy is None:
-        return _sample(folder, model, laws, samples, seed, listener)
+        return _sample(folder, model, laws, samples, seed, listener, written)
     ends = [first + count for _, first, count in blocks(laws[:1], samples, len(model.contacts))]
     store, judged = RunFolder(folder), 0
     found: dict[str, int] = {}
@@ -236,13 +241,13 @@ def _sampled(folder, model: ReducedModel, laws, samples, seed, listener) -> dict
     def look() -> float:
         """What the 6σ of so many samples leave; they are all that the folder has to hold from now on."""
         store.write_record(store.record() | {"samples": judged})
-        return read_outcome(folder).uncertainty
+        return read_outcome(folder, model, written).uncertainty
 
     for end in ends:
         if end < GROWTH * judged and end < samples:
             continue
         judged = end
-        reused = _sample(folder, model, laws, end, seed, listener)
+        reused = _sample(folder, model, laws, end, seed, listener, written)
         found = found or reused
         left = on_first(world, look)
         if left <= accuracy or end == samples:
@@ -252,8 +257,8 @@ def _sampled(folder, model: ReducedModel, laws, samples, seed, listener) -> dict
     return found
 
 
-def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[str, int]:
-    """The samples that a folder lacks; it was made ready by the first process."""
+def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written: Written) -> dict[str, int]:
+    """The samples that a folder lacks, `written` there; it was made ready by the first process."""
     store, world = RunFolder(folder), communicator()
     whose = identity(model, seed)
     there: dict[str, np.ndarray] = {}
@@ -269,7 +274,10 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[
         return bool(stop - start == count)
 
     def sink(law: str, first: int, evaluation: Evaluation) -> None:
-        write_evaluation(store, Block(law, first, len(evaluation.deviations)), whose, model, evaluation)
+        block = Block(law, first, len(evaluation.deviations))
+        found = write_evaluation(store, block, whose, model, evaluation)
+        if world is None or world.rank == 0:  # which makes the statistics
+            written.keep(block, found)
 
     def expect(seconds: float) -> None:
         if seconds > LONG:
@@ -284,14 +292,15 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener) -> dict[
 
 def write_evaluation(
     store: RunFolder, block: Block, identity: str, model: ReducedModel, evaluation: Evaluation
-) -> None:
-    """Write what a block of samples gave: its tables and, where fields are asked for, its forces. Of the first samples
-    contact pairs and forces are kept, as many as the scene's report says; of the others what they add up to."""
+) -> dict[str, pd.DataFrame]:
+    """Write what a block of samples gave: its tables, which are returned, and, where fields are asked for, its forces.
+    Of the first samples contact pairs and forces are kept, as many as the scene's report says; of the others what they
+    add up to."""
     found, report = tables(model, evaluation, block.first), model.scene.report
     if keeps(report, block):
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if report.fields else None
         store.write_block(block, identity, found, forces)
-        return
+        return found
     samples = BlockSamples(found, len(model.contacts), block.first + block.count)
     sums, condensed = Sums.of(samples, model), None
     del found[CONTACTS.name]
@@ -300,6 +309,7 @@ def write_evaluation(
         each = zip(model.compliance.functionals, model.compliance.motions)
         condensed = tuple(Condensed.of(force[own, rows], motion[own, columns]) for rows, columns in each)
     store.write_block(block, identity, found, sums=sums, condensed=condensed)
+    return found
 
 
 @contextmanager
@@ -333,6 +343,7 @@ def conclude(
     listener: Listener | None = None,
     cache: Path | None = None,
     model: ReducedModel | None = None,
+    written: Written | None = None,
 ) -> Outcome:
     """Statistics and fields of a results folder, finished or interrupted, computed anew from its samples.
 
@@ -346,6 +357,8 @@ def conclude(
         The cache folder, where fields of unit forces are kept; default: fields are solved for.
     model : ReducedModel, optional
         The run's own, should it be at hand.
+    written : mic.results.outcome.Written, optional
+        Tables that need not be read.
 
     Raises
     ------
@@ -354,7 +367,7 @@ def conclude(
     clock, folder = _Clock(), Path(folder)
     RunFolder(folder).record()  # a folder that holds no run is left as it is
     with locked(folder):
-        return _conclude(folder, clock, wall_time or {}, listener or Listener(), cache, model)
+        return _conclude(folder, clock, wall_time or {}, listener or Listener(), cache, model, written)
 
 
 def _conclude(
@@ -364,13 +377,15 @@ def _conclude(
     listener: Listener,
     cache: Path | None,
     model: ReducedModel | None,
+    written: Written | None,
 ) -> Outcome:
     with clock("statistics"):
-        outcome = read_outcome(folder, model)
+        outcome = read_outcome(folder, model, written)
         for sentence in outcome.damaged:
             listener.say(sentence)
     with clock("error of the path"):
         write_path_study(outcome)
+    listener.gathered(outcome)
     with clock("statistics"):
         write_tables(outcome)
     with clock("fields"):

@@ -13,10 +13,10 @@ from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
 from mic.results import statistics
 from mic.results.capability import centred_capability
-from mic.results.folder import RunFolder
-from mic.results.outcome import read_outcome
+from mic.results.folder import Block, RunFolder
+from mic.results.outcome import Written, read_outcome
 from mic.results.summary import write_summary, write_tables
-from mic.runs import sample_into
+from mic.runs import sample_into, write_evaluation
 from mic.sampling.draw import draw
 from mic.sampling.montecarlo import BLOCK
 
@@ -129,6 +129,38 @@ def test_failed_samples_are_named_and_enter_no_statistic(folder, evaluation):
         [3, "clamp", "not converged"],
         [BLOCK + 1, "release", "overflow in a product"],
     ]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_tables_that_were_just_written_are_those_that_would_be_read(lap_model, evaluation, tmp_path, law):
+    store, block, found = RunFolder(tmp_path), Block(law, 0, SAMPLES), evaluation[law]
+    broken = found.measurements.copy()
+    broken[3] = np.nan
+    found = replace(found, measurements=broken, failed=np.arange(SAMPLES) == 3)
+    written = write_evaluation(store, block, "this run", lap_model, found)
+    read = store.read_block(block, "this run")
+    assert set(written) == set(read)
+    for name, frame in read.items():
+        pd.testing.assert_frame_equal(written[name], frame, check_exact=True)
+
+
+def test_what_was_just_written_is_not_read_again_as_far_as_there_is_room(folder, lap_model):
+    store = RunFolder(folder)
+    whose, expected = store.record()["identity"], read_outcome(folder)
+    every = [block for law in LAWS for block in store.blocks(law)]
+    written = Written()
+    for block in every:
+        written.keep(block, store.read_block(block, whose))
+    full = Written(sum(frame.memory_usage(index=False).sum() for frame in written[every[0]].values()))
+    for block in every:
+        full.keep(block, written[block])
+    assert list(written) == every and list(full) == every[:1]
+    for path in (folder / "contacts").rglob("*.parquet"):
+        path.write_bytes(b"cut")
+    outcome = read_outcome(folder, lap_model, written)
+    assert not outcome.damaged
+    pd.testing.assert_frame_equal(outcome.zone_statistics, expected.zone_statistics, check_exact=True)
+    assert len(read_outcome(folder, lap_model, full).damaged) == len(every) - 1
 
 
 def test_an_interrupted_run_is_read_and_says_what_is_missing(folder, evaluation):

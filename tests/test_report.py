@@ -1,6 +1,7 @@
 """The report: whole, self-contained, and written for any scene."""
 
 import base64
+import gzip
 import importlib
 import json
 import pkgutil
@@ -20,6 +21,8 @@ from support.studies import left_by_studies
 import mic.report
 from mic.contact import ContactSolver
 from mic.geometry.surface import Surface
+from mic.report import sharing
+from mic.report.ahead import AHEAD, Ahead
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, Entry, draw, draw_all
 from mic.report.law_pictures import law_cost
@@ -28,6 +31,7 @@ from mic.report.page import write_report
 from mic.report.shown import pictures
 from mic.report.style import LAWS, RC, change, number, percent
 from mic.report.thinning import thinned
+from mic.report.viewer import packed
 from mic.results.fields import write_fields
 from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
@@ -177,6 +181,12 @@ def test_the_viewer_has_the_surfaces_and_fields(page, folder):
             wanted = told[part["name"], law].six_sigma_magnitude  # so small a part is not thinned
             np.testing.assert_allclose(own["low"] + own["step"] * whole(own), wanted, atol=own["step"])
     assert {group["name"] for group in data["arrows"]} >= {"locators"}
+
+
+def test_a_packed_text_is_that_of_the_standard_library():
+    for text in ["", *("<&µ>" * 9 + "x" * count for count in range(5)), "".join(map(chr, range(5000)))]:
+        found = packed(text).translate(str.maketrans(",./", "<>&"))
+        assert found.encode() == base64.b85encode(gzip.compress(text.encode(), 9, mtime=0))
 
 
 def test_a_thinned_surface_keeps_its_outline_and_its_area():
@@ -368,6 +378,28 @@ def test_drawing_a_page_solves_nothing_and_needs_and_changes_nothing_else(page, 
     assert all(after[path] == content for path, content in before.items())
     assert (copy / "assembly.png").read_bytes().startswith(b"\x89PNG")
     assert source == page.source  # and the same folder gives the same page
+
+
+@pytest.mark.slow
+def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_page(folder, page, tmp_path, monkeypatch):
+    monkeypatch.setattr(sharing, "second_core", lambda: True)  # whatever this machine has
+    early = tmp_path / "early"
+    shutil.copytree(folder, early)
+    whole = read_outcome(folder)
+    expected = draw_all(whole, read_context(whole))
+    for name in ("fields", "tables"):
+        shutil.rmtree(early / name)
+    (early / "tables").mkdir()
+    for table in (PATH, PATH_ERRORS):  # are written before
+        shutil.copy(folder / table.place, early / table.place)
+    outcome = read_outcome(early)
+    ahead = Ahead(outcome)
+    try:
+        found = ahead.pictures()
+    finally:
+        ahead.end()
+    assert {name for name, picture in found.items() if picture} == set(AHEAD) & set(expected)
+    assert all(picture == expected[name] for name, picture in found.items() if picture)
 
 
 def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):

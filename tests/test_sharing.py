@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mic.report import sharing
-from mic.report.sharing import side_by_side
+from mic.report.sharing import Copy, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -32,6 +32,18 @@ def test_results_come_in_order_and_two_processes_did_them():
     assert [number for number, _ in found] == list(range(300))
     assert len({who for _, who in found}) == 2
     assert [who for _, who in side_by_side([partial(done, 0)])] == [os.getpid()]
+
+
+def test_a_copy_works_before_it_is_asked_and_is_gone_once_let_go():
+    copy = Copy([partial(done, number) for number in range(6)])
+    time.sleep(1.0)
+    found = copy.results()
+    copy.end()
+    assert [number for number, _ in found] == list(range(6))
+    assert os.getpid() not in {who for _, who in found} and not active_children()
+    unasked = Copy([partial(done, number, 60.0) for number in range(6)])
+    unasked.end()
+    assert not active_children()
 
 
 def test_without_a_second_core_no_copy_is_made(monkeypatch):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mic import store
-from mic.errors import FormatError
+from mic.errors import FormatError, StorageError
 
 THING = store.Format("thing", 3, "make it again")
 ARRAYS = {"H": np.arange(12.0).reshape(3, 4), "names": np.array(["a", "bb"]), "none": np.zeros((0, 2))}
@@ -125,3 +125,54 @@ def test_content_is_on_disk_before_its_name_and_the_name_where_it_must_last(tmp_
     with store.replacing(path, lasting) as temporary:
         temporary.write_text("content", encoding="utf-8")
     assert events == [(False, False), (True, True)][: 1 + lasting]  # (of the folder, once the name stands)
+
+
+def test_files_written_together_take_their_places_in_their_order_once_all_are_on_disk(tmp_path, monkeypatch):
+    events, sync, replace = [], os.fsync, Path.replace
+
+    def synced(descriptor):
+        events.append(("disk", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name))
+        sync(descriptor)
+
+    def replaced(path, target):
+        events.append(("name", Path(target).name))
+        return replace(path, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    names = ["c.txt", "a.txt", "b.txt"]
+    with store.together() as group:
+        for name in names:
+            with store.replacing(tmp_path / name, group=group) as temporary:
+                temporary.write_text(name, encoding="utf-8")
+        assert not events
+    contents, order, folder = events[:3], events[3:6], events[6:]
+    assert sorted(name[1] for _, name in contents) == ["a", "b", "c"] and {kind for kind, _ in contents} == {"disk"}
+    assert order == [("name", name) for name in names] and folder == [("disk", tmp_path.name)]
+    assert [path.read_text() for path in sorted(tmp_path.iterdir())] == sorted(names)
+
+
+def test_of_files_written_together_none_takes_its_place_after_an_error(tmp_path, monkeypatch):
+    (tmp_path / "a.txt").write_text("old")
+
+    def write(*names):
+        with store.together() as group:
+            for name in names:
+                with store.replacing(tmp_path / name, group=group) as temporary:
+                    if name == "full.txt":
+                        raise OSError(28, "No space left on device")
+                    temporary.write_text(name, encoding="utf-8")
+
+    with pytest.raises(StorageError, match=r"full\.txt: cannot be written .no space left"):
+        write("a.txt", "full.txt")
+    sync = os.fsync
+
+    def fails(descriptor):
+        if Path(os.readlink(f"/proc/self/fd/{descriptor}")).name.startswith(".b."):
+            raise OSError(5, "Input/output error")
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fails)
+    with pytest.raises(StorageError, match=r"b\.txt: cannot be written .input/output error"):
+        write("a.txt", "b.txt", "c.txt")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.txt", "old")]

@@ -14,6 +14,7 @@ from mic import cache_folder
 from mic.commands.call import OnConsole, on_one_process, requested, status
 from mic.console import plain
 from mic.errors import RunError, Stopped
+from mic.report.ahead import Ahead
 from mic.results.excel import write_excel
 from mic.results.folder import EXCEL
 from mic.runs import conclude, finished, hold
@@ -22,9 +23,25 @@ from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
 
 __all__ = [
+    "Drawing",
     "report",
     "run",
 ]
+
+
+class Drawing(OnConsole):
+    """Shows a run on the console, and has its pictures begun while it goes on."""
+
+    ahead: Ahead | None = None
+
+    def gathered(self, outcome):
+        self.end()
+        self.ahead = Ahead(outcome)
+
+    def end(self):
+        """Nothing is drawn any longer."""
+        if self.ahead is not None:
+            self.ahead.end()
 
 
 def run(scene, samples, seed, law, backend, out, replace, strict):
@@ -34,12 +51,12 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
     asked = on_first(world, lambda: requested(load_scene(scene), law, samples, seed, backend and backend.value))
     if out is None and asked.name.strip(".") == "":
         raise RunError(f"scene name {asked.name!r}: cannot name a results folder; name the folder with --out")
-    folder = out or Path("results") / asked.name
+    folder, listener = out or Path("results") / asked.name, Drawing(console)
     try:
-        with hold(folder, OnConsole(console)):
-            outcome = run_scene(asked, folder, cache_folder(), OnConsole(console), replace, strict)
+        with hold(folder, listener):
+            outcome = run_scene(asked, folder, cache_folder(), listener, replace, strict)
             if outcome is not None:
-                _report(console, outcome)
+                _report(console, outcome, listener.ahead)
     except (KeyboardInterrupt, Stopped) as stop:
         laws, samples = asked.report.laws, asked.monte_carlo.samples
         console.print(
@@ -49,14 +66,18 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
             soft_wrap=True,
         )
         raise typer.Exit(status(stop)) from None
+    finally:
+        listener.end()
 
 
 @on_one_process
 def report(folder, excel):
     """``mic report``, with the values of its options (:mod:`mic.options`)."""
     console = Console()
+    listener = Drawing(console)
     try:
-        _report(console, conclude(folder, listener=OnConsole(console)))
+        outcome = conclude(folder, listener=listener)
+        _report(console, outcome, listener.ahead)
         if excel:
             with hold(folder, OnConsole(console)):
                 book = write_excel(folder, folder / EXCEL)
@@ -64,14 +85,16 @@ def report(folder, excel):
     except (KeyboardInterrupt, Stopped) as stop:
         console.print(f"Interrupted: the samples in {plain(folder)} stand untouched; call mic report again.")
         raise typer.Exit(status(stop)) from None
+    finally:
+        listener.end()
 
 
-def _report(console, outcome):
+def _report(console, outcome, ahead):
     """The page, and on the console the least that a user wants to know."""
     from mic.report.answer import answer  # drawing libraries are slow to import, and most commands need none
     from mic.report.page import write_report
 
-    page = write_report(outcome.folder, outcome)
+    page = write_report(outcome.folder, outcome, ahead)
     _print_zones(console, outcome)
     found = answer(outcome)
     for sentence in found.sentences if found else ():

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import matplotlib.style
 
@@ -37,6 +38,9 @@ from mic.results.schema import (
     SENSITIVITIES,
     Table,
 )
+
+if TYPE_CHECKING:
+    from mic.report.ahead import Ahead
 
 __all__ = ["PICTURES", "SECTIONS", "Entry", "Kept", "draw", "draw_all"]
 
@@ -145,8 +149,20 @@ def draw(name: str, outcome: Outcome, context: Context) -> Picture | None:
         return function(outcome, context)
 
 
-def draw_all(outcome: Outcome, context: Context) -> dict[str, Picture]:
-    """All pictures that the outcome can fill, by name, in the order of :data:`PICTURES`."""
-    names = [entry.name for entry in PICTURES]
-    drawn = dict(zip(names, side_by_side([partial(draw, name, outcome, context) for name in names])))
-    return {name: picture for name, picture in drawn.items() if picture is not None}
+def draw_all(outcome: Outcome, context: Context, ahead: Ahead | None = None) -> dict[str, Picture]:
+    """All pictures that the outcome can fill, by name, in the order of :data:`PICTURES`.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    context : Context
+    ahead : Ahead, optional
+        Those of this outcome that were begun before.
+    """
+    names = [entry.name for entry in PICTURES if ahead is None or entry.name not in ahead.names]
+    tasks = [partial(draw, name, outcome, context) for name in names]
+    if ahead is None:
+        drawn = dict(zip(names, side_by_side(tasks)))
+    else:
+        drawn = {name: task() for name, task in zip(names, tasks)} | ahead.pictures()
+    return {entry.name: picture for entry in PICTURES if (picture := drawn[entry.name]) is not None}

@@ -11,6 +11,7 @@ import numpy as np
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
+from mic.report.ahead import Ahead
 from mic.report.answer import answer
 from mic.report.context import read_context
 from mic.report.drivers import (
@@ -53,7 +54,7 @@ LISTED_CONTACTS = 1000
 LISTED_CONTRIBUTORS = 6
 
 
-def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) -> Path:
+def write_report(folder: str | PathLike[str], outcome: Outcome | None = None, ahead: Ahead | None = None) -> Path:
     """Write ``report.html`` and ``assembly.png`` into a run folder, finished or interrupted.
 
     The page shows what the run left behind: statistics of its samples, its fields, its study of friction. Nothing is
@@ -64,6 +65,8 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
     folder : path-like
     outcome : Outcome, optional
         What was read of it, should that be at hand.
+    ahead : Ahead, optional
+        Pictures of that outcome that were begun before.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None) ->
     """
     outcome = outcome or read_outcome(folder)
     context = read_context(outcome)
-    pictures = draw_all(outcome, context)
+    pictures = draw_all(outcome, context, ahead)
     sections = {
         section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
         for section in SECTIONS

@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing import active_children, get_context
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from mic.product import one_thread
 from mic.sampling.ranks import LaunchError, communicator
 
-__all__ = ["second_core", "side_by_side"]
+__all__ = ["Copy", "second_core", "side_by_side"]
 
 T = TypeVar("T")
 PATIENCE = 120.0  # s; what the other process has not handed in by then is done here
@@ -26,49 +26,81 @@ PR_SET_PDEATHSIG = 1  # of Linux' prctl.h
 _tasks: Sequence[Callable[[], Any]] = ()  # in the copy
 
 
-def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
-    """What each task returns, in their order; where there is a core for it, a copy of this process does some of them.
+class Copy(Generic[T]):
+    """A copy of this process, a fork, that does tasks, from the first on, until they are asked for.
 
-    The copy, a fork, need not load and read again; it begins with the first task, this process with the last. What the
-    copy fails at is done here, so that errors are raised as if there were none.
+    It need not load and read again. Where there is no core for it, there is none, and nothing is done before.
 
     Parameters
     ----------
     tasks : sequence of callable
         What they return can be pickled.
     """
-    if len(tasks) < 2 or not second_core():
-        return [task() for task in tasks]
-    others, waiting = set(active_children()), deque(range(len(tasks)))
-    copy = ProcessPoolExecutor(1, get_context("fork"), _begin, (tasks,))
-    taken: dict[int, Future[T]] = {}
-    found: dict[int, T] = {}
 
-    def hand_out(_: Any = None) -> None:
+    def __init__(self, tasks: Sequence[Callable[[], T]]) -> None:
+        self._tasks, self._waiting = tasks, deque(range(len(tasks)))
+        self._taken: dict[int, Future[T]] = {}
+        self._pool: ProcessPoolExecutor | None = None
+        self._own: set[Any] = set()
+        if len(tasks) < 2 or not second_core():
+            return
+        others = set(active_children())
+        try:
+            with (
+                warnings.catch_warnings()
+            ):  # of threads, which the copy lacks: those of BLAS and of the solver, all idle
+                warnings.simplefilter("ignore", DeprecationWarning)
+                self._pool = ProcessPoolExecutor(1, get_context("fork"), _begin, (tasks,))
+                self._hand_out()
+        finally:
+            self._own = set(active_children()) - others
+
+    def _hand_out(self, _: Any = None) -> None:
         with suppress(IndexError, RuntimeError):  # none is left; the copy is gone
-            number = waiting.popleft()
-            taken[number] = copy.submit(_do, number)
-            taken[number].add_done_callback(hand_out)
+            assert self._pool is not None
+            number = self._waiting.popleft()
+            self._taken[number] = self._pool.submit(_do, number)
+            self._taken[number].add_done_callback(self._hand_out)
 
-    try:
-        with warnings.catch_warnings():  # of threads, which the copy lacks: those of BLAS and of the solver, all idle
-            warnings.simplefilter("ignore", DeprecationWarning)
-            hand_out()
+    def results(self) -> list[T]:
+        """What each task returns, in their order. This process helps, beginning with the last; what the copy failed at
+        is done here, so that errors are raised as if there were none."""
+        found: dict[int, T] = {}
         while True:
             try:
-                number = waiting.pop()
+                number = self._waiting.pop()
             except IndexError:
                 break
-            found[number] = tasks[number]()
-        for number, result in list(taken.items()):
+            found[number] = self._tasks[number]()
+        for number, result in list(self._taken.items()):
             with suppress(Exception):  # raised again by whoever does it here
                 found[number] = result.result(PATIENCE)
-        return [found[number] if number in found else task() for number, task in enumerate(tasks)]
-    finally:
-        copy.shutdown(wait=False)
-        for process in set(active_children()) - others:
+        return [found[number] if number in found else task() for number, task in enumerate(self._tasks)]
+
+    def end(self) -> None:
+        """Let the copy go, whatever it is at."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)
+        for process in self._own:
             process.kill()
             process.join()
+
+
+def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """What each task returns, in their order; where there is a core for it, a :class:`Copy` does some of them.
+
+    Parameters
+    ----------
+    tasks : sequence of callable
+        What they return can be pickled.
+    """
+    copy = None
+    try:
+        copy = Copy(tasks)
+        return copy.results()
+    finally:
+        if copy is not None:
+            copy.end()
 
 
 def second_core() -> bool:

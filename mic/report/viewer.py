@@ -22,7 +22,10 @@ from mic.scene import Scene
 
 __all__ = ["drawable", "packed", "view", "viewer_data"]
 
-_HARMLESS = str.maketrans("<>&", ",./")
+_SIGNS = np.frombuffer(  # five of 85 for four bytes (RFC 1924), but , . / for < > &
+    b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%/()*+-;,=.?@^_`{|}~", dtype=np.uint8
+)
+_POWERS = 85 ** np.arange(4, -1, -1, dtype=np.uint32)
 NOT_A_NUMBER = 2**16 - 1
 PLACES = NOT_A_NUMBER - 1  # steps of a coordinate
 SHADES = 2**10  # steps of a field: four for each colour
@@ -40,9 +43,9 @@ def viewer_data(outcome: Outcome, context: Context) -> str | None:
         return None
     data = view(surfaces, scene)
     for part in data["parts"]:
-        part["fields"] = {
-            field.law: _field(field, surfaces[field.part]) for field in context.fields if field.part == part["name"]
-        }
+        own = [field for field in context.fields if field.part == part["name"]]
+        kept = thinned(surfaces[part["name"]])[0] if own else None
+        part["fields"] = {field.law: _field(field, surfaces[field.part], kept) for field in own}
     data["points"] = _zones(scene, outcome.model.contacts) + data["points"]
     data["laws"] = [law for law in outcome.laws if context.fields_of(law)]
     return packed(json.dumps(data))
@@ -82,7 +85,10 @@ def drawable(item: Any) -> bool:
 
 def packed(text: str) -> str:
     """A text as a script element may hold it: gzip, five signs for four bytes (RFC 1924), none of which HTML knows."""
-    return base64.b85encode(gzip.compress(text.encode(), 9, mtime=0)).decode().translate(_HARMLESS)
+    data = gzip.compress(text.encode(), 9, mtime=0)
+    words = np.frombuffer(data + bytes(-len(data) % 4), dtype=">u4").astype(np.uint32)
+    signs = _SIGNS[words[:, None] // _POWERS % 85].tobytes()  # base64.b85encode takes twenty times as long
+    return signs[: len(signs) - -len(data) % 4].decode()
 
 
 def _scale(name):
@@ -90,8 +96,7 @@ def _scale(name):
     return [[i / 15, to_hex(colormaps[name](i / 15))] for i in range(16)]
 
 
-def _field(field, surface):
-    kept, _ = thinned(surface)
+def _field(field, surface, kept):
     values = {
         "mean": np.linalg.norm(field.mean, axis=1),
         "mean_normal": np.einsum("vi,vi->v", field.mean, surface.vertex_normals),

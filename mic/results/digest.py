@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -86,25 +87,40 @@ class BlockSamples:
         KeyError
             If no row has one of the keys.
         """
-        frame = self.tables[table]
-        chosen = np.ones(len(frame), dtype=bool)
-        for key, name in keys.items():
-            chosen &= self._named(table, key, name)
-            if name not in (known := self._known[table, key][0]):
-                raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(known)}")
-        return frame[column].to_numpy()[chosen][self.valid]
+        asked = (table, *keys.items())
+        if asked not in self._rows:
+            chosen = np.ones(len(self.tables[table]), dtype=bool)
+            for key, name in keys.items():
+                chosen &= self._named(table, key, name)
+                if name not in (known := self._known[table, key][0]):
+                    raise KeyError(f"{key} {name!r}: the run has none; known: {', '.join(known)}")
+            self._rows[asked] = np.flatnonzero(chosen)[self.valid]
+        return self._values(table, column)[self._rows[asked]]
+
+    @cached_property
+    def _rows(self) -> dict[tuple[Any, ...], np.ndarray]:
+        return {}
+
+    @cached_property
+    def _columns(self) -> dict[tuple[str, str], np.ndarray]:
+        return {}
+
+    def _values(self, table: str, column: str) -> np.ndarray:
+        """One column as it stands; that takes a frame longer than anything that is done with it."""
+        if (table, column) not in self._columns:
+            self._columns[table, column] = self.tables[table][column].to_numpy()
+        return self._columns[table, column]
 
     def contact(self, stage: str, column: str) -> np.ndarray:
         """(n, m) one quantity of all contact pairs, see :meth:`mic.results.outcome.Outcome.contact`."""
         if column in ("f_t", "u_t"):
             return np.hypot(self.contact(stage, f"{column}1"), self.contact(stage, f"{column}2"))
-        frame = self.tables["contacts"]
-        values = frame[column]
         if column == "state":
-            values = values.cat.set_categories(STATES).cat.codes
-        return values.to_numpy()[self._named("contacts", "stage", stage)].reshape(len(self.valid), self.contacts)[
-            self.valid
-        ]
+            values = self.tables["contacts"][column].cat.set_categories(STATES).cat.codes.to_numpy()
+        else:
+            values = self._values("contacts", column)
+        own = values[self._named("contacts", "stage", stage)]
+        return own.reshape(len(self.valid), self.contacts)[self.valid]
 
     def profile(self, measurement: str) -> np.ndarray:
         """(n, q) what a measurement over many points reads at each of them, mm."""

@@ -26,7 +26,7 @@ from mic.results.condensed import Centred, Condenser
 from mic.results.folder import RunFolder
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import FIELDS
-from mic.store import Format, load_arrays, save_arrays
+from mic.store import Format, load_arrays, save_arrays, together
 
 __all__ = [
     "DISCARDED_ENERGY",
@@ -244,8 +244,9 @@ def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = No
     }
     for old in set(header["files"]) - set(files):
         (folder / old).unlink(missing_ok=True)
-    for name, (surface, data) in files.items():
-        write_vtu(folder / name, surface.points, surface.triangles, data)
+    with together() as group:
+        for name, (surface, data) in files.items():
+            write_vtu(folder / name, surface.points, surface.triangles, data, group)
     # An assembly without its fields, for want of finite elements or parts, is tried again.
     header = {
         "basis": basis if found else None,

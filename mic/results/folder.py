@@ -74,6 +74,7 @@ from mic.store import (
     save_arrays,
     save_json,
     set_aside,
+    together,
 )
 
 __all__ = ["EXCEL", "FOREIGN", "PUBLISHED", "Block", "RunFolder", "keeps", "versions"]
@@ -349,16 +350,16 @@ class RunFolder:
             In place of the forces, by part.
         """
         own = {"identity": identity}
-        if forces is not None:
-            save_arrays(self._path(FORCES, block), _FORCES, own, forces, lasting=False)
-        for table, form, content in ((SUMS, _SUMS, sums), (CONDENSED, _CONDENSED, condensed)):
-            if content is not None:
-                header, arrays = pack(content, {})
-                save_arrays(self._path(table, block), form, own | {"content": header}, arrays, lasting=False)
-        for table in DATASETS:  # the samples last: they mark the block done, and what is missing is computed anew
-            if table.name in tables:
-                frame = tables[table.name]
-                write_table(self._path(table, block), table, frame, identity, lasting=table is SAMPLES)
+        with together() as group:
+            if forces is not None:
+                save_arrays(self._path(FORCES, block), _FORCES, own, forces, group=group)
+            for table, form, content in ((SUMS, _SUMS, sums), (CONDENSED, _CONDENSED, condensed)):
+                if content is not None:
+                    header, arrays = pack(content, {})
+                    save_arrays(self._path(table, block), form, own | {"content": header}, arrays, group=group)
+            for table in DATASETS:  # the samples last: they mark the block done, what is missing is computed anew
+                if table.name in tables:
+                    write_table(self._path(table, block), table, tables[table.name], identity, group=group)
         for other in self._found(block.law):  # the last block of a shorter run: its samples stand in this one now
             if other != block and block.contains(other) and self._identity(other) == identity:
                 self._remove(other)

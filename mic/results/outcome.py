@@ -32,7 +32,7 @@ from mic.results.path_study import PathStudy, read_path_study
 from mic.results.schema import CONTACTS, DATASETS, Table
 from mic.scene.samples import DESIGNS
 
-__all__ = ["Outcome", "read_outcome"]
+__all__ = ["Outcome", "Written", "read_outcome"]
 
 ROOM = 48_000_000  # bytes of tables that are kept at hand
 
@@ -357,7 +357,25 @@ class _Tables(dict[str, pd.DataFrame]):
         return self[name]
 
 
-def read_outcome(folder, model: ReducedModel | None = None) -> Outcome:
+class Written(dict[Block, Mapping[str, pd.DataFrame]]):
+    """Tables of blocks that this process has just written into a folder that it holds, and need not read; the first
+    ones, as far as there is room."""
+
+    def __init__(self, room: int = ROOM) -> None:
+        super().__init__()
+        self._room = room  # bytes
+
+    def keep(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> None:
+        """Those of one block, all or none."""
+        size = sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
+        if size <= self._room:
+            self[block] = tables
+            self._room -= size
+
+
+def read_outcome(
+    folder, model: ReducedModel | None = None, written: Mapping[Block, Mapping[str, pd.DataFrame]] | None = None
+) -> Outcome:
     """Read a run folder, finished or not.
 
     Parameters
@@ -365,6 +383,8 @@ def read_outcome(folder, model: ReducedModel | None = None) -> Outcome:
     folder : path-like
     model : ReducedModel, optional
         The run's own, should it be at hand.
+    written : Written, optional
+        Tables that need not be read.
 
     Raises
     ------
@@ -383,7 +403,7 @@ def read_outcome(folder, model: ReducedModel | None = None) -> Outcome:
     for law in record["laws"]:
         for block in store.blocks(law, record["samples"]):
             try:
-                tables = store.read_block(block, record["identity"])
+                tables = (written or {}).get(block) or store.read_block(block, record["identity"])
                 sums = None if CONTACTS.name in tables else store.read_sums(block, record["identity"])
             except FormatError as problem:
                 damaged.append(f"{problem}.")

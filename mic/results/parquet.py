@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mic.results.schema import DATASETS, Table
-from mic.store import Format, replacing
+from mic.store import Format, Group, replacing
 
 __all__ = ["read_identity", "read_table", "write_table"]
 
@@ -25,10 +26,10 @@ _ARROW = {
 _NAMES = pa.dictionary(pa.int32(), pa.string())
 
 
-def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, lasting: bool = True) -> None:
+def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, group: Group | None = None) -> None:
     """Write a table as Parquet, with its units, its format and the identity of its run in the metadata.
 
-    `lasting` as :func:`mic.store.replacing` takes it.
+    `group` as :func:`mic.store.replacing` takes it.
 
     Raises
     ------
@@ -36,22 +37,28 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, la
         If the frame is not what the table declares.
     """
     table.check(frame, path, "this is a fault of the program")
+    own = [column for column in table.columns if column.name in frame]
     fields = [
         pa.field(
-            column.name,
-            _ARROW.get(column.dtype, _NAMES),
-            metadata={"unit": column.unit, "meaning": column.meaning},
+            column.name, _ARROW.get(column.dtype, _NAMES), metadata={"unit": column.unit, "meaning": column.meaning}
         )
-        for column in table.columns
-        if column.name in frame
+        for column in own
     ]
-    content = pa.Table.from_pandas(frame, pa.schema(fields), preserve_index=False)
     kind = _FORMATS[table.name]
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
-    content = content.replace_schema_metadata(header)
+    # By columns: Arrow's own way from a frame takes as long as the writing.
+    content = pa.Table.from_arrays([_column(frame[one.name].array) for one in own], schema=pa.schema(fields, header))
     repeating = [column.name for column in table.columns if column.dtype != "float64"]  # numbers hardly ever are
-    with replacing(path, lasting) as temporary:
+    with replacing(path, group=group) as temporary:
         pq.write_table(content, temporary, write_page_checksum=True, use_dictionary=repeating)
+
+
+def _column(values: Any) -> pa.Array:
+    """Values of one column, of the declared type; names and numbers that are missing are null."""
+    if isinstance(values, pd.Categorical):
+        names = pa.array(values.categories, pa.string())
+        return pa.DictionaryArray.from_arrays(pa.array(values.codes, pa.int32()), names, from_pandas=True)
+    return pa.array(values.to_numpy(), from_pandas=True)
 
 
 def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:

@@ -30,7 +30,7 @@ from mic.results.schema import (
     Table,
 )
 from mic.results.statistics import Estimate, Moments
-from mic.store import Format, replacing, save_json
+from mic.store import Format, Group, replacing, save_json, together
 
 if TYPE_CHECKING:
     from mic.results.outcome import Outcome
@@ -353,22 +353,27 @@ def write_tables(outcome: Outcome) -> None:
 
     What the path left is told where :func:`write_path_study` was called before.
     """
-    _write(outcome.folder, ZONE_STATISTICS, outcome.zone_statistics)
-    _write(outcome.folder, CONTACT_STATISTICS, outcome.contact_statistics)
-    _write(outcome.folder, MEASUREMENT_STATISTICS, outcome.measurement_statistics)
-    _write(outcome.folder, PROFILE_STATISTICS, outcome.profile_statistics)
-    _write(outcome.folder, LIMIT_STATISTICS, outcome.limit_statistics)
-    _write(outcome.folder, FRICTION, study_friction(outcome))
+    found = {
+        ZONE_STATISTICS: outcome.zone_statistics,
+        CONTACT_STATISTICS: outcome.contact_statistics,
+        MEASUREMENT_STATISTICS: outcome.measurement_statistics,
+        PROFILE_STATISTICS: outcome.profile_statistics,
+        LIMIT_STATISTICS: outcome.limit_statistics,
+        FRICTION: study_friction(outcome),
+    }
+    with together() as group:
+        for table, frame in found.items():
+            _write(outcome.folder, table, frame, group)
 
 
-def _write(folder: Path, table: Table, frame: pd.DataFrame | None) -> None:
+def _write(folder: Path, table: Table, frame: pd.DataFrame | None, group: Group | None = None) -> None:
     """Write a table; one that has no rows now goes, should the folder hold it from an earlier run."""
     path = folder / table.place
     if frame is None or not len(frame):
         path.unlink(missing_ok=True)
         return
     table.check(frame, path, "this is a fault of the program")
-    with replacing(path) as temporary:
+    with replacing(path, group=group) as temporary:
         # The studies are read again: every digit.
         frame.to_csv(temporary, index=False, float_format=None if table in (FRICTION, PATH, PATH_ERRORS) else "%.9g")
 

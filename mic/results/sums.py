@@ -52,21 +52,24 @@ class Sums:
         model : mic.model.reduction.Reduction
         """
         moments, counts = [], []
+        contacts = model.contacts
+        zone_of = np.equal.outer(contacts.zone, np.arange(len(model.scene.zones))).astype(float)
+        clear = nuggets(model.scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], CLEAR) < 0
         for stage in block.stages:
-            moments += [(key, Moments.of(values)) for key, values in _values(block, model, stage)]
+            moments += [(key, Moments.of(values)) for key, values in _values(block, contacts, zone_of, clear, stage)]
             state = block.contact(stage, "state")
             number = np.stack([(state == code).sum(axis=0) for code in range(len(STATES))])
             counts.append((("states", stage), number))
         return cls(tuple(moments), tuple(counts))
 
 
-def _values(block: BlockSamples, model, stage: str) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-    """What is added up of a stage: (n, m) by pair, and (n, z) by zone."""
-    contacts = model.contacts
+def _values(
+    block: BlockSamples, contacts, zone_of: np.ndarray, clear: np.ndarray, stage: str
+) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    """What is added up of a stage: (n, m) by pair, and (n, z) by zone, of the pairs in it (m, z) all and those clear of
+    welds (m,)."""
     for column in _CONTACT if len(contacts) and contacts.dimension == 3 else _CONTACT[:2]:
         yield ("contacts", stage, column), block.contact(stage, column)
     pressed = block.contact(stage, "f_n")
-    zone_of = np.equal.outer(contacts.zone, np.arange(len(model.scene.zones))).astype(float)
-    clear = nuggets(model.scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], CLEAR) < 0
     yield ("pressed", stage, "all"), pressed @ zone_of
     yield ("pressed", stage, "clear"), pressed[:, clear] @ zone_of[clear]

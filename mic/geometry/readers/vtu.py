@@ -10,7 +10,7 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.readers.raw import RawMesh, from_meshlane
-from mic.store import replacing
+from mic.store import Group, replacing
 
 __all__ = ["read", "read_vtu", "write_vtu"]
 
@@ -21,7 +21,11 @@ def read(path: Path) -> RawMesh:
 
 
 def write_vtu(
-    path: Path, points: np.ndarray, triangles: np.ndarray, point_data: Mapping[str, np.ndarray] | None = None
+    path: Path,
+    points: np.ndarray,
+    triangles: np.ndarray,
+    point_data: Mapping[str, np.ndarray] | None = None,
+    group: Group | None = None,
 ) -> None:
     """Write a surface with fields at its vertices; the file appears whole or not at all.
 
@@ -33,10 +37,12 @@ def write_vtu(
         mm.
     triangles : (k, 3) int array
     point_data : mapping of str to (n,) or (n, m) array, optional
+    group : optional
+        As :func:`mic.store.replacing` takes it.
     """
     # Not compressed: of places and fields that saves a tenth, and takes fifteen times as long.
     mesh = meshlane.Mesh(points, [("triangle", triangles.astype(np.int32))], point_data=dict(point_data or {}))
-    with replacing(Path(path), lasting=False) as temporary:
+    with replacing(Path(path), lasting=False, group=group) as temporary:
         meshlane.vtu.write(temporary, mesh, compression=None)
 
 
