@@ -82,11 +82,15 @@ def _hole(surface: Surface, triangle, opposite, ends) -> Hole | None:
     corners = x.reshape(-1, 3) - centre
     axes = np.linalg.svd(corners, full_matrices=False)[2]
     axes[2] *= np.sign(axes[2] @ (length @ surface.normals[triangle])) or 1.0
-    # Two extents that are alike leave the axes open: take them in all directions of the plane.
-    turn = np.radians(np.arange(0, 180, 5))
-    extents = np.ptp(corners @ axes[:2].T @ np.array([np.cos(turn), np.sin(turn)]), axis=0)
+    # Two extents that are alike leave the axes open: take them in many directions of the plane, and towards the
+    # corners, which tell those of a round hole whatever axes rounding has chosen.
+    across = corners @ axes[:2].T
+    turn = np.concatenate([np.radians(np.arange(0, 180, 5)), np.arctan2(across[:, 1], across[:, 0])])
+    extents, widths = (
+        np.ptp(across @ np.array([np.cos(angle), np.sin(angle)]), axis=0) for angle in (turn, turn + np.pi / 2)
+    )
     longest = int(np.argmax(extents))
-    size = float(extents[longest]), float(extents[(longest + len(turn) // 2) % len(turn)])
+    size = float(extents[longest]), float(widths[longest])
     rim = Patch(*surface.sample_edges(triangle, opposite, float(length.max())))
     rim = Patch(rim.triangle, rim.barycentric, rim.weight / rim.weight.sum())
     return Hole(centre, axes[2], size, float(np.abs(corners @ axes[2]).max()), rim)

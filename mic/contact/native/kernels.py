@@ -55,7 +55,7 @@ RANK = 1e-10
 #: Of a slider's λ: a change after which the next one is rounding.
 NEARLY = 1e-9
 #: Steps of Newton's method without a gain before it is given up.
-PATIENT = 10
+PATIENT = 6
 #: Rows and columns of pieces of a matrix that are taken with those of its transpose.
 TILE = 32
 
