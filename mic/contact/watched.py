@@ -184,7 +184,7 @@ class WatchedSolver:
         plain = isinstance(path, Increments) and path.count == 1 and not path.recorded and b.shape[1] == 2
         crowd = self._guessing or self._start.sum() > MANY
         if not plain or crowd or not self.law.followed or self._settings.get("backend", "native") != "native":
-            found = self._grown(b, force.copy(), anchor, path)
+            found = self._grown(b, force.copy() if self._guessing else force, anchor, path)  # a guess works in it
             if self._guessing:
                 kept = found.converged
                 load, change = b[kept, -1, :: self._d], (found.force - force)[kept]

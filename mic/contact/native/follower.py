@@ -100,7 +100,7 @@ CHORD, CHANGES = 0.3, 0.3
 EVEN, STRETCH = 0.3, 1e4
 #: Contacts that close in a step are looked at one by one, but those after so many.
 ONE_BY_ONE = 8
-#: Sweeps where a forecast of the forces is what they begin with: it saves two in three, and two of Newton's steps.
+#: Sweeps where a forecast of the forces is what they begin with: they do what thirty do from the forces before.
 FORECAST = 10
 #: Calls for help before a problem is given up, where no shorter step is to be had, and Newton's steps in each.
 HELP, PATIENCE = 6, 40
