@@ -217,13 +217,18 @@ def _give_freed_memory_back() -> None:
 
 
 def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and columns, from 1, and values of K on and above its diagonal and of L beneath it."""
+    """Rows and columns, from 1, and values of K on and above its diagonal and of L beneath it.
+
+    From then on K has its values in the same memory: they are not kept twice while the factors take the most.
+    """
     row, column, value = (np.empty(K.nnz + L.nnz, dtype) for dtype in (np.int32, np.int32, float))
     for matrix, first, entries in ((K, 0, slice(0, K.nnz)), (L, K.shape[0], slice(K.nnz, None))):
         ends = first + 1 + np.arange(matrix.shape[0], dtype=np.int32)
         row[entries] = np.repeat(ends, np.diff(matrix.indptr))
         np.add(matrix.indices, 1, out=column[entries], casting="same_kind")
         value[entries] = matrix.data
+    if K.data.dtype == value.dtype:
+        K.data = value[: K.nnz]
     return row, column, value
 
 
