@@ -216,7 +216,7 @@ def test_a_guessing_solver_tells_what_its_samples_went_through(problem):
     np.testing.assert_array_equal(solver.seen.change[N:], again.force - found.force)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "micro-slip"])
+@pytest.mark.parametrize("law", ["coulomb", "micro-slip", "associated", "frictionless"])
 def test_one_increment_of_all_samples_in_one_call_is_that_of_each_alone(problem, law):
     """The step from loaded contacts, with a start of its own and some that may not touch, against the general way."""
     S, _, b = problem
@@ -229,13 +229,15 @@ def test_one_increment_of_all_samples_in_one_call_is_that_of_each_alone(problem,
     together = solver.follow(*given)
     alone = [solver.follow(*(a[[i]] for a in given[:3]), given[3]) for i in range(N)]
     one_by_one = solver.follow(*given[:3], Increments(1, recorded=True))  # whose forces at each step are asked for
-    assert together.converged.all() and one_by_one.converged.all() and (together.rung == one_by_one.rung).all()
+    assert together.converged.all() and one_by_one.converged.all()
+    assert (together.rung == ("active set" if law == "frictionless" else "increments")).all()
     for name in ("force", "displacement", "anchor"):
         found, size = getattr(together, name), np.abs(getattr(together, name)).max()
         np.testing.assert_array_equal(found, np.concatenate([getattr(each, name) for each in alone]))
         np.testing.assert_allclose(found, getattr(one_by_one, name), atol=1e-9 * size)
-    assert np.abs(together.trace.slip).max() > 1e-3 and (together.force[:, np.repeat(~allowed, 3)] == 0).all()
-    for name in ("slip", "length", "work", "share"):
+    assert np.abs(together.trace.slip).max() > 1e-3 or law == "frictionless"
+    assert (together.force[:, np.repeat(~allowed, 3)] == 0).all()
+    for name in ("slip", "length", "work", "share", "error"):
         np.testing.assert_allclose(getattr(together.trace, name), getattr(one_by_one.trace, name), atol=1e-7)
 
 

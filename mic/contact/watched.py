@@ -33,7 +33,7 @@ from mic.contact.laws import FRICTIONLESS, Law
 from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, at_once
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
-from mic.contact.states import LOADED, OPEN
+from mic.contact.states import LOADED, OPEN, SLIP, STICK, classify
 from mic.contact.trail import Trail, trails
 
 __all__ = ["PENETRATION", "Foreseen", "WatchedSolver"]
@@ -181,9 +181,10 @@ class WatchedSolver:
             Over all candidates; what took no part was open all the way.
         """
         force = np.where(np.repeat(self._allowed, self._d), force, 0.0)
-        plain = isinstance(path, Increments) and path.count == 1 and not path.recorded and b.shape[1] == 2
+        step = isinstance(path, Increments) and path.count == 1 and b.shape[1] == 2
+        plain = (step if self.law.frictional else self._d == 3) and not path.recorded  # the end alone counts
         crowd = self._guessing or self._start.sum() > MANY
-        if not plain or crowd or not self.law.followed or self._settings.get("backend", "native") != "native":
+        if not plain or crowd or self._settings.get("backend", "native") != "native":
             found = self._grown(b, force.copy() if self._guessing else force, anchor, path)  # a guess works in it
             if self._guessing:
                 kept = found.converged
@@ -195,20 +196,24 @@ class WatchedSolver:
         return found.put(lost, self._grown(b[lost], force[lost], anchor[lost], path)) if len(lost) else found
 
     def _stepped(self, b, force, anchor) -> PathSolution:
-        """One increment along loads b (n, 2, d m) on sets that grow, each round one call for all samples that need it;
-        each begins where the one before ended. What ends too far from its law, or nowhere, has not converged."""
+        """One increment along loads b (n, k + 1, d m), k = 1 where there is friction, on sets that grow, each round one
+        call for all samples that need it; each begins where the one before ended. What ends too far from its law, or
+        nowhere, has not converged."""
         n, m, d = len(b), len(self._start), self._d
         working = self._start | self._allowed & _loaded(force.reshape(n, m, d)[:, :, 0])
-        leg, u, solved, todo, solver = Leg.start(n, m), b[:, 1].copy(), np.zeros(n, dtype=bool), np.arange(n), None
-        guess, near = self._foreseen.forces(b[:, 1, ::d], force), False
+        leg, end, solved, todo, solver = Leg.start(n, m), b[:, -1], np.zeros(n, dtype=bool), np.arange(n), None
+        u, guess, near = end.copy(), self._foreseen.forces(end[:, ::d], force), False
         for _ in range(ROUNDS):
             self._prepare(working[todo].any(axis=0))
             solver = self._prepared
             if solver is None or (working[todo] & ~self._joined).any():
                 break
             among = np.flatnonzero(self._joined)
-            solver.backend.step(among, todo, b, force, anchor, working, guess, near, leg)
-            u[todo] = self._S.under(leg.force[todo]) + b[todo, 1]
+            if self.law.frictional:
+                solver.backend.step(among, todo, b, force, anchor, working, guess, near, leg)
+            else:
+                self._press(solver, todo, end, working, guess, leg)
+            u[todo] = self._S.under(leg.force[todo]) + end[todo]
             unseen = self._unseen(u[todo], anchor[todo], None, working[todo])
             grows = (unseen > PENETRATION).any(axis=1)
             solved[todo] = ~leg.given_up[todo] & ~grows
@@ -223,25 +228,53 @@ class WatchedSolver:
         if solver is None:
             return replace(found, converged=solved)
         rows, taken = np.repeat(self._joined, d), np.repeat(working, d, axis=1)
-        moved = np.where(taken, u - b[:, 1], 0.0)[:, rows]
+        moved = np.where(taken, u - end, 0.0)[:, rows]
         residual, converged, status = solver.judged(leg.b[:, rows], leg.force[:, rows], moved)
         converged &= solved
         self.carried |= _loaded(leg.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
-        stands = u.reshape(n, m, d)[:, :, 1:].copy()
-        stands[working] = leg.anchor[working]
-        error, steps = np.full(n, np.nan), np.ones(n, dtype=np.int64)
+        sliders = self.law.compliance(self._friction)[:, None] * leg.force.reshape(n, m, d)[:, :, 1:]
+        stands = u.reshape(n, m, d)[:, :, 1:] + sliders
+        error, steps = np.full(n, np.nan if self.law.frictional else 0.0), np.ones(n, dtype=np.int64)
+        trace = Trace(leg.slip, leg.length, leg.work, leg.share, error, steps, leg.factorisations)
+        if self.law.followed:
+            stands[working] = leg.anchor[working]
+        else:
+            trace = self._ended(trace, force, leg.force, stands - anchor)
         return replace(
             found,
             force=leg.force,
             displacement=u,
             anchor=stands,
-            trace=Trace(leg.slip, leg.length, leg.work, leg.share, error, steps, leg.factorisations),
+            trace=trace,
             residual=residual,
             converged=converged,
             status=status,
             iterations=leg.factorisations.copy(),
-            rung=np.full(n, "increments", dtype=object),
+            rung=np.full(n, "increments" if self.law.frictional else "active set", dtype=object),
         )
+
+    def _press(self, solver, some, end, working, guess, leg: Leg) -> None:
+        """What :meth:`mic.contact.backends.Backend.step` does, at loads `end` (n, d m) where nothing rubs."""
+        for samples, own in _alike(working, some):
+            rows = np.repeat(own, self._d)
+            if not rows.any():
+                continue
+            places, part = np.ix_(samples, rows), solver.backend.take(own[self._joined])
+            leg.b[places] = end[places]
+            leg.force[places], _, spent, _ = part.solve(leg.b[places], guess[places])
+            leg.factorisations[samples] += spent
+
+    def _ended(self, trace: Trace, before, force, motion) -> Trace:
+        """Of a law that has no path: what counts is the state at the end, and the `motion` (n, m, 2) since the start,
+        at which contact forces (n, d m) were those `before`; as in :func:`mic.contact.path.increments`."""
+        now = force.reshape(*motion.shape[:2], self._d)
+        state = classify(now, self.bound(now[:, :, 0]))
+        share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=2).astype(float)
+        if not self.law.frictional:
+            return replace(trace, share=share)
+        slip = np.where((state == SLIP)[:, :, None], motion, 0.0)
+        work = -np.sum(0.5 * (before.reshape(now.shape) + now)[:, :, 1:] * slip, axis=2)
+        return replace(trace, slip=slip, length=np.linalg.norm(slip, axis=2), work=work, share=share)
 
     def _grown(self, b, force, anchor, path: Path | None) -> PathSolution:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load at once, on sets that grow."""
