@@ -45,7 +45,7 @@ BESIDE = 0.1  # neighbourhoods: so near two candidates may read the same, and on
 ROUNDS = 40  # in which a working set may grow
 MANY = 300  # contacts that a sample may begin a path with unasked
 PREPARED = 1500  # contacts that are prepared for all samples together: some 0.3 GB
-TOGETHER = 5000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
+TOGETHER = 2000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
 CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
 
 
