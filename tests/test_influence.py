@@ -55,6 +55,20 @@ def test_what_stands_below_the_diagonal_is_not_read():
         assert abs(H - exact).max() < 1e-12 * abs(exact).max()
 
 
+def test_the_values_of_the_stiffness_are_not_kept_twice(monkeypatch):
+    """What MUMPS reads is what the stiffness has, before, at and after its factorisation."""
+    K, L = spd()
+    K, given = factorisation.upper_triangle(K), []
+    before, give = K.copy(), mumps.Instance.give
+    monkeypatch.setattr(
+        mumps.Instance, "give", lambda self, **arrays: (given.append(arrays.get("a")), give(self, **arrays))
+    )
+    influence_matrix(K, L)
+    (values,) = [array for array in given if array is not None]
+    assert np.shares_memory(K.data, values)
+    assert (K != before).nnz == 0
+
+
 def test_the_order_is_a_permutation_that_dissects():
     """Of a grid of 40 × 40 nodes with three freedoms each: little fill, and a node's freedoms one after another."""
     grid = sp.diags([np.ones(39), np.full(40, 4.0), np.ones(39)], [-1, 0, 1])
