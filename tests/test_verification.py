@@ -191,15 +191,16 @@ def test_who_is_longer_than_its_share_is_shared_and_the_longest_come_first():
     common = {"order": 1, "title": "t", "claim": "c", "reference": "r", "acceptance": (), "run": None}
     made = [Study(seconds=(s, q), name=f"{s}", **common) for s, q in ((1, 10), (5, 1), (3, 1), (2, 1))]
 
-    def names(*options):
-        return tuple([study.name for study in some] for some in runs.apart(made, *options))
+    def names(*options, of=made):
+        shared, whole = runs.apart(of, *options)
+        return [study.name for study in shared], [[study.name for study in taken] for taken in whole]
 
-    assert names(False, 1) == ([], ["5", "3", "2", "1"])
-    assert names(False, 2) == ([], ["5", "3", "2", "1"])
-    assert names(False, 3) == (["5", "3", "2", "1"], [])  # of 5, 3, 2 and 1 each is more than a third of what is left
-    assert names(True, 3) == (["1"], ["5", "3", "2"])
-    assert names(True, 2) == (["1"], ["5", "3", "2"])
-    assert runs.apart(made[:1], False, 2) == (made[:1], [])
+    assert names(False, 1) == names(False, 2) == ([], [["5"], ["3"], ["2"], ["1"]])
+    assert names(False, 3) == (["5", "3", "2", "1"], [])  # each is more than a third of what is left
+    assert names(True, 2) == names(True, 3) == (["1"], [["5"], ["3"], ["2"]])
+    assert names(False, 2, of=made[:1]) == (["1"], [])
+    large = [replace(study, memory=3.0) if study.name in "12" else study for study in made]
+    assert names(False, 2, of=large) == ([], [["5"], ["3"], ["1", "2"]])  # never at a time
 
 
 def test_what_a_study_takes_is_told(tmp_path):

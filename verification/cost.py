@@ -13,6 +13,7 @@ from pathlib import Path
 __all__ = ["Cost", "Meter", "together"]
 
 PROC = Path("/proc/self")
+KILO = 1024e-9  # GB in what Linux counts memory in
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Cost:
     cpu : float
         s, those of programs that it called among them.
     memory : float
-        GB that the process held at most meanwhile.
+        GB that the process held at most meanwhile, and the largest program that it called.
     """
 
     process: int
@@ -53,11 +54,14 @@ class Meter:
             (PROC / "clear_refs").write_text("5")  # Linux begins anew to look for the most
         except OSError:
             pass  # then it is the most since the process began
-        self.began, self.start, self.cpu = time.time(), time.perf_counter(), _cpu()
+        self.began, self.start, self.cpu, self.called = time.time(), time.perf_counter(), _cpu(), _called()
 
     def read(self) -> Cost:
         """What was taken so far."""
-        return Cost(self.process, self.began, time.perf_counter() - self.start, _cpu() - self.cpu, _most())
+        wall, memory = time.perf_counter() - self.start, _most()
+        if _called() > self.called:  # the largest program that the process ever called, beside it: no less
+            memory += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * KILO
+        return Cost(self.process, self.began, wall, _cpu() - self.cpu, memory)
 
 
 def together(costs: list[Cost]) -> float:
@@ -77,10 +81,15 @@ def _cpu() -> float:
     return sum(os.times()[:4])
 
 
+def _called() -> float:
+    """s of programs that this process called and that have ended."""
+    return sum(os.times()[2:4])
+
+
 def _most() -> float:
     """GB that this process held at most."""
     try:
         told = dict(line.split(":", 1) for line in (PROC / "status").read_text().splitlines())
-        return float(told["VmHWM"].split()[0]) / 1e6 * 1.024
+        return float(told["VmHWM"].split()[0]) * KILO
     except (OSError, KeyError):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 * 1.024
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * KILO

@@ -28,6 +28,7 @@ __all__ = ["apart", "read_results", "run", "team", "write_summary"]
 
 JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
+LARGE = 2.5  # GB: two such studies at a time would leave little of 8 GB
 
 
 def team() -> Team:
@@ -94,24 +95,33 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
         take(study, team)
     alone = Team()
     for i in team.taken(len(whole)):
-        take(whole[i], alone)
+        for study in whole[i]:
+            take(study, alone)
     every = [cost for own in team.of_each(costs) for cost in own]
     if first and every:
         wall, cpu = meter.read().wall, sum(cost.cpu for cost in every)
         say(
-            f"{len(shared) + len(whole)} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
+            f"{len(shared) + sum(map(len, whole))} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
             f"{cpu / wall:.2f} at a time; at most {together(every):.1f} GB together"
         )
 
 
-def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[Study]]:
-    """Studies that several processes share, and those that each takes whole, the longest first.
+def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[list[Study]]]:
+    """Studies that several processes share, and those that each takes whole, one after the other; the longest first.
 
-    What is longer than a process's share of what is left would keep the others waiting.
+    What is longer than a process's share of what is left would keep the others waiting. Studies that need much memory
+    are taken together: two of them are never under way at a time.
     """
-    queue, shared = sorted(studies, key=lambda study: -study.seconds[quick]), []
-    while queue and queue[0].seconds[quick] * size > sum(study.seconds[quick] for study in queue) * (1 + 1e-9):
-        shared.append(queue.pop(0))
+    large = [study for study in studies if study.memory > LARGE]
+    queue = [[study] for study in studies if study.memory <= LARGE] + [large] * bool(large)
+
+    def seconds(taken: list[Study]) -> float:
+        return sum(study.seconds[quick] for study in taken)
+
+    queue.sort(key=lambda taken: -seconds(taken))
+    shared = []
+    while queue and seconds(queue[0]) * size > sum(map(seconds, queue)) * (1 + 1e-9):
+        shared.extend(queue.pop(0))
     return shared, queue
 
 

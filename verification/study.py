@@ -231,6 +231,8 @@ class Study:
         ``run(context)`` returns one :class:`Finding` per acceptance number, and the same on every rank.
     missing : callable
         What it needs and does not find, in words; empty where all is there. Without it the study is left out.
+    memory : float
+        GB that one process holds at most in the full version.
     name : str
         The folder's; set when the study is found.
     """
@@ -243,6 +245,7 @@ class Study:
     seconds: tuple[float, float]
     run: Callable[[Context], list[Finding]]
     missing: Callable[[], str] = lambda: ""
+    memory: float = 1.0
     name: str = ""
 
     def judge(self, context: Context) -> list[Judged]:
