@@ -199,8 +199,10 @@ def test_who_is_longer_than_its_share_is_shared_and_the_longest_come_first():
     assert names(False, 3) == (["5", "3", "2", "1"], [])  # each is more than a third of what is left
     assert names(True, 2) == names(True, 3) == (["1"], [["5"], ["3"], ["2"]])
     assert names(False, 2, of=made[:1]) == (["1"], [])
-    large = [replace(study, memory=3.0) if study.name in "12" else study for study in made]
+    large = [replace(study, memory=4.0) if study.name in "12" else study for study in made]
     assert names(False, 2, of=large) == ([], [["5"], ["3"], ["1", "2"]])  # never at a time
+    assert names(True, 2, of=large) == ([], [["1", "2"], ["5"], ["3"]])
+    assert names(False, 2, of=[large[0], large[3]]) == (["1", "2"], [])
 
 
 def test_what_a_study_takes_is_told(tmp_path):

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Cost", "Meter", "together"]
+__all__ = ["Cost", "Meter", "give_back", "together"]
 
 PROC = Path("/proc/self")
 KILO = 1024e-9  # GB in what Linux counts memory in
@@ -46,10 +46,7 @@ class Meter:
 
     def __init__(self, process: int):
         self.process = process
-        gc.collect()
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own, which under MPI keeps all by itself
-        if trim is not None:
-            trim(0)
+        give_back()
         try:
             (PROC / "clear_refs").write_text("5")  # Linux begins anew to look for the most
         except OSError:
@@ -62,6 +59,16 @@ class Meter:
         if _called() > self.called:  # the largest program that the process ever called, beside it: no less
             memory += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * KILO
         return Cost(self.process, self.began, wall, _cpu() - self.cpu, memory)
+
+
+def give_back(beyond: float = 0.0) -> None:
+    """Return to the system what was freed, if the process holds more than so many GB: under MPI glibc keeps all."""
+    if beyond and _told("VmRSS") <= beyond:
+        return
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own
+    if trim is not None:
+        trim(0)
 
 
 def together(costs: list[Cost]) -> float:
@@ -88,8 +95,13 @@ def _called() -> float:
 
 def _most() -> float:
     """GB that this process held at most."""
+    return _told("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * KILO
+
+
+def _told(key: str) -> float:
+    """GB that Linux tells of this process; 0 where it is not Linux."""
     try:
         told = dict(line.split(":", 1) for line in (PROC / "status").read_text().splitlines())
-        return float(told["VmHWM"].split()[0]) * KILO
+        return float(told[key].split()[0]) * KILO
     except (OSError, KeyError):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * KILO
+        return 0.0

@@ -28,7 +28,7 @@ __all__ = ["apart", "read_results", "run", "team", "write_summary"]
 
 JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
-LARGE = 2.5  # GB: two such studies at a time would leave little of 8 GB
+LARGE = 3.5  # GB: two such studies at a time might need more than 8
 
 
 def team() -> Team:
@@ -110,7 +110,7 @@ def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], li
     """Studies that several processes share, and those that each takes whole, one after the other; the longest first.
 
     What is longer than a process's share of what is left would keep the others waiting. Studies that need much memory
-    are taken together: two of them are never under way at a time.
+    are taken whole, by one process, and so never two of them at a time, unless there are no others.
     """
     large = [study for study in studies if study.memory > LARGE]
     queue = [[study] for study in studies if study.memory <= LARGE] + [large] * bool(large)
@@ -120,8 +120,13 @@ def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], li
 
     queue.sort(key=lambda taken: -seconds(taken))
     shared = []
-    while queue and seconds(queue[0]) * size > sum(map(seconds, queue)) * (1 + 1e-9):
-        shared.extend(queue.pop(0))
+    for taken in list(queue):
+        if taken is large and len(queue) > 1:
+            continue
+        if seconds(taken) * size <= sum(map(seconds, queue)) * (1 + 1e-9):
+            break
+        queue.remove(taken)
+        shared.extend(taken)
     return shared, queue
 
 

@@ -20,10 +20,12 @@ from mic.process.model import ReducedModel
 from mic.sampling.ranks import wait
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
+from verification.cost import give_back
 
 __all__ = ["Acceptance", "Context", "Finding", "ItemFailed", "Judged", "Study", "Team", "studies"]
 
 FOLDER = Path(__file__).parent
+MUCH = 1.0  # GB: a process that holds more gives back what was freed before it begins with an item
 
 
 @dataclass(frozen=True)
@@ -136,14 +138,19 @@ class Team:
             On every rank of several, where an item failed on one of them. One rank alone raises what the item raised.
         """
         items = list(items)
+
+        def worked(item):
+            give_back(MUCH)
+            return function(item)
+
         if self.size == 1:
-            return [function(item) for item in items]
+            return [worked(item) for item in items]
         own, failed = [], ""
         for i in self.taken(len(items)):
             if failed:
                 continue  # so that nobody begins with what is left
             try:
-                own.append((i, function(items[i])))
+                own.append((i, worked(items[i])))
             except Exception:
                 failed = traceback.format_exc()
         shares = self.comm.allgather((own, failed))
