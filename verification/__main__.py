@@ -72,8 +72,8 @@ def run(
     """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
 
     Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run.
-    One that fails is told as not measured, and the others are run. Under `mpirun -n N` the processes take whole studies,
-    the longest first; one that is longer than its share of them, or alone, is shared out over all.
+    One that fails is told as not measured, and the others are run. Under `mpirun -n N` each process takes whole
+    studies, the longest first; one that is longer than its share of them, or alone, is shared out over all.
     """
     workers = team()
     if pdf:
