@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from support.processes import on_processes
 
 from verification import run as runs
+from verification.cost import Cost, together
 from verification.pdf import NoBrowser
 from verification.plots import panels
 from verification.report import over_limit, write_report
@@ -97,7 +99,7 @@ def launch(tmp_path, ranks, folder):
 
 def entries(folder):
     return [
-        {key: value for key, value in entry.items() if key != "seconds"}
+        {key: value for key, value in entry.items() if key not in ("seconds", "cpu_seconds", "memory_gb", "began")}
         for entry in json.loads((folder / "summary.json").read_text())
     ]
 
@@ -160,16 +162,82 @@ def test_a_finished_study_is_kept_and_another_version_is_not(tmp_path):
     assert not any("finished before" in line for line in lines)
 
 
-def test_a_run_that_broke_leaves_what_was_finished(tmp_path, monkeypatch):
+def test_a_study_that_fails_is_not_measured_and_the_others_are_run(tmp_path, monkeypatch):
     out = tmp_path / "out"
     out.mkdir()
     (out / "break").touch()
     monkeypatch.setattr(sys, "argv", ["cheap", str(out)])
-    with pytest.raises(ArithmeticError, match="planted"):
-        runs.run(cheap_studies(tmp_path), out, False, Team(), lambda line: None)
-    assert [result["study"] for result in runs.read_results(out)] == ["means", "strips"]
-    write_report(out)  # readable as it is
-    assert {entry["study"] for entry in entries(out)} == {"means", "strips"}
+    means, strips, broken = cheap_studies(tmp_path)
+    broken = replace(broken, seconds=(9, 9))  # the longest comes first
+    lines = []
+    runs.run([means, strips, broken], out, False, Team(), lines.append)
+    assert [line.split(":")[0] for line in lines if "begun" in line] == ["broken", "means", "strips"]
+    assert any("Traceback" in line and "planted failure" in line for line in lines)
+    page = write_report(out).read_text()
+    assert "Not measured: ArithmeticError: planted failure of item 3" in page
+    told = {entry["study"]: entry for entry in entries(out)}
+    assert set(told) == {"means", "strips", "broken"}
+    assert not told["broken"]["passed"] and told["broken"]["measured"] is None
+    assert told["broken"]["error"] == "ArithmeticError: planted failure of item 3" and not told["means"]["error"]
+    (out / "break").unlink()
+    lines.clear()
+    runs.run([means, strips, broken], out, False, Team(), lines.append)
+    assert "means: finished before" in lines and any(line.startswith("broken: begun") for line in lines)
+    runs.write_summary(out)
+    assert next(entry for entry in entries(out) if entry["study"] == "broken")["passed"]
+
+
+def test_who_is_longer_than_its_share_is_shared_and_the_longest_come_first():
+    common = {"order": 1, "title": "t", "claim": "c", "reference": "r", "acceptance": (), "run": None}
+    made = [Study(seconds=(s, q), name=f"{s}", **common) for s, q in ((1, 10), (5, 1), (3, 1), (2, 1))]
+
+    def names(*options, of=made):
+        shared, whole = runs.apart(of, *options)
+        return [study.name for study in shared], [[study.name for study in taken] for taken in whole]
+
+    assert names(False, 1) == names(False, 2) == ([], [["5"], ["3"], ["2"], ["1"]])
+    assert names(False, 3) == (["5", "3", "2", "1"], [])  # each is more than a third of what is left
+    assert names(True, 2) == names(True, 3) == (["1"], [["5"], ["3"], ["2"]])
+    assert names(False, 2, of=made[:1]) == (["1"], [])
+    large = [replace(study, memory=4.0) if study.name in "12" else study for study in made]
+    assert names(False, 2, of=large) == ([], [["5"], ["3"], ["1", "2"]])  # never at a time
+    assert names(True, 2, of=large) == ([], [["1", "2"], ["5"], ["3"]])
+    assert names(False, 2, of=[large[0], large[3]]) == (["1", "2"], [])
+
+
+def test_what_a_study_takes_is_told(tmp_path):
+    """A hundred megabytes and a fifth of a second, which an earlier study's do not hide."""
+
+    def spend(megabytes, seconds):
+        def run(context):
+            held = np.ones(megabytes << 17)
+            end = time.process_time() + seconds
+            while time.process_time() < end:
+                held += 1
+            return [Finding("total", 0.0)]
+
+        return run
+
+    broken = cheap_studies(tmp_path)[2]
+    large = replace(broken, name="large", run=spend(400, 0.0), seconds=(9, 9))
+    small = replace(broken, name="small", run=spend(100, 0.2))
+    lines = []
+    runs.run([small, large], tmp_path, False, Team(), lines.append)
+    runs.write_summary(tmp_path)
+    told = {entry["study"]: entry for entry in json.loads((tmp_path / "summary.json").read_text())}
+    assert 0.2 <= told["small"]["cpu_seconds"] < 5 and told["small"]["seconds"] >= 0.2
+    assert told["large"]["memory_gb"]["0"] - told["small"]["memory_gb"]["0"] == pytest.approx(300 * 1.048e-3, rel=0.2)
+    assert told["large"]["began"] < told["small"]["began"] and lines[-1].startswith("2 studies: ")
+
+
+def test_memory_together_is_that_of_what_went_on_at_a_time():
+    def cost(process, began, ended, memory):
+        return Cost(process, began, ended - began, 0.0, memory)
+
+    first = [cost(0, 0, 10, 4.0), cost(0, 10, 20, 1.0)]
+    assert together(first) == 4.0
+    assert together([*first, cost(1, 11, 20, 5.0)]) == 6.0
+    assert together([*first, cost(1, 9, 20, 5.0)]) == 9.0
 
 
 def test_report_shows_every_number_offline(tmp_path):
@@ -266,7 +334,7 @@ def test_a_report_is_printed_and_where_nothing_prints_it_is_said_before_any_work
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_ranks(tmp_path):
     found = []
-    for ranks in (1, 4):  # two of them do the whole work in the test below
+    for ranks in (1, 2, 4):  # two take whole studies, four share each
         done = launch(tmp_path, ranks, tmp_path / f"out{ranks}")
         assert done.returncode == 0, done.stderr
         found.append(entries(tmp_path / f"out{ranks}"))
@@ -274,15 +342,22 @@ def test_results_do_not_depend_on_the_number_of_ranks(tmp_path):
 
 
 @pytest.mark.slow
-def test_one_rank_that_fails_ends_all_with_its_traceback(tmp_path):
+@pytest.mark.parametrize("ranks", [2, 4], ids=["whole studies", "shared studies"])
+def test_a_failure_on_one_rank_ends_none_of_the_others(tmp_path, ranks):
     out = tmp_path / "out"
     out.mkdir()
     (out / "break").touch()
-    done = launch(tmp_path, 2, out)
-    assert done.returncode != 0 and "planted failure of item 3" in done.stderr
+    done = launch(tmp_path, ranks, out)
+    assert done.returncode == 0 and "planted failure of item 3" in done.stdout, done.stderr
+    assert {entry["study"]: entry["measured"] is None for entry in entries(out)} == {
+        "means": False,
+        "strips": False,
+        "broken": True,
+    }
     (out / "break").unlink()
-    again = launch(tmp_path, 2, out)
+    again = launch(tmp_path, ranks, out)
     assert again.returncode == 0 and "means: finished before" in again.stdout
+    assert all(entry["measured"] is not None for entry in entries(out))
 
 
 def test_list_names_every_study():

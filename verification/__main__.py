@@ -48,13 +48,14 @@ def _chosen(names):
 
 @app.command("list")
 def list_studies():
-    """Show each study: its claim, its reference, its acceptance numbers and its expected time on one core."""
+    """Show each study: its claim, its reference, its acceptance numbers, and its expected time and memory on one
+    core."""
     console = Console(highlight=False)
     for study in studies().values():
         full, quick = study.seconds
         console.print(
-            f"[bold]{study.name}[/]: {study.title}, {full:.0f} s"
-            + (f", quick {quick:.0f} s" if quick != full else ", quick the same")
+            f"[bold]{study.name}[/]: {study.title}, {full:.0f} s, {study.memory:.1f} GB"
+            + (f", quick {quick:.0f} s" if quick != full else ", quick as long")
         )
         console.print(f"  {study.claim}", f"  [dim]Reference: {study.reference}[/]", sep="\n", soft_wrap=True)
         for acceptance in study.acceptance:
@@ -71,7 +72,8 @@ def run(
     """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
 
     Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run.
-    Under `mpirun -n N` each study is shared out over N processes.
+    One that fails is told as not measured, and the others are run. Under `mpirun -n N` each process takes whole
+    studies, the longest first; one that is longer than its share of them, or alone, is shared out over all.
     """
     workers = team()
     if pdf:

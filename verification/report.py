@@ -62,7 +62,7 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
             failed=[entry for entry in entries if not entry["passed"]],
             titles={result["study"]: result["title"] for result in results},
             budget=next((result for result in results if result["study"] == BUDGET), None),
-            seconds=sum(result["seconds"] for result in results),
+            seconds=sum(result["cpu_seconds"] for result in results),
             limitations=points,
             beginnings=[_first_clause(point) for point in points],
             made=_made(results),

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 import shutil
-import time
+import traceback
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -19,14 +19,16 @@ from threadpoolctl import threadpool_limits
 from mic import examples
 from mic.results.folder import versions
 from mic.sampling.ranks import communicator
+from verification.cost import Cost, Meter, together
 from verification.plots import svg
 from verification.provenance import provenance
-from verification.study import FOLDER, Context, Judged, Study, Team
+from verification.study import FOLDER, Context, ItemFailed, Judged, Study, Team
 
-__all__ = ["read_results", "run", "team", "write_summary"]
+__all__ = ["apart", "read_results", "run", "team", "write_summary"]
 
 JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
+LARGE = 3.5  # GB: two such studies at a time might need more than 8
 
 
 def team() -> Team:
@@ -37,6 +39,10 @@ def team() -> Team:
 def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -> None:
     """Run studies, those already finished left out.
 
+    Each process takes whole studies, the longest first, whoever is idle the next; a study that is longer than a
+    process's share of what is left is shared out over all of them before. One that fails is stored as not measured, is
+    run again by the next call, and keeps none of the others from being run.
+
     Parameters
     ----------
     chosen : list of Study
@@ -44,7 +50,13 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     quick : bool
     team : Team
     say : callable
-        Called on the first rank with one line of text at a time.
+        Called with some lines of text at a time, on the rank that has worked.
+
+    Raises
+    ------
+    Exception
+        What one of several ranks raises outside of :meth:`Team.map`, in a study that they share: the others do not
+        know of it, and must be ended.
     """
     folder = Path(folder)
     first = team.rank == 0
@@ -55,42 +67,105 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
             if old != cache:
                 shutil.rmtree(old)
         cache.mkdir(parents=True, exist_ok=True)
-    context = Context(quick, cache, team)
-    for study in chosen:
-        if study.missing():
-            if first:
-                say(f"{study.name}: left out, {study.missing()}")
+    missing = {study.name: study.missing() for study in chosen}
+    marks = {study.name: _fingerprint(base, study, quick) for study in chosen}
+    done = {name for name, mark in marks.items() if _stored(folder / "studies" / name) == mark}
+    team.wait()  # nobody writes before everybody has looked
+    for study in chosen if first else ():
+        if missing[study.name]:
+            say(f"{study.name}: left out, {missing[study.name]}")
+        elif study.name in done:
+            say(f"{study.name}: finished before")
+    shared, whole = apart([one for one in chosen if not missing[one.name] and one.name not in done], quick, team.size)
+    meter, costs = Meter(team.rank), []
+
+    def take(study: Study, workers: Team) -> None:
+        if workers.rank == 0:
+            say(f"{study.name}: begun, about {study.seconds[quick]:.0f} s of one core …")
+        own = Meter(team.rank)
+        judged, error = _judged(study, Context(quick, cache, workers))
+        took = workers.of_each(own.read())
+        costs.extend(took if workers.rank == 0 else ())
+        if workers.rank == 0:
+            record = {"fingerprint": "" if error else marks[study.name], "quick": quick, "error": error}
+            _store(folder / "studies" / study.name, study, judged, record | _taken(took) | provenance())
+            say("\n".join(_told(study, judged, took, error)))
+
+    for study in shared:
+        take(study, team)
+    alone = Team()
+    for i in team.taken(len(whole)):
+        for study in whole[i]:
+            take(study, alone)
+    every = [cost for own in team.of_each(costs) for cost in own]
+    if first and every:
+        wall, cpu = meter.read().wall, sum(cost.cpu for cost in every)
+        say(
+            f"{len(shared) + sum(map(len, whole))} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
+            f"{cpu / wall:.2f} at a time; at most {together(every):.1f} GB together"
+        )
+
+
+def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[list[Study]]]:
+    """Studies that several processes share, and those that each takes whole, one after the other; the longest first.
+
+    What is longer than a process's share of what is left would keep the others waiting. Studies that need much memory
+    are taken whole, by one process, and so never two of them at a time, unless there are no others.
+    """
+    large = [study for study in studies if study.memory > LARGE]
+    queue = [[study] for study in studies if study.memory <= LARGE] + [large] * bool(large)
+
+    def seconds(taken: list[Study]) -> float:
+        return sum(study.seconds[quick] for study in taken)
+
+    queue.sort(key=lambda taken: -seconds(taken))
+    shared = []
+    for taken in list(queue):
+        if taken is large and len(queue) > 1:
             continue
-        fingerprint = _fingerprint(base, study, quick)
-        target = folder / "studies" / study.name
-        done = _stored(target) == fingerprint
-        team.wait()  # nobody writes before everybody has looked
-        if done:
-            if first:
-                say(f"{study.name}: finished before")
-            continue
-        if first:
-            say(f"{study.name}: about {study.seconds[quick]:.0f} s of one core …")
-        start = time.perf_counter()
+        if seconds(taken) * size <= sum(map(seconds, queue)) * (1 + 1e-9):
+            break
+        queue.remove(taken)
+        shared.extend(taken)
+    return shared, queue
+
+
+def _judged(study: Study, context: Context) -> tuple[list[Judged], str]:
+    """What was measured, or that nothing was, and the traceback that says why."""
+    try:
         # One BLAS thread: sums are then formed in the same order on every machine and for every number of ranks.
         with threadpool_limits(limits=1, user_api="blas"):
-            judged = study.judge(context)
-        seconds = time.perf_counter() - start
-        if first:
-            _store(
-                target,
-                study,
-                judged,
-                {"fingerprint": fingerprint, "quick": quick, "ranks": team.size, "seconds": round(seconds, 3)}
-                | provenance(),
-            )
-            for item in judged:
-                say(
-                    f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} "
-                    f"({item.acceptance.bound} "
-                    f"{item.limit:.3g}{'' if item.acceptance.unit == '1' else ' ' + item.acceptance.unit})"
-                )
-    team.wait()
+            return study.judge(context), ""
+    except Exception as problem:
+        if context.team.size > 1 and not isinstance(problem, ItemFailed):
+            raise
+        error = traceback.format_exc()
+        return study.unmeasured(context.quick, f"Not measured: {error.strip().splitlines()[-1]}"), error
+
+
+def _taken(costs: list[Cost]) -> dict:
+    """What a study took, as its record has it: of the processes that worked on it."""
+    return {
+        "ranks": len(costs),
+        "seconds": round(max(cost.wall for cost in costs), 3),
+        "cpu_seconds": round(sum(cost.cpu for cost in costs), 3),
+        "memory_gb": {cost.process: round(cost.memory, 3) for cost in costs},
+        "began": round(min(cost.began for cost in costs), 3),
+    }
+
+
+def _told(study: Study, judged: list[Judged], costs: list[Cost], error: str) -> list[str]:
+    """Lines that tell of a study once it has ended."""
+    took = _taken(costs)
+    where = ", ".join(f"{memory:.1f} GB in process {process}" for process, memory in took["memory_gb"].items())
+    lines = [f"{study.name}: ended, {took['seconds']:.0f} s, {took['cpu_seconds']:.0f} s of CPU, {where}"]
+    for item in judged:
+        unit = "" if item.acceptance.unit == "1" else f" {item.acceptance.unit}"
+        lines.append(
+            f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} "
+            f"({item.acceptance.bound} {item.limit:.3g}{unit})"
+        )
+    return [*lines, error] if error else lines
 
 
 def read_results(folder: Path) -> list[dict]:
@@ -98,12 +173,17 @@ def read_results(folder: Path) -> list[dict]:
     ``folder``."""
     found = []
     for path in sorted(Path(folder).glob("studies/*/result.json")):
-        found.append(json.loads(path.read_text()) | {"folder": path.parent})
+        told = json.loads(path.read_text())
+        before = {"cpu_seconds": told["seconds"], "memory_gb": {}}  # of a result that did not record them yet
+        found.append(before | told | {"folder": path.parent})
     return sorted(found, key=lambda result: (result["order"], result["study"]))
 
 
 def write_summary(folder: Path) -> list[dict]:
-    """Write ``summary.json``: one entry per acceptance number, ``seconds`` being those of its whole study."""
+    """Write ``summary.json``: one entry per acceptance number; seconds and memory are those of its whole study.
+
+    ``memory_gb`` is the most that each process held, by rank; ``began`` counts seconds since 1970.
+    """
     entries = [
         {
             "study": result["study"],
@@ -116,7 +196,8 @@ def write_summary(folder: Path) -> list[dict]:
             "reason": finding.get("reason", ""),
             "unit": finding["unit"],
             "passed": finding["passed"],
-            "seconds": result["seconds"],
+            "error": (result.get("error") or "").strip().rpartition("\n")[2],
+            **{key: result.get(key) for key in ("seconds", "cpu_seconds", "memory_gb", "began")},
             "quick": result["quick"],
             "versions": result["versions"],
         }

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import importlib
 import math
-import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -18,12 +17,15 @@ from typing import Literal
 import numpy as np
 
 from mic.process.model import ReducedModel
+from mic.sampling.ranks import wait
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
+from verification.cost import give_back
 
-__all__ = ["Acceptance", "Context", "Finding", "Judged", "Study", "Team", "studies"]
+__all__ = ["Acceptance", "Context", "Finding", "ItemFailed", "Judged", "Study", "Team", "studies"]
 
 FOLDER = Path(__file__).parent
+MUCH = 1.0  # GB: a process that holds more gives back what was freed before it begins with an item
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,10 @@ class Judged:
         return bool(measured <= self.limit if self.acceptance.bound == "at most" else measured >= self.limit)
 
 
+class ItemFailed(RuntimeError):
+    """An item that processes shared out failed on one of them; the message is the traceback from there."""
+
+
 class Team:
     """The processes that work on a study together.
 
@@ -124,30 +130,51 @@ class Team:
         """``[function(item) for item in items]``, shared out over the ranks; the whole list on every rank.
 
         Every rank must call it with the same items, the dearest first: whoever is idle takes the next. Each item is
-        worked on by itself, so the number of ranks leaves no trace in the results. An exception on one rank ends all,
-        with its traceback: the others would wait for that rank for ever.
+        worked on by itself, so the number of ranks leaves no trace in the results.
+
+        Raises
+        ------
+        ItemFailed
+            On every rank of several, where an item failed on one of them. One rank alone raises what the item raised.
         """
         items = list(items)
+
+        def worked(item):
+            give_back(MUCH)
+            return function(item)
+
         if self.size == 1:
-            return [function(item) for item in items]
-        try:
-            own = [(i, function(items[i])) for i in self._taken(len(items))]
-        except Exception:
-            traceback.print_exc()
-            sys.stderr.flush()
-            self.comm.Abort(1)
-        found = dict(pair for share in self.comm.allgather(own) for pair in share)
+            return [worked(item) for item in items]
+        own, failed = [], ""
+        for i in self.taken(len(items)):
+            if failed:
+                continue  # so that nobody begins with what is left
+            try:
+                own.append((i, worked(items[i])))
+            except Exception:
+                failed = traceback.format_exc()
+        shares = self.comm.allgather((own, failed))
+        for _, failed in shares:
+            if failed:
+                raise ItemFailed(failed)
+        found = dict(pair for share, _ in shares for pair in share)
         return [found[i] for i in range(len(items))]
 
-    def _taken(self, count: int):
-        """Numbers below a count that this rank takes, from a counter that all ranks advance."""
+    def taken(self, count: int) -> Iterator[int]:
+        """Numbers below a count that this rank takes, one after the other, from a counter that all ranks advance.
+
+        Every rank must call it, and take until nothing is left: it then waits for the others.
+        """
+        if self.size == 1:
+            yield from range(count)
+            return
         from mpi4py import MPI  # only among several ranks: importing it starts MPI
 
         number = np.zeros(1, dtype=np.int64)
         window = MPI.Win.Allocate(number.nbytes if self.rank == 0 else 0, number.nbytes, comm=self.comm)
         if self.rank == 0:
             np.frombuffer(window.tomemory(), dtype=number.dtype)[:] = 0
-        self.comm.Barrier()
+        self.wait()
         window.Lock_all()
         while True:
             window.Fetch_and_op([np.ones_like(number), MPI.INT64_T], [number, MPI.INT64_T], 0)
@@ -156,16 +183,20 @@ class Team:
                 break
             yield int(number[0])
         window.Unlock_all()
+        self.wait()
         window.Free()
 
     def from_first(self, value):
         """The first rank's value, on every rank."""
         return value if self.size == 1 else self.comm.bcast(value)
 
+    def of_each(self, value) -> list:
+        """The values of all ranks, on every rank."""
+        return [value] if self.size == 1 else self.comm.allgather(value)
+
     def wait(self) -> None:
-        """Until every rank has come here."""
-        if self.size > 1:
-            self.comm.Barrier()
+        """Until every rank has come here; who waits leaves the core to the others."""
+        wait(self.comm)
 
 
 @dataclass(frozen=True)
@@ -207,6 +238,8 @@ class Study:
         ``run(context)`` returns one :class:`Finding` per acceptance number, and the same on every rank.
     missing : callable
         What it needs and does not find, in words; empty where all is there. Without it the study is left out.
+    memory : float
+        GB that one process holds at most in the full version.
     name : str
         The folder's; set when the study is found.
     """
@@ -219,6 +252,7 @@ class Study:
     seconds: tuple[float, float]
     run: Callable[[Context], list[Finding]]
     missing: Callable[[], str] = lambda: ""
+    memory: float = 1.0
     name: str = ""
 
     def judge(self, context: Context) -> list[Judged]:
@@ -237,6 +271,10 @@ class Study:
                 f"{sorted(limits)}"
             )
         return [Judged(finding, limits[finding.name], limits[finding.name].at(context.quick)) for finding in findings]
+
+    def unmeasured(self, quick: bool, why: str) -> list[Judged]:
+        """All its acceptance numbers, none of them measured, and so none kept."""
+        return [Judged(Finding(one.name, math.nan, why), one, one.at(quick)) for one in self.acceptance]
 
     def opening(self) -> str:
         """The lines with which the study's page opens."""

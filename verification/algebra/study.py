@@ -201,6 +201,7 @@ STUDY = Study(
             reason="Rounding, as for the forces.",
         ),
     ),
-    seconds=(420, 90),
+    seconds=(450, 90),
+    memory=3.0,
     run=run,
 )

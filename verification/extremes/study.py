@@ -348,5 +348,6 @@ STUDY = Study(
         ),
     ),
     seconds=(220, 30),
+    memory=4.8,
     run=run,
 )

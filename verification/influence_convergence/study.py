@@ -246,6 +246,6 @@ STUDY = Study(
             ),
         ),
     ),
-    seconds=(25, 8),
+    seconds=(11, 8),
     run=run,
 )

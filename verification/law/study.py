@@ -358,5 +358,6 @@ STUDY = Study(
         ),
     ),
     seconds=(80, 120),
+    memory=1.8,
     run=run,
 )

@@ -307,5 +307,6 @@ STUDY = Study(
         ),
     ),
     seconds=(240, 110),
+    memory=4.0,
     run=run,
 )

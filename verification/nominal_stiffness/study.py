@@ -328,6 +328,7 @@ STUDY = Study(
             reason="What a third or more of the error would leave is not worth as many sets of coefficients.",
         ),
     ),
-    seconds=(600, 60),
+    seconds=(1160, 60),
+    memory=4.2,
     run=run,
 )

@@ -124,6 +124,7 @@ STUDY = Study(
             reason="The uncertainties claim to be intervals of 95 %.",
         ),
     ),
-    seconds=(300, 25),
+    seconds=(370, 25),
+    memory=3.2,
     run=run,
 )

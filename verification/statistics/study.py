@@ -9,7 +9,7 @@ import pandas as pd
 from mic.results import capability, statistics
 from mic.sampling.draw import draw
 from verification.plots import panels
-from verification.scenes import shipped
+from verification.scenes import going, shipped
 from verification.study import Acceptance, Finding, Study
 
 LIMITS = (-1.0, 3.0)  # tolerance limits of the normal population, whose mean is 0 and σ is 1: Cp and Cpk differ
@@ -61,8 +61,12 @@ def normal_population(context, repetitions):
 
 
 def scene_population(context, samples, repetitions, count):
-    """Repetition on the coarse wheelhouse: its own samples are the population, so that the truth is known exactly."""
-    scene = shipped("wheelhouse", "coarse")
+    """Repetition on the coarse wheelhouse: its own samples are the population, so that the truth is known exactly.
+
+    They are taken in single increments: a path that is followed costs five times as much, and leaves values that are
+    nearer to normal, so that it asks less of the intervals.
+    """
+    scene = going(shipped("wheelhouse", "coarse"), "increments", 1)
     model = context.model(scene)
     blocks = context.team.map(lambda first: model.evaluate(draw(scene, 11, first, 250)), range(0, samples, 250))
     series = {}
@@ -160,9 +164,9 @@ def run(context):
         Finding(
             "scene-coverage",
             lowest,
-            f"{samples} samples of the coarse wheelhouse under Coulomb's law are the population; {draws} "
-            "times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess kurtosis above 0); the "
-            "intervals take that from the samples.",
+            f"{samples} samples of the coarse wheelhouse under Coulomb's law, each step in one increment, are "
+            f"the population; {draws} times, 500 of them are drawn. Zone slips are skewed and have heavy tails (excess "
+            "kurtosis above 0); the intervals take that from the samples.",
             table=table,
         ),
     ]
@@ -227,6 +231,6 @@ STUDY = Study(
             ),
         ),
     ),
-    seconds=(460, 10),
+    seconds=(110, 10),
     run=run,
 )
