@@ -17,14 +17,15 @@ between two pairs demands,
 in a zone with bends of radius R no farther than max(0.85 elements, 1.3 √(R t)): what a force does to a bent sheet
 dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass.
 
-They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
-length of the edge; at the *corners* of their borders, and where folds end on these, each reading the corner itself; at
+They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies and the rims of
+round rests, each reading a length of the edge; at the *corners* of their borders, where folds end on these, and where
+edges of one body *cross* those of the other, for there their overlap has a corner, each reading the corner itself; at
 every place where something presses the sheets together; and over the rest, each reading a cell. Under a clamp's pad
 they are 2/3 r apart, however coarse the elements: on a single one the sheets could tilt like on a hinge. Contact begins
 where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a nugget or
 outside, so that no pair fights the weld that it lies at half; and within a pad or outside, be it a clamp's or that of a
 rest beneath it: what each presses uniformly the cells between them carry uniformly, and a nominal assembly does not
-move. Pads of two sizes press unlike within the smaller and in the ring about it.
+move. Pads of two sizes press unlike within the smaller and in the ring about it, through a third sheet, too.
 
 A pair's normal is that of the curved sheet which the triangles stand for, between the normals at their corners. Across
 a bend of a few facets those of the facets jump by more than the angle of friction, and with them what a pair carries,
@@ -533,7 +534,9 @@ def _crossings(zone, sampled, other, spacing, anchors):
     turns = uu * vv - uv**2 > np.sin(np.radians(CORNER)) ** 2 * uu * vv
     i, k, u, v, w, uu, uv, vv, uw, vw = (one[turns] for one in (i, k, u, v, w, uu, uv, vv, uw, vw))
     along, ahead = np.array([uv * vw - vv * uw, uu * vw - uv * uw]) / (uu * vv - uv**2)
-    inside = [np.abs(at - 0.5) <= 0.5 + _tie(sampled, other) / np.sqrt(length) for at, length in ((along, uu), (ahead, vv))]
+    inside = [
+        np.abs(at - 0.5) <= 0.5 + _tie(sampled, other) / np.sqrt(length) for at, length in ((along, uu), (ahead, vv))
+    ]
     apart = np.linalg.norm(w + along[:, None] * u - ahead[:, None] * v, axis=1)
     use = np.flatnonzero(inside[0] & inside[1] & (apart <= reach))
     at, own = np.clip(along[use], 0.0, 1.0), i[use]
