@@ -494,9 +494,7 @@ def crossed(folder, at, **zone):
     return mic.Scene(
         name="cross",
         folder=folder,
-        parts=[
-            dict(name=part, geometry="cross.py", size=2.5, thickness=1, young=YOUNG, poisson=0.3) for part in level
-        ],
+        parts=[dict(name=part, geometry="cross.py", size=2.5, thickness=1, young=YOUNG, poisson=0.3) for part in level],
         locators=[
             dict(name=f"{part}-{i}{kind}", part=part, point=(*place, level[part]), direction=way)
             for part in level

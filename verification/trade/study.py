@@ -166,9 +166,11 @@ def measure(scene: Scene, deviations: np.ndarray, cache) -> dict:
 
 
 def errors(own: pd.DataFrame, exact: pd.DataFrame) -> dict:
-    """By kind the largest error of a 6σ that leads its kind, and half its 95 % interval, shares of that 6σ; and the most
-    that single samples differ, root mean square about the mean over σ: |σ(y) − σ(x)| ≤ σ(y − x), which few samples tell
-    well, bounds the error of any 6σ by it."""
+    """By kind the largest error of a 6σ that leads its kind, and half its 95 % interval, shares of that 6σ; and the
+    most that single samples differ, root mean square about the mean over σ.
+
+    Since |σ(y) − σ(x)| ≤ σ(y − x) the latter bounds the error of the 6σ of the samples; some twenty tell it.
+    """
     kept = own.notna().all(axis=1) & exact.notna().all(axis=1)
     own, exact = own[kept], exact[kept]
     six_sigma = 6 * exact.std(ddof=1)
