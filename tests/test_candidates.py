@@ -94,7 +94,7 @@ ALIKE = """
 from mic.geometry.structured import extrude
 
 def build(part, size):
-    z = {"lower": 0.0, "upper": 1.0}[part]
+    z = {"lower": 0.0, "upper": 1.0, "third": 2.0}[part]
     return extrude([(0, z), (48, z)], 0.0, 60.0, size)
 """
 HELD = [
@@ -107,10 +107,10 @@ HELD = [
 ]
 
 
-def on_a_rest(folder, radius):
-    """Two sheets alike that are held at like places; a clamp's pad of 5 mm presses both onto a rest of `radius`, mm."""
+def on_a_rest(folder, radius, sheets=2):
+    """Sheets alike that are held at like places; a clamp's pad of 5 mm presses all onto a rest of `radius`, mm."""
     (folder / "alike.py").write_text(ALIKE)
-    parts = [("lower", 0), ("upper", 1)]
+    parts = [("lower", 0), ("upper", 1), ("third", 2)][:sheets]
     tables = [f"[[stages]]\nkind = '{kind}'" for kind in ("locate", "clamp", "measure")]
     tables += [
         f"[[parts]]\nname = '{part}'\ngeometry = 'alike.py'\nsize = 3.0\nthickness = 1\nyoung = 210000\npoisson = 0.3"
@@ -124,8 +124,10 @@ def on_a_rest(folder, radius):
     tables += [
         f"[[locators]]\nname = 'rest'\npart = 'lower'\npoint = [28, 23, 0]\ndirection = [0, 0, 1]\nradius = {radius}\n"
         "stage = 'clamp'",
-        "[[clamps]]\nname = 'C'\npart = 'upper'\npoint = [28, 23, 1]\ndirection = [0, 0, -1]\nforce = 100",
+        f"[[clamps]]\nname = 'C'\npart = '{parts[-1][0]}'\npoint = [28, 23, {parts[-1][1]}]\n"
+        "direction = [0, 0, -1]\nforce = 100",
         "[[zones]]\nname = 'all'\nparts = ['lower', 'upper']",
+        *["[[zones]]\nname = 'second'\nparts = ['upper', 'third']"] * (sheets - 2),
         "[[deviations]]\nname = 'D'\nkind = 'clamp'\ntarget = 'C'\nsigma = 1",
         "[[measurements]]\nname = 'M'\npart = 'upper'\npoint = [50, 40, 1]\ndirection = [0, 0, 1]\nlower = -1\n"
         "upper = 1",
@@ -143,6 +145,16 @@ def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, tmp_path, 
     clamped = model.evaluate({}).resolutions["clamp"]
     assert clamped.force[0, :, 0].sum() > 95
     assert clamped.displacement[0, :, 0].max() < 6e-5  # mm; with cells across the rest's rim 10 to 13 e-5
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("radius", [2.5, 7.0])
+def test_three_sheets_alike_between_pads_of_two_sizes_stay_together(radius, tmp_path, cache):
+    """A third of the difference of what the pads press bends each; of either zone one pad is behind a third sheet."""
+    model = mic.reduce(on_a_rest(tmp_path, radius, sheets=3), cache)
+    clamped = model.evaluate({}).resolutions["clamp"]
+    assert clamped.force[0, :, 0].sum() > 190
+    assert clamped.displacement[0, :, 0].max() < 6e-5  # mm, as of two sheets
 
 
 def test_a_locator_has_a_rim_where_it_backs_a_clamp_and_decides_no_spacing(tmp_path, cache):
@@ -427,6 +439,91 @@ def test_a_strip_is_pressed_down_between_two_rows_of_pairs_as_a_beam_on_four_sup
     assert found.resolutions["clamp"].force[0, :, 0].sum() == pytest.approx(force - 2 * moment / free, rel=0.02)
     watched = pressed({})
     assert watched.measurements[0, 0] < 1e-3 and watched.resolutions["clamp"].unseen[0] < 1e-3
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("radius", [30.0, 40.0])
+def test_a_strip_that_drapes_over_a_round_stop_lies_on_its_rim_as_a_beam_on_four_supports(radius, tmp_path, cache):
+    """Pressed by P at c from either end, it lifts off between its supports at a = L/2 − R and L − a; with
+
+    w(x, p) = (L − p) x (2 L p − p² − x²)/(6 E I L), x ≤ p, of a force 1 at p:   X = P Σw(a, c)/Σw(a, a).
+    """
+    force, c = 10.0, 30.0
+    clamps = [dict(point=(x, WIDTH / 2, 0), force=force, radius=4.0) for x in (c, LENGTH - c)]
+    stop = dict(point=(LENGTH / 2, WIDTH / 2, -THICKNESS / 2), normal=(0, 0, 1), radius=radius)
+    probes = [
+        dict(name=f"P{i}", part="strip", point=(x, WIDTH / 2, 0), direction=(0, 0, 1), radius=0)
+        for i, x in enumerate((c, LENGTH / 2))
+    ]
+    scene = strip_scene(tmp_path, clamps, stop, {}, measurements=probes)
+    found = mic.reduce(scene, cache).evaluate({})
+
+    def both(x, p):
+        """Deflection at x under a force of 1 at p and another at L − p."""
+        total = 0.0
+        for at in (p, LENGTH - p):
+            near, far = (x, at) if x <= at else (LENGTH - x, LENGTH - at)
+            total += (LENGTH - far) * near * (2 * LENGTH * far - far**2 - near**2)
+        return total / (6 * YOUNG * INERTIA * LENGTH)
+
+    a = LENGTH / 2 - radius
+    carried = force * both(a, c) / both(a, a)
+    wanted = [carried * both(x, a) - force * both(x, c) for x in (c, LENGTH / 2)]
+    assert found.resolutions["clamp"].force[0, :, 0].sum() == pytest.approx(2 * carried, rel=0.01)
+    assert found.measurements[0] == pytest.approx(wanted, rel=0.02)  # lying on cells within, 10 % off
+
+
+CROSS = """
+import numpy as np
+from mic.geometry.structured import extrude
+
+def build(part, size):
+    points, triangles, normals = extrude([(-10, 0), (10, 0)], -30.0, 60.0, size)
+    if part == "across":
+        points = points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) - [0, 0, 1]
+    return points, triangles, normals
+"""
+
+
+def crossed(folder, at, **zone):
+    """Two strips that cross, the upper one held on one side of the lower one, and pressed down on the other."""
+    (folder / "cross.py").write_text(CROSS)
+    held = {"along": [(-28, -8), (-28, 8), (-14, 0)], "across": [(-8, -28), (8, -28), (0, 28)]}
+    ways = {"along": [(0, 1, 0), (1, 0, 0), (0, 1, 0)], "across": [(0, 1, 0), (1, 0, 0), (1, 0, 0)]}
+    level = {"along": 0.0, "across": -1.0}
+    return mic.Scene(
+        name="cross",
+        folder=folder,
+        parts=[dict(name=part, geometry="cross.py", size=2.5, thickness=1, young=YOUNG, poisson=0.3) for part in level],
+        locators=[
+            dict(name=f"{part}-{i}{kind}", part=part, point=(*place, level[part]), direction=way)
+            for part in level
+            for i, place in enumerate(held[part])
+            for kind, way in (("z", (0, 0, 1)), ("", ways[part][i]))
+        ],
+        clamps=[dict(name="C", part="along", point=(*at, 0), direction=(0, 0, -1), force=10, radius=0)],
+        zones=[dict(name="all", parts=("across", "along"), **zone)],
+        stages=[dict(kind="locate"), dict(kind="clamp"), dict(kind="measure")],
+        measurements=[
+            dict(name="M", part="along", point=(*at, 0), direction=(0, 0, 1), radius=0, lower=-1, upper=1),
+            dict(name="N", part="across", point=(9, 0, -1), direction=(0, 0, 1), radius=0, lower=-1, upper=1),
+        ],
+        report=dict(laws=["frictionless"]),
+    )
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("at", [(27, 9), (27, 0)])
+@pytest.mark.parametrize("zone", [{}, {"spacing": 3.0}])
+def test_strips_that_cross_press_where_their_edges_do_as_with_contact_at_every_node(zone, at, tmp_path, cache):
+    """No part has a corner there, but their overlap has, and nodes of both stand on it."""
+    scene = crossed(tmp_path, at, **zone)
+    every_node = assemble(scene, cache, every_node=True)
+    wanted = ReducedModel.build(every_node, influence_coefficients(every_node, cache)[0]).evaluate({})
+    found = mic.reduce(scene, cache).evaluate({})
+    assert found.measurements[0] == pytest.approx(wanted.measurements[0], rel=1e-3)  # from edges alone 2 to 3 % off
+    carried, beside = (one.resolutions["clamp"].force[0, :, 0].sum() for one in (found, wanted))
+    assert carried == pytest.approx(beside, rel=1e-3)
 
 
 HEM = """import numpy as np

@@ -140,6 +140,46 @@ def test_a_candidate_stands_at_every_corner_of_a_border_and_where_a_fold_ends_on
                 assert sum(np.abs(x - corner).max() < 1e-9 for x in read) == 1
 
 
+@pytest.mark.parametrize("spacing", [2.0, 5.0, 9.0])
+def test_a_candidate_stands_where_edges_of_two_sheets_cross_and_none_where_they_run_along_each_other(spacing):
+    """Two strips that cross: neither has a corner there. Moved upon each other, they have no more than their own."""
+    first = Side(Surface(*extrude([(-5.0, 0.0), (5.0, 0.0)], -15.0, 30.0, 2.3)[:2]), 1.0)
+    turned = first.surface.points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [0, 0, 1]
+    second = Side(Surface(turned, first.surface.triangles), 1.0)
+    upon = Side(Surface(first.surface.points + [0, 0, 1], first.surface.triangles), 1.0)
+
+    def corners(*bodies):
+        pairs = find_pairs(zone(pairs=None, spacing=spacing), *bodies)
+        patches = [(body.surface, one) for pair in pairs for body, one in zip(bodies, pair.patches)]
+        read = [surface.at(one.triangle, one.barycentric)[:, :2] for surface, one in patches]
+        return sorted({tuple(x[0].round(9) + 0.0) for x in read if np.ptp(x, axis=0).max() < 1e-9})
+
+    for bodies in ((first, second), (second, first)):
+        assert corners(*bodies) == [(-5, -5), (-5, 5), (5, -5), (5, 5)]
+    assert corners(first, upon) == [(-15, -5), (-15, 5), (15, -5), (15, 5)]
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+def test_candidates_read_the_rim_of_a_round_rest_wherever_its_axes_point(turn):
+    """And stand on it where it crosses the sheet's edge, 6 mm from its middle."""
+    disc = (13.0, 6.0, -0.5), 8.0
+    angle = np.linspace(0, 2 * np.pi, 37)[:-1] + turn
+    around = 8.0 / np.cos(np.pi / 36) * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
+    fan = np.column_stack([np.zeros(36, int), 1 + np.arange(36), 1 + (np.arange(36) + 1) % 36])
+    rest = Side(Surface(np.vstack([np.zeros(3), around]) + disc[0], fan), disc=disc)
+    sheet = Side(plane(0, size=30.0, n=13), 1.0)
+    pairs = find_pairs(zone(pairs=None, spacing=4.0), rest, sheet)
+    read = [sheet.surface.at(pair.patches[1].triangle, pair.patches[1].barycentric) for pair in pairs]
+    away = [np.linalg.norm((x - disc[0])[:, :2], axis=1) for x in read]
+    on = [x for x, r in zip(read, away) if np.abs(r - 8.0).max() < 0.02]
+    length = 2 * 8.0 * (np.pi - np.arccos(6.0 / 8.0))
+    assert length / 4.0 - 1 < len(on) < length / 4.0 + 2
+    assert all((r <= 8.0 + 1e-6).all() for r in away)
+    ends = [x[0] for x in on if len(x) == 1]
+    assert sorted(x[0] for x in ends) == pytest.approx([13 - np.sqrt(28), 13 + np.sqrt(28)], abs=0.02)
+    assert [x[1] for x in ends] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
 def test_corners_nearer_than_half_a_spacing_are_one_and_those_of_the_border_come_first():
     """A tab 1.5 mm wide; a fold 1.5 mm before the border's end gives way to it."""
     below = Side(plane(-1, size=30.0, n=13), 1.0)

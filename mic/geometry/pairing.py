@@ -17,14 +17,15 @@ between two pairs demands,
 in a zone with bends of radius R no farther than max(0.85 elements, 1.3 √(R t)): what a force does to a bent sheet
 dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass.
 
-They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies, each reading a
-length of the edge; at the *corners* of their borders, and where folds end on these, each reading the corner itself; at
+They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies and the rims of
+round rests, each reading a length of the edge; at the *corners* of their borders, where folds end on these, and where
+edges of one body *cross* those of the other, for there their overlap has a corner, each reading the corner itself; at
 every place where something presses the sheets together; and over the rest, each reading a cell. Under a clamp's pad
 they are 2/3 r apart, however coarse the elements: on a single one the sheets could tilt like on a hinge. Contact begins
 where the gap is least: a candidate reads what of its length or cell lies nearest. A cell lies within a nugget or
 outside, so that no pair fights the weld that it lies at half; and within a pad or outside, be it a clamp's or that of a
 rest beneath it: what each presses uniformly the cells between them carry uniformly, and a nominal assembly does not
-move. Pads of two sizes press unlike within the smaller and in the ring about it.
+move. Pads of two sizes press unlike within the smaller and in the ring about it, through a third sheet, too.
 
 A pair's normal is that of the curved sheet which the triangles stand for, between the normals at their corners. Across
 a bend of a few facets those of the facets jump by more than the angle of friction, and with them what a pair carries,
@@ -280,7 +281,7 @@ def _candidates(zone, sampled, other, spacing, anchors, pressed, pads, swap) -> 
     cloud = cloud.take(_ranking(cloud.point, anchors, tie))
     face = _faces(cloud, sampled.surface, spacing)
     lines = []
-    for found in (_edges(zone, sampled, other, spacing), _corners(zone, sampled, other, spacing)):
+    for found in (_edges(zone, sampled, other, spacing, anchors), _corners(zone, sampled, other, spacing, anchors)):
         found = found.take(np.flatnonzero(_fused(pressed, found, tie) < 0))
         found = found.take(_ranking(found.point, anchors, tie))
         lines.append((found, _face_of(found.point, found.normal, cloud, face, spacing)))
@@ -459,14 +460,16 @@ def _grouped(pads, cloud, fused, tie) -> np.ndarray:
     return group
 
 
-def _edges(zone, sampled, other, spacing):
+def _edges(zone, sampled, other, spacing, anchors):
     """Points of both bodies' edges that face the other body, as points of the sampled one; `area` is length, mm.
 
     Edges that lie upon each other are one. On a fold a point is there once for each of the two triangles.
     """
 
-    def along(surface):
-        return surface.sample_edges(*surface.edges(np.radians(FOLD)), spacing / FINE)
+    def along(body):
+        if body.disc is not None:
+            return _rim(body, spacing / FINE, anchors)
+        return body.surface.sample_edges(*body.surface.edges(np.radians(FOLD)), spacing / FINE)
 
     def shared(cloud, tie):
         one, two = cKDTree(cloud.point).query_pairs(tie, output_type="ndarray").T
@@ -477,17 +480,80 @@ def _edges(zone, sampled, other, spacing):
     return _of_both(zone, sampled, other, along, shared, spacing / 4)
 
 
-def _corners(zone, sampled, other, spacing):
-    """Corners of both bodies' borders that face the other body, as `_edges` has their edges; `area` is their rank.
+def _rim(body, spacing, anchors):
+    """Points of a round pad's rim, none farther apart: triangle, barycentric, length.
+
+    They lie alike on both sides of the first anchor that is not above the pad's middle.
+    """
+    (centre, radius), normal = body.disc, body.surface.normals[0]
+    steps = np.array(anchors) - centre
+    steps -= np.outer(steps @ normal, normal)
+    aside = np.linalg.norm(steps, axis=1)
+    if not (aside > body.surface.tie).any():
+        steps, aside = np.cross(normal, np.eye(3)), np.ones(3)
+    t = steps[np.argmax(aside > body.surface.tie)]
+    t = t / np.linalg.norm(t)
+    count = int(np.ceil(2 * np.pi * radius / spacing - EQUAL))
+    angle = 2 * np.pi * (np.arange(count) + 0.5)[:, None] / count
+    point = centre + radius * (np.cos(angle) * t + np.sin(angle) * np.cross(normal, t))
+    foot = body.surface.project(point)
+    return foot.triangle, foot.barycentric, np.full(count, 2 * np.pi * radius / count)
+
+
+def _corners(zone, sampled, other, spacing, anchors):
+    """Corners of both bodies' borders that face the other body, and where edges of both cross, as `_edges` has their
+    edges; `area` is their rank.
 
     Where an edge presses, it presses at its end first; and a length that is read about a corner has its middle off it.
     """
-    return _of_both(zone, sampled, other, _corners_of, lambda cloud, tie: cloud, spacing / 4)
+    own = _of_both(zone, sampled, other, _corners_of, lambda cloud, tie: cloud, spacing / 4)
+    return _joined([own, _crossings(zone, sampled, other, spacing, anchors)])
 
 
-def _corners_of(surface):
+def _crossings(zone, sampled, other, spacing, anchors):
+    """Where edges of the two bodies cross, as `_corners` has corners: there ends what faces the other body."""
+    surface = sampled.surface
+    triangle, opposite = surface.edges(np.radians(FOLD))
+    start, end = surface.corners[triangle, (opposite + 1) % 3], surface.corners[triangle, (opposite + 2) % 3]
+    if other.disc is None:
+        others, across = other.surface.edges(np.radians(FOLD))
+        first, last = other.surface.corners[others, (across + 1) % 3], other.surface.corners[others, (across + 2) % 3]
+        border = other.surface.border[others, across]
+    else:
+        rim = _rim(other, spacing / FINE, anchors)
+        first = other.surface.at(*rim[:2])
+        last, border = np.roll(first, -1, axis=0), np.ones(len(first), dtype=bool)
+    reach = zone.max_gap + sampled.half_thickness + other.half_thickness + _tie(sampled, other)
+    half = np.linalg.norm(last - first, axis=1) / 2
+    longest = np.linalg.norm(end - start, axis=1).max(initial=0.0) / 2
+    near = cKDTree((start + end) / 2).query_ball_point((first + last) / 2, half + longest + reach) if len(start) else []
+    k = np.repeat(np.arange(len(near)), [len(one) for one in near])
+    i = np.concatenate([np.zeros(0, dtype=np.int64), *near]).astype(np.int64)
+    u, v, w = end[i] - start[i], last[k] - first[k], start[i] - first[k]
+    uu, uv, vv, uw, vw = (np.einsum("ij,ij->i", *two) for two in ((u, u), (u, v), (v, v), (u, w), (v, w)))
+    turns = uu * vv - uv**2 > np.sin(np.radians(CORNER)) ** 2 * uu * vv
+    i, k, u, v, w, uu, uv, vv, uw, vw = (one[turns] for one in (i, k, u, v, w, uu, uv, vv, uw, vw))
+    along, ahead = np.array([uv * vw - vv * uw, uu * vw - uv * uw]) / (uu * vv - uv**2)
+    inside = [
+        np.abs(at - 0.5) <= 0.5 + _tie(sampled, other) / np.sqrt(length) for at, length in ((along, uu), (ahead, vv))
+    ]
+    apart = np.linalg.norm(w + along[:, None] * u - ahead[:, None] * v, axis=1)
+    use = np.flatnonzero(inside[0] & inside[1] & (apart <= reach))
+    at, own = np.clip(along[use], 0.0, 1.0), i[use]
+    barycentric = np.zeros((len(use), 3))
+    barycentric[np.arange(len(use)), (opposite[own] + 1) % 3] = 1 - at
+    barycentric[np.arange(len(use)), (opposite[own] + 2) % 3] = at
+    rank = 1.0 + (surface.border[triangle[own], opposite[own]] & border[k[use]])
+    angle = np.radians(zone.max_angle_deg)
+    cloud = _project(sampled, other, zone.max_gap, angle, triangle[own], barycentric, rank)
+    cloud = replace(cloud, normal=-_turned(cloud, other).normal)
+    return cloud.take(_in_region(zone, cloud.point, surface.tie))
+
+
+def _corners_of(body):
     """Corners of a surface's border in each of their triangles: triangle, barycentric, and rank: 2 where the border
     turns, 1 where a fold ends on it."""
+    surface = body.surface
     triangle, opposite = surface.edges(np.radians(FOLD))
     ends = surface.triangles[triangle[:, None], (opposite[:, None] + [1, 2]) % 3]
     ends = np.unique(np.sort(ends, axis=1), axis=0)
@@ -511,9 +577,7 @@ def _of_both(zone, sampled, other, found_on, weighed, near):
     angle = np.radians(zone.max_angle_deg)
     found = []
     for body, opposite in ((sampled, other), (other, sampled)):
-        if body.disc is not None:
-            continue
-        cloud = _project(body, opposite, zone.max_gap, angle, *found_on(body.surface))
+        cloud = _project(body, opposite, zone.max_gap, angle, *found_on(body))
         if len(cloud.area):
             cloud = weighed(cloud, body.surface.tie)
         seen = _turned(cloud, opposite)

@@ -553,22 +553,63 @@ def _zone_pairs(scene, bodies, pressed, every_node, problems: Problems) -> list[
 
 
 def _pressed(scene, zone, bodies) -> list[Pressed]:
-    """Where something presses the bodies of a zone together: clamps, welds and locators."""
-    clamps = [item for item in scene.clamps if item.part in zone.parts]
-    places = [Pressed(np.array(item.point), item.radius) for item in clamps]
+    """Where something presses the bodies of a zone together: clamps, welds and locators.
+
+    A clamp, and a locator that backs one, presses through other sheets, too: it counts where it stands over the zone
+    with nothing but sheets that touch between.
+    """
+    through = _stacked(scene, zone, bodies)
+    level = {id(item): _level(item, zone, bodies, through) for item in (*scene.clamps, *scene.locators)}
+    clamps = [item for item in scene.clamps if level[id(item)] is not None]
+    places = [Pressed(level[id(item)], item.radius) for item in clamps]
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
             places.append(Pressed(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
-    return places + [_held(item, clamps) for item in scene.locators if item.part in zone.parts]
+    for item in scene.locators:
+        if level[id(item)] is not None:
+            held = _held(item, level[id(item)], clamps)
+            if held.backs or item.part in zone.parts:
+                places.append(held)
+    return places
 
 
-def _held(locator, clamps) -> Pressed:
+def _stacked(scene, zone, bodies) -> dict[str, tuple[str, float]]:
+    """By the name of each other part that zones join with this one's: which of its bodies they lead to, and how far
+    from that body's middle surface the part's may lie, mm."""
+    found = {name: (name, 0.0) for name in zone.parts if not bodies[name].rigid}
+    for _ in scene.parts:
+        for one in scene.zones:
+            if any(bodies[name].rigid for name in one.parts):
+                continue  # what a fixture takes, it passes on to nothing
+            far = one.max_gap + sum(bodies[name].half_thickness for name in one.parts)
+            for near, next_ in (one.parts, one.parts[::-1]):
+                if near in found and found[near][1] + far < found.get(next_, ("", np.inf))[1]:
+                    found[next_] = (found[near][0], found[near][1] + far)
+    return {name: there for name, there in found.items() if name not in zone.parts}
+
+
+def _level(item, zone, bodies, through) -> np.ndarray | None:
+    """A clamp's or locator's point, moved along its direction to the body of a zone that it presses; None if none."""
+    point = np.array(item.point)
+    if item.part in zone.parts:
+        return point
+    name, far = through.get(item.part, ("", 0.0))
+    if not name or not item.radius:
+        return None
+    along = np.array(item.direction) / np.linalg.norm(item.direction)
+    steps = [bodies[one].surface.project(point).point[0] - point for one in (name, *zone.parts)]
+    ahead = [step @ along for step in steps]
+    beside = [np.linalg.norm(step - way * along) for step, way in zip(steps, ahead)]
+    return point + ahead[0] * along if max(beside) < item.radius and abs(ahead[0]) <= far else None
+
+
+def _held(locator, point, clamps) -> Pressed:
     """Where a locator holds; with the radius of its pad where it backs a clamp: it holds along the line on which that
     presses, and their pads overlap."""
-    point, backs = np.array(locator.point), 0.0
+    backs = 0.0
     for clamp in clamps:
         along = np.array(clamp.direction) / np.linalg.norm(clamp.direction)
-        step = point - np.array(clamp.point)
+        step = np.array(locator.point) - np.array(clamp.point)
         beside = np.linalg.norm(step - (step @ along) * along)
         opposed = abs(along @ locator.direction) > BACKING * np.linalg.norm(locator.direction)
         if locator.radius and opposed and beside < clamp.radius + locator.radius:
