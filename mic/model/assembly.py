@@ -559,15 +559,19 @@ def _pressed(scene, zone, bodies) -> list[Pressed]:
     with nothing but sheets that touch between.
     """
     through = _stacked(scene, zone, bodies)
-    level = {id(item): _level(item, zone, bodies, through) for item in (*scene.clamps, *scene.locators)}
-    clamps = [item for item in scene.clamps if level[id(item)] is not None]
-    places = [Pressed(level[id(item)], item.radius) for item in clamps]
+    clamps, places = [], []
+    for item in scene.clamps:
+        point = _level(item, zone, bodies, through)
+        if point is not None:
+            clamps.append(item)
+            places.append(Pressed(point, item.radius))
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
             places.append(Pressed(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
     for item in scene.locators:
-        if level[id(item)] is not None:
-            held = _held(item, level[id(item)], clamps)
+        point = _level(item, zone, bodies, through)
+        if point is not None:
+            held = _held(item, point, clamps)
             if held.backs or item.part in zone.parts:
                 places.append(held)
     return places
