@@ -1,6 +1,7 @@
 """Several processes: the same bits as one, nothing lost, nobody left waiting, and one message where something fails."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -201,6 +202,15 @@ def test_what_the_first_process_makes_lies_once_in_the_memory_of_a_node():
         "2 made [] right True one True",
     ], done.stdout + done.stderr
     assert max(float(grew) for _, grew in lines[1:]) < 8  # MB; the array has 80
+
+
+def test_one_process_makes_a_run_alone_as_the_others_do_something_else(tmp_path):
+    scene = tmp_path / "scene"
+    shutil.copytree(SCENE, scene)
+    file = scene / "scene.toml"
+    file.write_text(re.sub(r"(?m)^samples = .*$", "samples = 20", file.read_text(), count=1))
+    done = on_processes(2, "-m", "support.alone", tmp_path, scene, timeout=SECONDS)
+    assert (done.returncode, done.stdout) == (0, "20 2\n"), done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("name", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"])

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from mic import examples
 from mic.results.folder import versions
-from mic.sampling.ranks import communicator
+from mic.sampling.ranks import alone, communicator
 from verification.cost import Cost, Meter, together
 from verification.plots import svg
 from verification.provenance import provenance
@@ -93,10 +93,10 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
 
     for study in shared:
         take(study, team)
-    alone = Team()
     for i in team.taken(len(whole)):
         for study in whole[i]:
-            take(study, alone)
+            with alone():
+                take(study, Team())
     every = [cost for own in team.of_each(costs) for cost in own]
     if first and every:
         wall, cpu = meter.read().wall, sum(cost.cpu for cost in every)

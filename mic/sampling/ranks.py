@@ -21,7 +21,7 @@ import numpy as np
 
 from mic.errors import MicError
 
-__all__ = ["FirstFailed", "LaunchError", "communicator", "leave", "on_first", "others_silent", "shared", "wait"]
+__all__ = ["FirstFailed", "LaunchError", "alone", "communicator", "leave", "on_first", "others_silent", "shared", "wait"]
 
 T = TypeVar("T")
 
@@ -35,6 +35,8 @@ LAUNCHERS = {  # what says how many processes were started, the innermost launch
 }
 MAYBE = ("PMIX_RANK", "PMI_RANK")  # of launchers that do not say how many; MPI does
 
+_alone = False  # see :func:`alone`
+
 
 class LaunchError(MicError, RuntimeError):
     """Processes that were started together and cannot work together; the message says why and what to do."""
@@ -45,7 +47,8 @@ class FirstFailed(MicError):
 
 
 def communicator() -> Any:
-    """The MPI world when started as one of several processes, else None (a single process needs no MPI).
+    """The MPI world when started as one of several processes, else None (a single process needs no MPI); within
+    :func:`alone` a world of this process.
 
     Raises
     ------
@@ -75,7 +78,18 @@ def communicator() -> Any:
 
     provider.installed()  # their libraries start up collectively: later, a process alone would wait for ever
     _parting()
-    return MPI.COMM_WORLD
+    return MPI.COMM_SELF if _alone else MPI.COMM_WORLD
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """What is done within, sampling too, is shared with no other process: the others do something else meanwhile."""
+    global _alone
+    before, _alone = _alone, True
+    try:
+        yield
+    finally:
+        _alone = before
 
 
 def _launched() -> tuple[str | None, int | None]:
