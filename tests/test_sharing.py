@@ -105,7 +105,7 @@ def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
 KILLED = """
 import os, time
 from mic.report import sharing
-sharing._second_core = lambda: True
+sharing.second_core = lambda: True
 def task():
     print(os.getpid(), flush=True)
     time.sleep(60)

@@ -87,6 +87,8 @@ DAMPING = 1e-12
 LARGE = 450
 #: Contacts that open or break loose within one prediction before it is cut short, and changes of sliders after each.
 EVENTS, PASSES = 32, 32
+#: Changes of one slider within a prediction: where others hold its direction it may neither slide nor be held.
+INDIFFERENT = 4
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
 #: Sweeps before Newton's method, its steps, the inverses that it may make, and changes of statuses within a step, of
@@ -815,7 +817,7 @@ def _compile(digest):
             y_old[:], before = y, error
             settled = False
             turned[:] = 0
-            for _ in range(PIVOTS):
+            for pivot in range(PIVOTS):
                 linear(W, own, inverse, right, y, q, y_new, w_new)
                 trial[:] = y_new
                 sticks = False
@@ -826,7 +828,7 @@ def _compile(digest):
                         trial[3 * k + 1] = trial[3 * k + 2] = 0.0
                 if sticks:
                     equation(parameters, trial, still, phi, nothing, nothing, found, False)
-                hardest, worst = small, -1
+                hardest, worst, many = small, -1, 0
                 for k in range(m):
                     i = 3 * k
                     if kept[k] == OPEN:
@@ -839,13 +841,14 @@ def _compile(digest):
                         wrong = np.sqrt(phi[i + 1] ** 2 + phi[i + 2] ** 2)
                     else:
                         continue
+                    many += wrong > small
                     if wrong > hardest:
                         hardest, worst = wrong, k
                 if worst < 0:
                     settled = True
                     break
                 turned[worst] += 1
-                if turned[worst] > TURNS:
+                if turned[worst] > TURNS or many > PIVOTS - pivot:  # one by one they would not be done
                     break
                 i = 3 * worst
                 if place[worst] < 0:
@@ -1099,7 +1102,7 @@ def _compile(digest):
         state, held = state0.copy(), np.zeros(m, np.bool_)
         trial, still = np.empty(3 * m), np.zeros(3 * m)
         new_A, new_B, nothing = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((0, 3, 3))
-        A0, B0 = A.copy(), B.copy()
+        A0, B0, turned = A.copy(), B.copy(), np.zeros(m, np.int64)
         closed = np.flatnonzero(state != OPEN)
         inverse = inverse_of(W, A, B, closed)
         counts[FACTORISATIONS] += 1
@@ -1108,11 +1111,13 @@ def _compile(digest):
             for _ in range(PASSES):
                 rates(W, B, closed, inverse, rate, dy, dw)
                 # On the cone a contact slides forward or its force does not leave the cone, never both: of those that
-                # do neither, the worst changes.
+                # do neither, the worst changes. One may do neither whichever it is, as others turn it: it is left.
                 hardest, worst = 0.0, -1
                 for a in range(len(closed)):
                     k = closed[a]
                     i = 3 * k
+                    if turned[k] == INDIFFERENT:
+                        continue
                     if state[k] == SLIP:
                         wrong = dw[i + 1] * e0[k, 0] + dw[i + 2] * e0[k, 1]
                     elif held[k]:
@@ -1126,6 +1131,7 @@ def _compile(digest):
                 if worst < 0:
                     break
                 k = closed[worst]
+                turned[k] += 1
                 if held[k]:
                     state[k], held[k] = SLIP, False
                     _change(W, A, B, closed, inverse, worst, A0[k], B0[k])
