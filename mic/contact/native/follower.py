@@ -87,7 +87,7 @@ DAMPING = 1e-12
 LARGE = 450
 #: Contacts that open or break loose within one prediction before it is cut short, and changes of sliders after each.
 EVENTS, PASSES = 32, 32
-#: Changes of one slider within a prediction: where others hold its direction it may neither slide nor be held.
+#: Changes of one slider within a large prediction: where others hold its direction it may neither slide nor be held.
 INDIFFERENT = 4
 #: Of the share of a step after which a contact breaks loose.
 BISECTIONS = 40
@@ -1104,6 +1104,7 @@ def _compile(digest):
         new_A, new_B, nothing = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((0, 3, 3))
         A0, B0, turned = A.copy(), B.copy(), np.zeros(m, np.int64)
         closed = np.flatnonzero(state != OPEN)
+        large = 3 * len(closed) > LARGE  # where changes of the inverse are dear
         inverse = inverse_of(W, A, B, closed)
         counts[FACTORISATIONS] += 1
         reached = 0.0
@@ -1111,12 +1112,13 @@ def _compile(digest):
             for _ in range(PASSES):
                 rates(W, B, closed, inverse, rate, dy, dw)
                 # On the cone a contact slides forward or its force does not leave the cone, never both: of those that
-                # do neither, the worst changes. One may do neither whichever it is, as others turn it: it is left.
+                # do neither, the worst changes. One may do neither whichever it is, as others turn it: of many
+                # it is left.
                 hardest, worst = 0.0, -1
                 for a in range(len(closed)):
                     k = closed[a]
                     i = 3 * k
-                    if turned[k] == INDIFFERENT:
+                    if large and turned[k] >= INDIFFERENT:
                         continue
                     if state[k] == SLIP:
                         wrong = dw[i + 1] * e0[k, 0] + dw[i + 2] * e0[k, 1]
