@@ -21,7 +21,17 @@ import numpy as np
 
 from mic.errors import MicError
 
-__all__ = ["FirstFailed", "LaunchError", "alone", "communicator", "leave", "on_first", "others_silent", "shared", "wait"]
+__all__ = [
+    "FirstFailed",
+    "LaunchError",
+    "alone",
+    "communicator",
+    "leave",
+    "on_first",
+    "others_silent",
+    "shared",
+    "wait",
+]
 
 T = TypeVar("T")
 
