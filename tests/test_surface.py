@@ -96,6 +96,14 @@ def test_patch_averages_over_a_disc_wherever_the_triangles_lie(n):
     assert len(surface.patch(centre, 0.0).weight) == 1
 
 
+def test_a_disc_reads_small_triangles_at_several_points_each():
+    surface, centre = plane(60), [5.03, 4.96, 0.0]  # an edge of 0.24 mm, an eighth of the radius being 0.25
+    patch = surface.patch(centre, 2.0)
+    x = surface.at(patch.triangle, patch.barycentric) - centre
+    assert np.median(np.unique(patch.triangle, return_counts=True)[1]) == 3
+    assert patch.weight @ (x**2).sum(1) == pytest.approx(2.0, rel=5e-4)  # mean r²; of a point each 2.1e-3 less
+
+
 def test_patch_stays_on_its_own_sheet():
     near, far = plane(10), plane(10, z=0.5)
     both = Surface(np.vstack([near.points, far.points]), np.vstack([near.triangles, far.triangles + len(near.points)]))

@@ -187,6 +187,12 @@ def test_contact_pairs_read_the_same_on_all_meshes(cache):
     assert coarse.bearing.sum() == pytest.approx(pairs.area.sum(), rel=1e-9)
 
 
+def test_meshes_whose_elements_are_divided_at_nuggets_are_no_series(cache):
+    pairs = assemble(shipped("lap_joint", 2.5), cache).contacts
+    with pytest.raises(RuntimeError, match="divided at nuggets"):
+        mesh.on_mesh(SimpleNamespace(cache=cache), "lap_joint", 2.5, 2, pairs)
+
+
 def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
     """Means too, which may be nothing."""
     keys = [(f"{statistic} {kind}", "A") for kind in ("measurement", "displacement") for statistic in ("mean", "6σ")]

@@ -134,6 +134,16 @@ def upper_triangle(K: csr_matrix) -> csr_matrix:
     return csr_matrix((K.data[kept], K.indices[kept], starts), shape=K.shape)
 
 
+def _mirrored(lower: np.ndarray) -> np.ndarray:
+    """The same array (n, n), what stands below its diagonal put above it, too: of a symmetric matrix MUMPS fills the
+    lower triangle alone. In place, as this is among the largest arrays that there are."""
+    for first in range(0, len(lower), BLOCK):
+        own, rest = slice(first, first + BLOCK), slice(first + BLOCK, None)
+        lower[own, own] = np.tril(lower[own, own]) + np.tril(lower[own, own], -1).T
+        lower[own, rest] = lower[rest, own].T
+    return lower
+
+
 class _Factors:
     """K's factors and L K⁻¹ Lᵀ by MUMPS itself; K (m, m) on and above the diagonal, L (n, m) with any n.
 
@@ -169,8 +179,8 @@ class _Factors:
         mumps.take_back("irn", "jcn", "a", "perm_in", "schur")
         self.negative_pivots = mumps.information(_INFOG_NEGATIVE_PIVOTS)
         self.memory = float(mumps.information(_INFOG_MEMORY))
-        if n:  # of a symmetric matrix MUMPS fills the lower triangle alone
-            self.influence = -(np.tril(schur) + np.tril(schur, -1).T)
+        if n:
+            self.influence = np.negative(_mirrored(schur), out=schur)
         mumps.control(_ICNTL_RHS_BLOCK, 64)
 
     def solve(self, right: np.ndarray) -> np.ndarray:

@@ -32,6 +32,7 @@ __all__ = ["RIGID_MOTION_TOLERANCE", "ShellPart"]
 
 _log = logging.getLogger(__name__)
 
+POINTS = 20_000  # of patches that are read at a time: each has entries for all freedoms of its triangle
 RIGID_MOTION_TOLERANCE = 1e-2  # reached where t/L ~ 1e-5 on curved shells
 
 
@@ -285,8 +286,16 @@ class ShellPart:
             displacement:  Σ_q c_q d·(u_q + θ_q × s n_q) = Σ_q c_q (N_u d·u + N_θ (s n_q × d)·θ)
             rotation:      Σ_q c_q d·θ_q
         """
+        points = np.cumsum([len(functionals.patches[i].weight) for i in functionals.patch])
+        blocks = np.split(np.arange(len(functionals)), np.flatnonzero(np.diff(points // POINTS)) + 1)
+        matrix = vstack([self._reading(functionals, block) for block in blocks], format="csr")
+        matrix.eliminate_zeros()
+        return matrix
+
+    def _reading(self, functionals, chosen) -> csr_matrix:
+        """Some rows of L, what its patches' points read of the same freedom added up."""
         rows, columns, values = [], [], []
-        for row in range(len(functionals)):
+        for at, row in enumerate(chosen):
             patch = functionals.patches[functionals.patch[row]]
             direction = functionals.direction[row]
             if functionals.rotation[row]:
@@ -294,7 +303,7 @@ class ShellPart:
             else:
                 N = patch.weight[:, None] * self._kind.displacement.shape(patch.barycentric)
                 dofs = self._displacement_dofs[patch.triangle]  # (q, nodes, 3)
-                rows.append(np.full(dofs.size, row)), columns.append(dofs)
+                rows.append(np.full(dofs.size, at)), columns.append(dofs)
                 values.append(N[:, :, None] * direction)
                 if functionals.side[row] == 0:
                     continue
@@ -302,11 +311,9 @@ class ShellPart:
                 lever = np.cross(offset * self.surface.normals[patch.triangle], direction)
             N = patch.weight[:, None] * self._kind.rotation.shape(patch.barycentric)
             dofs = self._rotation_dofs[patch.triangle]
-            rows.append(np.full(dofs.size, row)), columns.append(dofs)
+            rows.append(np.full(dofs.size, at)), columns.append(dofs)
             values.append(N[:, :, None] * lever[:, None, :])
-        matrix = self._sparse(rows, columns, values, len(functionals))
-        matrix.eliminate_zeros()
-        return matrix
+        return self._sparse(rows, columns, values, len(chosen))
 
     def gravity(self, acceleration: np.ndarray, density: float) -> np.ndarray:
         """(ndof,) weight of the sheet, N: ∫ ρ t a·u dA for the acceleration a (3,) in mm/s² and ρ in t/mm³.

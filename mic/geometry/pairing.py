@@ -685,9 +685,7 @@ def find_between(
     for one in np.unique(face):
         own = np.flatnonzero(face == one)
         nearest = cKDTree(np.array(centres)[of_pair == one]).query(cloud.point[own])[0]
-        for _ in range(min((of_pair == one).sum(), len(own))):
-            chosen.append(own[_first(nearest, tie)])
-            nearest = np.minimum(nearest, np.linalg.norm(cloud.point[own] - cloud.point[chosen[-1]], axis=1))
+        chosen.extend(own[_farthest(cloud.point[own], nearest, min((of_pair == one).sum(), len(own)), tie)])
     fused = _fused(pressed, cloud, tie)
     between = [
         replace(_pair(cloud.take([i]), cloud.area[i], sampled, other, swap), nugget=int(fused[i])) for i in chosen
@@ -981,6 +979,20 @@ def _first(value, tie):
     return int(np.argmax(value >= np.max(value) - tie))
 
 
+def _farthest(point, nearest, count, tie):
+    """(count,) points one after the other, each the farthest from those before it and from what stands already.
+
+    `nearest` (n,) is how far each point is from what stands already, mm. A point's distance can become less only within
+    a ball about the chosen one, of the largest of these as radius: the more are chosen, the smaller it is.
+    """
+    tree, nearest, chosen = cKDTree(point), nearest.copy(), np.empty(max(count, 0), dtype=np.int64)
+    for k in range(len(chosen)):
+        chosen[k] = one = _first(nearest, tie)
+        near = tree.query_ball_point(point[one], nearest[one] + 3 * tie)
+        nearest[near] = np.minimum(nearest[near], np.linalg.norm(point[near] - point[one], axis=1))
+    return chosen
+
+
 def _nearest(centres, point, tie):
     """(n,) the centre nearest to each point; the first of those that are as near."""
     return _two_nearest(centres, point, tie)[0]
@@ -1023,10 +1035,7 @@ def _centres(point, weight, count, tie, fixed):
         middle = np.average(point, axis=0, weights=weight)
         centres = [point[_first(np.linalg.norm(point - middle, axis=1), tie)]]
     nearest = cKDTree(np.array(centres)).query(point)[0]
-    while len(centres) < count:
-        centres.append(point[_first(nearest, tie)])
-        nearest = np.minimum(nearest, np.linalg.norm(point - centres[-1], axis=1))
-    centres = np.array(centres)
+    centres = np.array([*centres, *point[_farthest(point, nearest, count - len(centres), tie)]])
     cells = _Cells(centres, point, tie)
     for _ in range(50):
         cell = cells.of

@@ -18,9 +18,9 @@ from verification.plots import panels
 from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
-#: mm, from half a nugget's radius on, to which larger elements are divided there; the last judges the index of the
-#: three before
-LAP = (1.25, 0.625, 0.3125, 0.2)
+#: mm; no element of either strip is larger than half a nugget's radius, to which it would be divided there (those of
+#: the upper one are 1.15 times as large); the last judges the index of the three before
+LAP = (1.0, 0.5556, 0.3125, 0.2)
 #: mm: coarse, whose pairs all have, medium, fine, and what stands for the limit
 WHEELHOUSE, QUICK_WHEELHOUSE = (17.5, 8.0, 5.0, 2.83), (30.0, 21.0, 15.0, 10.5)
 FORMAL = 2.0  # order of the elements' energy
@@ -135,8 +135,19 @@ HELD = {"lap_joint": same_discs, "wheelhouse": same_points}
 
 
 def on_mesh(context, name, size, samples, contacts):
-    """h = √(area / triangles), mm, and :func:`statistics_of` a scene on a mesh, its contact pairs those given."""
+    """h = √(area / triangles), mm, and :func:`statistics_of` a scene on a mesh, its contact pairs those given.
+
+    Raises
+    ------
+    RuntimeError
+        If elements of meshes that are extrapolated from were divided at nuggets, so that there they are no series.
+    """
     model, assembly = reduced_and_assembly(HELD[name](shipped(name, size), contacts), context.cache)
+    drawn = assembly.surfaces
+    if HELD[name] is same_discs and any(
+        len(one.surface.points) > len(drawn[one.name].points) for one in assembly.parts
+    ):
+        raise RuntimeError(f"{name}: elements of {size} mm are divided at nuggets; begin with smaller ones")
     area = sum(
         np.linalg.norm(np.cross(*np.diff(part.surface.corners, axis=1).transpose(1, 0, 2)), axis=1).sum() / 2
         for part in assembly.parts
