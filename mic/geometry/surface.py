@@ -26,6 +26,7 @@ __all__ = ["EQUAL", "Patch", "Projection", "Surface", "closest_barycentric"]
 
 INNER = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6  #: points of a triangle with equal weight, see Surface.whole
 EQUAL = 1e-7  #: lengths that differ by less than this share of the size of things are equal; so are cosines and ratios
+TOGETHER = 500_000  # triangles near points that are looked at together: they take some 300 bytes each
 LEAST = 3  # parts of an edge of a triangle that a disc's rim may cross; smaller ones within have three points each
 
 
@@ -304,16 +305,14 @@ class Surface:
         """
         front, use = np.unique(2 * np.asarray(triangle) + (np.asarray(side) > 0), return_inverse=True)
         one, sign = front // 2, np.where(front % 2, 1.0, -1.0)
-        near = self._tree.query_ball_point(
-            other._centroids[one], other.reach[one] + reach + self.reach.max() * (1 + 1e-9) + self.tie
-        )
-        owner, found = _listed(near)
-        kept = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
-        owner, found = owner[kept], found[kept]
-        step = self.corners[found] - other._centroids[one[owner]][:, None]
-        ahead = np.einsum("qcj,qj->qc", step, other.normals[one[owner]] * sign[owner, None])
+        farthest = other.reach[one] + reach + self.reach.max() * (1 + 1e-9) + self.tie
         some = np.zeros(len(one), dtype=bool)
-        some[owner[ahead.min(1) < -self.tie]] = True
+        for owner, found in self._centred_near(other._centroids[one], farthest):
+            kept = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
+            owner, found = owner[kept], found[kept]
+            step = self.corners[found] - other._centroids[one[owner]][:, None]
+            ahead = np.einsum("qcj,qj->qc", step, other.normals[one[owner]] * sign[owner, None])
+            some[owner[ahead.min(1) < -self.tie]] = True
         return some[use]
 
     def _closest(self, x, normal, max_angle, reach=np.inf, side=None):
@@ -326,7 +325,20 @@ class Surface:
         cosine = np.cos(max_angle)
         bound = np.full(len(x), reach) if side is not None else self._near(x, normal, cosine, reach)
         search = np.where(bound >= 0, bound + self.reach.max() * (1 + 1e-9) + self.tie, 0.0)
-        owner, triangle = _listed(self._tree.query_ball_point(x, search))
+        found = [self._nearest_of(x, normal, cosine, side, bound, *some) for some in self._centred_near(x, search)]
+        owner, triangle, barycentric, foot = map(np.concatenate, zip(*found))
+        return owner, triangle, barycentric, foot
+
+    def _centred_near(self, x, radius):
+        """The triangles whose centroids lie within a radius (n,) of each x (n, 3): owner and triangle, some points at a
+        time, as on meshes finer than the sheets are thick there are thousands for each."""
+        count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
+        for rows in np.split(np.arange(len(x)), np.flatnonzero(np.diff(count // TOGETHER)) + 1):
+            owner, triangle = _listed(self._tree.query_ball_point(x[rows], radius[rows]))
+            yield rows[owner], triangle
+
+    def _nearest_of(self, x, normal, cosine, side, bound, owner, triangle):
+        """Those of the owners' triangles that hold their closest points, as :meth:`_closest` returns them."""
         away = np.linalg.norm(self._centroids[triangle] - x[owner], axis=1)
         near = away <= bound[owner] + self.reach[triangle] * (1 + 1e-9) + self.tie
         owner, triangle = owner[near], triangle[near]
@@ -424,7 +436,7 @@ class Surface:
         Sub-triangles that the rim crosses are cut along the chord, exactly where its ends are. Taken whole or not at
         all by their midpoints, they would shift the disc's centre by up to a hundredth of its radius, differently on
         each mesh: more than a fine mesh leaves of error. Small triangles have several points all the same: one each
-        would be loads at points no nearer to each other than nodes, and sheets feel these, by up to 0.3 % in their plane.
+        would be loads at points no nearer to each other than nodes, which move a nugget's compliance by up to 0.3 %.
         """
         reach = np.linalg.norm(self.corners[triangles] - center, axis=2).max(1)
         small = self.edge_lengths[triangles].max(1) <= (LEAST - 1 + EQUAL) * radius / 8
