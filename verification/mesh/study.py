@@ -317,7 +317,7 @@ STUDY = Study(
             reason="The setting reference, slips as well: 1 %.",
         ),
     ),
-    seconds=(240, 110),
-    memory=4.0,
+    seconds=(270, 110),
+    memory=3.0,
     run=run,
 )
