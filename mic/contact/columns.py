@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from threading import Lock
 
 import numpy as np
 
-__all__ = ["Columns"]
+__all__ = ["Columns", "untouched"]
 
 
 class Columns:
@@ -33,7 +34,7 @@ class Columns:
 
     def __init__(self, find: Callable[[np.ndarray], np.ndarray], shape: tuple[int, int]):
         self.shape, self._find = shape, find
-        # Columns that were there when the matrix was made or sent elsewhere, and those found since, with room for more.
+        # Columns that were there when the matrix was made or sent elsewhere, and those found since, with room for all.
         self._given, self._own, self._count = np.empty((0, shape[0])), np.empty((0, shape[0])), 0
         self._at = np.full(shape[1], -1, dtype=np.int64)
         self._finding = Lock()
@@ -105,14 +106,21 @@ class Columns:
         if not len(new):  # another thread has found them meanwhile
             return
         count = self._count + len(new)
-        if count > len(self._own):
-            room = np.empty((min(max(2 * self._count, count), self.shape[1]), self.shape[0]))
-            room[: self._count] = self._own[: self._count]
-            self._own = room
+        if not len(self._own):
+            self._own = untouched(self.shape[1] - len(self._given), self.shape[0])
         self._own[self._count : count] = self._find(new)
         at = self._at.copy()  # others may share it, or read it now
         at[new] = len(self._given) + np.arange(self._count, count)
         self._at, self._count = at, count
+
+
+def untouched(*shape: int) -> np.ndarray:
+    """Zeros that take memory where they are written, and nowhere else: from the system, for the allocator that MPI
+    brings along writes all that it gives. Processes do not share them."""
+    size = int(np.prod(shape))
+    if not size:
+        return np.zeros(shape)
+    return np.frombuffer(mmap(-1, 8 * size, flags=MAP_PRIVATE | MAP_ANONYMOUS), float, size).reshape(shape)
 
 
 def _first(S: Columns, count: int, numbers: np.ndarray) -> np.ndarray:

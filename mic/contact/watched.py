@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,7 +31,7 @@ from scipy.spatial.distance import cdist
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import FRICTIONLESS, Law
-from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, at_once
+from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, at_once, ended
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN, SLIP, STICK, classify
@@ -46,6 +47,7 @@ ROUNDS = 40  # in which a working set may grow
 MANY = 300  # contacts that a sample may begin a path with unasked
 PREPARED = 1500  # contacts that are prepared for all samples together: some 0.3 GB
 TOGETHER = 2000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
+FAR = 1e9  # mm: no contact closes that
 CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
 
 
@@ -147,6 +149,7 @@ class WatchedSolver:
         self._joined = self._beside.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
         self._pressing: ContactSolver | None = None  # see _pressed
+        self._landing: Any = None  # see _may_land
 
     def under(self, friction: Friction) -> WatchedSolver:
         """The same candidates under another friction; what the compliance alone decides is kept."""
@@ -155,6 +158,7 @@ class WatchedSolver:
         some._parameters, some.carried = self.law.parameters(some._friction), np.zeros_like(self.carried)
         of = lambda solver, own: solver.under(some._friction.take(own))
         some._solvers = {key: of(one, np.frombuffer(key, dtype=bool)) for key, one in self._solvers.items()}
+        some._landing = None
         some._prepared = None if self._prepared is None else of(self._prepared, self._joined)
         return some
 
@@ -294,7 +298,15 @@ class WatchedSolver:
             if self._guessing:
                 working[:] = working.any(axis=0)
             self._prepare(working[todo].any(axis=0))
-            for samples, own in _alike(working, todo, TOGETHER if looking else None):
+            left = todo
+            if round_ > 0 and path is None and self._may_land(working[todo]):
+                solution = self._landed(working[todo], b[todo], force[todo], anchor[todo])
+                self._put(found, todo, self._joined, solution, b[todo])
+                iterations[todo] += solution.iterations
+                factorisations[todo] += solution.trace.factorisations
+                force[todo] = found.force[todo]
+                left = todo[~solution.converged]
+            for samples, own in _alike(working, left, TOGETHER if looking else None):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], way)
                 self._put(found, samples, own, solution, b[samples])
                 if looking:
@@ -319,6 +331,28 @@ class WatchedSolver:
         found.status[todo] = Status.NOT_CONVERGED
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
+
+    def _may_land(self, working) -> bool:
+        """Whether samples may begin with what the round before found: of many contacts that most press, the inverse is
+        there, and what all samples need is prepared."""
+        if self._guessing or not self.law.frictional or self._settings.get("backend", "native") != "native":
+            return False
+        if self._start.sum() <= MANY or self._prepared is None or (working & ~self._joined).any():
+            return False
+        if self._landing is None:
+            self._landing = self._solver(self._start).backend.landing(self._start, self._S)
+        return bool(self._landing)
+
+    def _landed(self, working, b, force, anchor) -> PathSolution:
+        """The last loads at once, from forces that are near, over all candidates that are prepared; those that a sample
+        does not have are far away from each other."""
+        among, rows = np.flatnonzero(self._joined), np.repeat(self._joined, self._d)
+        end = b[:, -1, rows].reshape(len(b), -1, self._d)
+        end[:, :, 1:] -= anchor[:, among]
+        end[:, :, 0][~working[:, among]] = FAR
+        solver, given = self._prepared, (end.reshape(len(b), -1), force[:, rows])
+        solution = ended(solver, solver.certified(given[0], *solver.backend.land(*given, among, self._landing)))
+        return replace(solution, anchor=solution.anchor + anchor[:, among])
 
     def _touching(self, b, force, anchor) -> np.ndarray:
         """(n, m) which of the candidates that samples begin with carry force where the path begins or ends, each taken

@@ -33,6 +33,7 @@ __all__ = [
     "force_scale",
     "gauss_seidel",
     "jit",
+    "linear_step",
     "local_factors",
     "newton",
     "solve_by_splitting",
@@ -56,6 +57,9 @@ RANK = 1e-10
 NEARLY = 1e-9
 #: Steps of Newton's method without a gain before it is given up.
 PATIENT = 6
+#: Rows above which a product for several samples at once saves most of its time, and how many: always so many, since
+#: BLAS adds up in another order otherwise.
+LARGE, TOGETHER = 900, 8
 #: Rows and columns of pieces of a matrix that are taken with those of its transpose.
 TILE = 32
 
@@ -478,7 +482,7 @@ def _apart(W, own):
 
 
 @jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR))
-def _linear_step(W, A, B, phi, state, known, z, damping, x):
+def linear_step(W, A, B, phi, state, known, z, damping, x):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
     Fills ``x``.  Contacts that slide have two unknowns, others three: the matrix has the first ones of all contacts,
@@ -628,12 +632,12 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
             stuck += state[k] == STICK
             free += state[k] == OPEN
         if stuck > free and len(inverse) > 0:
-            _linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change)
+            linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change)
             times(inverse, change, step)
         elif m - free > crowd:
             return _relative(error, size), iteration
         else:
-            _linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step)
+            linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step)
         if halvings == 0:
             trial_y += step
         else:
@@ -663,35 +667,33 @@ def starting_scale(q):
     return np.sqrt(total)
 
 
-@jit(void(NUMBER, MATRIX, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR, int64))
-def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
-    """Over-relaxed ADMM, in place, with ``resolvent = (W + ρ I)⁻¹``.
+@jit(void(NUMBER, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR))
+def _split(shift, q, parameters, rho, z, l, r, x):
+    """A step of over-relaxed ADMM, in place, with ``x = (W + ρ I)⁻¹ r``.
 
-    ``x = resolvent r``; ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so
-    that De Saxcé's shift is ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
+    ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that De Saxcé's shift is
+    ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
     """
-    for _ in range(steps):
-        times(resolvent, r, x)
-        for k in range(len(parameters)):
-            i = 3 * k
-            mu = parameters[k, 0]
-            v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
-            v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
-            v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
-            t = np.sqrt(v1 * v1 + v2 * v2)
-            if mu * t <= -v0:
-                z0, shrink = 0.0, 0.0
-            elif t <= mu * v0:
-                z0, shrink = v0, 1.0
-            else:
-                z0 = (v0 + mu * t) / (1.0 + mu * mu)
-                shrink = mu * z0 / t
-            z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
-            l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
-            opening = shift * mu * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
-            r[i] = rho * z0 - l[i] - q[i] - opening
-            r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
-            r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
+    for k in range(len(parameters)):
+        i = 3 * k
+        mu = parameters[k, 0]
+        v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
+        v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
+        v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
+        t = np.sqrt(v1 * v1 + v2 * v2)
+        if mu * t <= -v0:
+            z0, shrink = 0.0, 0.0
+        elif t <= mu * v0:
+            z0, shrink = v0, 1.0
+        else:
+            z0 = (v0 + mu * t) / (1.0 + mu * mu)
+            shrink = mu * z0 / t
+        z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
+        l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
+        opening = shift * mu * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
+        r[i] = rho * z0 - l[i] - q[i] - opening
+        r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
+        r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
 @jit(
@@ -732,31 +734,44 @@ def solve_by_splitting(
 ):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.
+    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.  Of more
+    than :data:`LARGE` rows some samples take the steps of the splitting together; each remains what it is alone.
     """
-    m = len(parameters)
-    for s in range(len(Q)):
-        q = Q[s]
-        scale = starting_scale(q)
-        z, l, x = Y[s].copy(), np.zeros_like(q), np.empty_like(q)
-        r = rho * z - q
-        w = np.empty_like(q)
-        run, best = steps, np.inf
+    m, size = len(parameters), len(W)
+    together = TOGETHER if size > LARGE else 1
+    for first in range(0, len(Q), together):
+        own = Q[first : first + together]
+        count, left = len(own), len(own)
+        Z, L, X = Y[first : first + count].copy(), np.zeros_like(own), np.empty_like(own)
+        R, best, run = np.zeros((together, size)), np.full(count, np.inf), steps
+        R[:count] = rho * Z - own
         for _ in range(rounds):
-            _split(shift, resolvent, q, parameters, rho, z, l, r, x, run)
-            y = z.copy()
-            times(W, y, w)
-            w += q
-            error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
-            iterations[s] += run + more
-            factorisations[s] += more
-            if error < best:
-                best = error
-                Y[s] = y
-            if error <= tol:
+            for _ in range(run):
+                if together > 1:
+                    X = np.dot(R, resolvent)
+                for s in range(count):
+                    if best[s] > tol:
+                        if together == 1:
+                            times(resolvent, R[s], X[s])
+                        _split(shift, own[s], parameters, rho, Z[s], L[s], R[s], X[s])
+            for s in range(count):
+                if best[s] <= tol:
+                    continue
+                q, y, w = own[s], Z[s].copy(), np.empty(size)
+                scale = starting_scale(q)
+                times(W, y, w)
+                w += q
+                error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
+                iterations[first + s] += run + more
+                factorisations[first + s] += more
+                if error < best[s]:
+                    best[s] = error
+                    Y[first + s] = y
+                left -= error <= tol
+            if left == 0:
                 break
             run *= 2
-        errors[s] = best
+        errors[first : first + count] = best
 
 
 @jit(
