@@ -85,11 +85,13 @@ class Landing:
         scale, least, y = kernels.starting_scale(q), np.inf, best.copy()
         phi, w, state = np.empty(3 * m), np.empty(3 * m), np.empty(m, np.int64)
         A, B = np.empty((m, 3, 3)), np.empty((m, 3, 3))
+        two = np.full(1, -1)  # contacts whose forces are unknown, and what that takes
         for step in range(STEPS + 1):
             kernels.times(problem.W, y, w)
             w += q
             kernels.derivative(problem.equation, problem.parameters, y, w, phi, A, B, state)
-            error, size = np.linalg.norm(phi), kernels.force_scale(scale, q, y, w)
+            # Without the contacts that obey their law, whose number hangs on what others need.
+            error, size = np.linalg.norm(phi[phi != 0.0]), kernels.force_scale(scale, q, y, w)
             if error < least:
                 least, best[:] = error, y
             if error <= tol * size or step == STEPS or not np.isfinite(error):
@@ -97,19 +99,23 @@ class Landing:
             nought = np.where(np.repeat(held, 3), w, y).reshape(m, 3)
             unknown = np.where(held, state != STICK, state != OPEN)
             unknown |= (np.abs(nought) > SETTLED * tol * size).any(axis=1)
-            one, two = np.flatnonzero(unknown & held), np.flatnonzero(unknown & ~held)
+            if unknown.sum() > (state != OPEN).sum():  # more than without an inverse
+                break
+            one, before, two = np.flatnonzero(unknown & held), two, np.flatnonzero(unknown & ~held)
             mine, others, few = np.append(one, two), _rows(two), 3 * len(one)
-            touching = problem.W[others][:, rows]  # W_NP
-            answers = self._answers.take(_rows(among[two])) * unit[others, None]  # (V W_PN)ᵀ
+            if not np.array_equal(before, two):
+                touching = problem.W[others][:, rows]  # W_NP
+                answers = self._answers.take(_rows(among[two])) * unit[others, None]  # (V W_PN)ᵀ
+                free = kernels.block(problem.W, two, 3) - answers @ touching.T
             columns = np.empty((3 * len(mine),) * 2)
             columns[:few, :few] = kernels.block(self._inverse, place[one], 3)
             columns[few:, :few] = -answers[:, _rows(place[one])]
             columns[:few, few:] = -columns[few:, :few].T
-            columns[few:, few:] = kernels.block(problem.W, two, 3) - answers @ touching.T
+            columns[few:, few:] = free
             first, second = A[mine], B[mine]
             first[: len(one)], second[: len(one)] = B[one], A[one]
             x, nothing = np.empty(len(columns)), np.empty(0)
-            kernels.linear_step(columns, first, second, phi[_rows(mine)], state[mine], EVERY, nothing, 0.0, x)
+            kernels.linear_step(columns, first, second, phi[_rows(mine)], state[mine], EVERY, nothing, 0.0, False, x)
             change, answer = -(x[few:] @ touching), np.empty(len(rows))
             change[_rows(place[one])] += x[:few]
             kernels.times(self._inverse, change, answer)
