@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from threading import Lock
 
 import numpy as np
 
-__all__ = ["Columns", "untouched"]
+from mic.contact.memory import untouched
+
+__all__ = ["Columns"]
 
 
 class Columns:
@@ -80,6 +81,10 @@ class Columns:
         self._provide(numbers)
         return symmetric(self._given, self._own, self._at, np.ascontiguousarray(numbers, dtype=np.int64))
 
+    def through(self, find: Callable[[np.ndarray], np.ndarray], rows: int) -> Columns:
+        """(rows, c) whose columns are a function of this matrix's, told (k, r) and returned (k, rows)."""
+        return Columns(partial(_through, self, find), (rows, self.shape[1]))
+
     def first(self, count: int) -> Columns:
         """(count, count) the first rows and columns."""
         return self if self.shape == (count, count) else Columns(partial(_first, self, count), (count, count))
@@ -114,17 +119,12 @@ class Columns:
         self._at, self._count = at, count
 
 
-def untouched(*shape: int) -> np.ndarray:
-    """Zeros that take memory where they are written, and nowhere else: from the system, for the allocator that MPI
-    brings along writes all that it gives. Processes do not share them."""
-    size = int(np.prod(shape))
-    if not size:
-        return np.zeros(shape)
-    return np.frombuffer(mmap(-1, 8 * size, flags=MAP_PRIVATE | MAP_ANONYMOUS), float, size).reshape(shape)
-
-
 def _first(S: Columns, count: int, numbers: np.ndarray) -> np.ndarray:
     return S.take(numbers)[:, :count]
+
+
+def _through(S: Columns, find: Callable[[np.ndarray], np.ndarray], numbers: np.ndarray) -> np.ndarray:
+    return find(S.take(numbers))
 
 
 def _missing(numbers):

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -36,6 +36,9 @@ from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN, SLIP, STICK, classify
 from mic.contact.trail import Trail, trails
+
+if TYPE_CHECKING:
+    from mic.contact.native.landing import Landing
 
 __all__ = ["PENETRATION", "Foreseen", "WatchedSolver"]
 
@@ -149,7 +152,7 @@ class WatchedSolver:
         self._joined = self._beside.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
         self._pressing: ContactSolver | None = None  # see _pressed
-        self._landing: Any = None  # see _may_land
+        self._landing: Landing | None = None  # see _near
 
     def under(self, friction: Friction) -> WatchedSolver:
         """The same candidates under another friction; what the compliance alone decides is kept."""
@@ -298,10 +301,12 @@ class WatchedSolver:
             if self._guessing:
                 working[:] = working.any(axis=0)
             self._prepare(working[todo].any(axis=0))
-            left = todo
-            if round_ > 0 and path is None and self._may_land(working[todo]):
-                solution = self._landed(working[todo], b[todo], force[todo], anchor[todo])
+            left, near = todo, self._near(working[todo]) if round_ and path is None else None
+            if near is not None:
+                solution = self._landed(*near, working[todo], b[todo], force[todo], anchor[todo])
                 self._put(found, todo, self._joined, solution, b[todo])
+                u = found.displacement[todo].reshape(len(todo), m, d)
+                found.anchor[todo] = np.where(working[todo, :, None], found.anchor[todo], u[:, :, 1:])
                 iterations[todo] += solution.iterations
                 factorisations[todo] += solution.trace.factorisations
                 force[todo] = found.force[todo]
@@ -332,26 +337,28 @@ class WatchedSolver:
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
 
-    def _may_land(self, working) -> bool:
-        """Whether samples may begin with what the round before found: of many contacts that most press, the inverse is
-        there, and what all samples need is prepared."""
-        if self._guessing or not self.law.frictional or self._settings.get("backend", "native") != "native":
-            return False
-        if self._start.sum() <= MANY or self._prepared is None or (working & ~self._joined).any():
-            return False
+    def _near(self, working) -> tuple[ContactSolver, Landing] | None:
+        """What samples with these sets (n, m) need to begin with what the round before found: most press the same many
+        contacts, whose inverse is at hand, and all are prepared."""
+        native = self._settings.get("backend", "native") == "native"
+        if self._guessing or not self.law.frictional or not native or self._start.sum() <= MANY:
+            return None
+        if self._prepared is None or (working & ~self._joined).any():
+            return None
         if self._landing is None:
             self._landing = self._solver(self._start).backend.landing(self._start, self._S)
-        return bool(self._landing)
+        return (self._prepared, self._landing) if self._landing else None
 
-    def _landed(self, working, b, force, anchor) -> PathSolution:
+    def _landed(self, solver: ContactSolver, landing: Landing, working, b, force, anchor) -> PathSolution:
         """The last loads at once, from forces that are near, over all candidates that are prepared; those that a sample
         does not have are far away from each other."""
         among, rows = np.flatnonzero(self._joined), np.repeat(self._joined, self._d)
         end = b[:, -1, rows].reshape(len(b), -1, self._d)
         end[:, :, 1:] -= anchor[:, among]
         end[:, :, 0][~working[:, among]] = FAR
-        solver, given = self._prepared, (end.reshape(len(b), -1), force[:, rows])
-        solution = ended(solver, solver.certified(given[0], *solver.backend.land(*given, among, self._landing)))
+        load = end.reshape(len(b), -1)
+        landed = solver.backend.land(load, force[:, rows], among, landing)
+        solution = ended(solver, solver.certified(load, *landed))
         return replace(solution, anchor=solution.anchor + anchor[:, among])
 
     def _touching(self, b, force, anchor) -> np.ndarray:

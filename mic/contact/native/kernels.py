@@ -692,7 +692,8 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     step, change = np.empty(n), np.empty(n)
     trial_y, trial_w = y.copy(), w.copy()
     error, size, gained, approach = np.inf, 0.0, 0, True
-    for iteration in range(steps + 1):
+    iteration = 0
+    while True:
         derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
         trial = np.sqrt(np.dot(phi, phi))
         if iteration == 0 or trial < error or (halvings > 0 and np.isfinite(trial)):
@@ -728,7 +729,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
                 return _relative(error, size), iteration + 1
         times(W, trial_y, trial_w)
         trial_w += q
-    return _relative(error, size), steps
+        iteration += 1
 
 
 @jit(NUMBER(VECTOR))

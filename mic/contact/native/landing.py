@@ -12,12 +12,16 @@ Columns of ``V W_PN`` are found when a sample first needs them, and kept. What i
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from mic.contact.columns import Columns
 from mic.contact.native import kernels
 from mic.contact.native.problem import ScaledProblem
 from mic.contact.states import OPEN, STICK
+
+if TYPE_CHECKING:
+    from mic.contact.columns import Columns
 
 __all__ = ["Landing"]
 
@@ -43,20 +47,20 @@ class Landing:
     """
 
     def __init__(self, held: ScaledProblem, unit: np.ndarray, own: np.ndarray, S: Columns):
-        self._inverse, self._unit, self._own, self._S = held.splitting[0], unit, own, S
-        self._answers = Columns(self._found, (len(unit), len(S)))
+        self._inverse, self._unit, self._own = held.splitting[0], unit, own
+        self._answers = S.through(self._answer, len(unit))
 
     def __bool__(self) -> bool:
         """Whether the inverse is accurate."""
         return len(self._inverse) > 0
 
-    def _found(self, numbers: np.ndarray) -> np.ndarray:
-        """(k, 3p) columns of ``V W_PN``, but for the units of the forces in N."""
-        column = np.zeros((-(-len(numbers) // TOGETHER) * TOGETHER, len(self._unit)))
-        column[: len(numbers)] = self._S.take(numbers)[:, np.repeat(self._own, 3)] * self._unit
-        for first in range(0, len(column), TOGETHER):
-            column[first : first + TOGETHER] = column[first : first + TOGETHER] @ self._inverse
-        return column[: len(numbers)]
+    def _answer(self, column: np.ndarray) -> np.ndarray:
+        """(k, 3p) columns of ``V W_PN``, but for the units of the forces in N, from columns (k, 3m) of S."""
+        padded = np.zeros((-(-len(column) // TOGETHER) * TOGETHER, len(self._unit)))
+        padded[: len(column)] = column[:, np.repeat(self._own, 3)] * self._unit
+        for first in range(0, len(padded), TOGETHER):
+            padded[first : first + TOGETHER] = padded[first : first + TOGETHER] @ self._inverse
+        return padded[: len(column)]
 
     def solve(self, problem: ScaledProblem, unit: np.ndarray, among: np.ndarray, Q: np.ndarray, Y: np.ndarray, tol):
         """Every sample by itself, from the forces Y (n, 3k), which become those with the least error.

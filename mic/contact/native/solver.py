@@ -6,19 +6,23 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mic.contact import ladder
-from mic.contact.columns import Columns, untouched
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
+from mic.contact.memory import untouched
 from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
 from mic.contact.trail import Trail, trails
+
+if TYPE_CHECKING:
+    from mic.contact.columns import Columns
 
 __all__ = ["NativeSolver"]
 
@@ -123,22 +127,15 @@ class NativeSolver:
         force[:, :: self._stride] = Y * self.scaling
         return force, iterations, factorisations, found
 
-    def land(self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing) -> tuple:
-        """What :meth:`solve` returns, by Newton's method from the guess alone; for laws with friction.
+    def landing(self, own: np.ndarray, S: Columns) -> Landing:
+        """See :meth:`mic.contact.backends.Backend.landing`."""
+        return Landing(self.problem, self.scaling, own, S)
 
-        Parameters
-        ----------
-        b, guess : (n, 3m) array
-        among : (m,) int array
-            Numbers of this problem's contacts among those that `landing` knows.
-        """
+    def land(self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing):
+        """See :meth:`mic.contact.backends.Backend.land`."""
         Q, Y = np.ascontiguousarray(b * self.scaling), np.ascontiguousarray(guess / self.scaling)
         spent = landing.solve(self.problem, self.scaling, among, Q, Y, ladder.MARGIN * self.tol)
-        return Y * self.scaling, spent, spent, np.full(len(b), "guess", dtype=object)
-
-    def landing(self, own: np.ndarray, S: Columns) -> Landing:
-        """For samples most of which press these contacts, `own` (m,) of all, whose compliance is `S`."""
-        return Landing(self.problem, self.scaling, own, S)
+        return Y * self.scaling, spent, spent.copy(), np.full(len(b), "guess", dtype=object)
 
     def _solve_apart(self, b, unsolved, rungs, Y, iterations, factorisations, found):
         """The same samples, contacts that hang together by themselves: each goes down the ladder as far as it must."""
@@ -278,7 +275,6 @@ class NativeSolver:
             )
 
         self._each(chunk, len(some))
-        leg.steps[some] = counts[some, follower.STEPS]
         leg.factorisations[some] += counts[some, follower.FACTORISATIONS]
         leg.given_up[some] = counts[some, follower.FAILED] > 0
 
