@@ -350,7 +350,13 @@ def _times_together(W, X, out):
                 out3[j] += w0 * d0 + w1 * d1 + w2 * d2
     for s in range(whole, len(X)):
         only = out[s]
-        for i in range(0, n, 3):
+        for i in range(0, n - n % 6, 6):
+            row0, row1, row2, row3, row4, row5 = W[i], W[i + 1], W[i + 2], W[i + 3], W[i + 4], W[i + 5]
+            a0, a1, a2, a3, a4, a5 = X[s, i], X[s, i + 1], X[s, i + 2], X[s, i + 3], X[s, i + 4], X[s, i + 5]
+            for j in range(n):
+                one = only[j] + (row0[j] * a0 + row1[j] * a1 + row2[j] * a2)
+                only[j] = one + (row3[j] * a3 + row4[j] * a4 + row5[j] * a5)
+        for i in range(n - n % 6, n, 3):
             row0, row1, row2, a0, a1, a2 = W[i], W[i + 1], W[i + 2], X[s, i], X[s, i + 1], X[s, i + 2]
             for j in range(n):
                 only[j] += row0[j] * a0 + row1[j] * a1 + row2[j] * a2
