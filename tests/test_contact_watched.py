@@ -11,6 +11,7 @@ from mic.contact import ContactSolver, laws
 from mic.contact import watched as watching
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
+from mic.contact.native import landing
 from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
 from mic.contact.problems import compliant
@@ -249,13 +250,14 @@ def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(prob
     start, end = np.arange(M) % 3 == 0, 0.3 * b[:, 1]
     end[:, ::3][:, start] = -1.0  # these press, and most stick; of the others some join
     apart = np.linalg.norm(point[:, None] - point, axis=2)
-    given = np.kron(np.eye(M) + 0.3 * np.exp(-apart / 15.0), np.eye(3)), point, None
+    given = np.kron(np.eye(M) + np.exp(-apart / 8.0), np.eye(3)), point, None
     friction = rough(0.3)
     usual = watched(given, law, start, friction=friction).solve(end)
     monkeypatch.setattr(watching, "MANY", 10)
+    monkeypatch.setattr(landing, "STEPS", 3)  # enough where each squares the error
     near = watched(given, law, start, friction=friction)
     found = near.solve(end)
-    assert usual.converged.all() and found.converged.all() and (found.rung == "guess").sum() > N / 2
+    assert usual.converged.all() and found.converged.all() and (found.rung == "guess").sum() >= 10
     for name in ("force", "displacement", "anchor"):
         size = np.abs(getattr(usual, name)).max()
         np.testing.assert_allclose(getattr(found, name), getattr(usual, name), atol=1e-9 * size)
