@@ -265,6 +265,9 @@ def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(prob
         alone = [solver.solve(end[[i]]) for i in range(N)]
         for name in ("force", "displacement", "anchor"):
             np.testing.assert_array_equal(getattr(found, name), np.concatenate([getattr(one, name) for one in alone]))
+    monkeypatch.setattr(watching, "PREPARED", 30)
+    apiece = watched(given, law, start, friction=friction)  # of more candidates no solver is had for all samples
+    np.testing.assert_array_equal(apiece.solve(end).force, found.force)
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated", "micro-slip"])

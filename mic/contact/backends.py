@@ -110,7 +110,7 @@ class Backend(Protocol):
         true where their inverse is not accurate."""
 
     def land(
-        self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing
+        self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """As :meth:`solve`, for a law with friction and guesses (n, 3m) that are near: Newton's method alone.
 

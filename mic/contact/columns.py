@@ -17,6 +17,10 @@ from mic.contact.memory import untouched
 
 __all__ = ["Columns"]
 
+ROOM = (
+    2**31
+)  # bytes of address space for columns to come: to move them when they are more takes longer than to find them
+
 
 class Columns:
     """A matrix (r, c) that is had by columns: what r rows read per contact force. Threads may share it.
@@ -35,7 +39,7 @@ class Columns:
 
     def __init__(self, find: Callable[[np.ndarray], np.ndarray], shape: tuple[int, int]):
         self.shape, self._find = shape, find
-        # Columns that were there when the matrix was made or sent elsewhere, and those found since, with room for all.
+        # Columns that were there when the matrix was made or sent elsewhere, and those found since, with room for more.
         self._given, self._own, self._count = np.empty((0, shape[0])), np.empty((0, shape[0])), 0
         self._at = np.full(shape[1], -1, dtype=np.int64)
         self._finding = Lock()
@@ -111,8 +115,11 @@ class Columns:
         if not len(new):  # another thread has found them meanwhile
             return
         count = self._count + len(new)
-        if not len(self._own):
-            self._own = untouched(self.shape[1] - len(self._given), self.shape[0])
+        if count > len(self._own):
+            most = max(2 * count, ROOM // (8 * self.shape[0]))
+            room = untouched(min(most, self.shape[1] - len(self._given)), self.shape[0])
+            room[: self._count] = self._own[: self._count]
+            self._own = room
         self._own[self._count : count] = self._find(new)
         at = self._at.copy()  # others may share it, or read it now
         at[new] = len(self._given) + np.arange(self._count, count)

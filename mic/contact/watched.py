@@ -152,7 +152,7 @@ class WatchedSolver:
         self._joined = self._beside.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
         self._pressing: ContactSolver | None = None  # see _pressed
-        self._landing: Landing | None = None  # see _near
+        self._landing: Landing | None = None  # see _lands
 
     def under(self, friction: Friction) -> WatchedSolver:
         """The same candidates under another friction; what the compliance alone decides is kept."""
@@ -301,16 +301,17 @@ class WatchedSolver:
             if self._guessing:
                 working[:] = working.any(axis=0)
             self._prepare(working[todo].any(axis=0))
-            left, near = todo, self._near(working[todo]) if round_ and path is None else None
-            if near is not None:
-                solution = self._landed(*near, working[todo], b[todo], force[todo], anchor[todo])
-                self._put(found, todo, self._joined, solution, b[todo])
-                u = found.displacement[todo].reshape(len(todo), m, d)
-                found.anchor[todo] = np.where(working[todo, :, None], found.anchor[todo], u[:, :, 1:])
-                iterations[todo] += solution.iterations
-                factorisations[todo] += solution.trace.factorisations
-                force[todo] = found.force[todo]
-                left = todo[~solution.converged]
+            left = todo
+            if round_ and path is None and self._lands():
+                for samples, own, solver in self._by_solver(working, todo):
+                    solution = self._landed(own, solver, working[samples], b[samples], force[samples], anchor[samples])
+                    self._put(found, samples, own, solution, b[samples])
+                    u = found.displacement[samples].reshape(len(samples), m, d)
+                    found.anchor[samples] = np.where(working[samples, :, None], found.anchor[samples], u[:, :, 1:])
+                    iterations[samples] += solution.iterations
+                    factorisations[samples] += solution.trace.factorisations
+                    force[samples] = found.force[samples]
+                left = todo[~found.converged[todo]]
             for samples, own in _alike(working, left, TOGETHER if looking else None):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], way)
                 self._put(found, samples, own, solution, b[samples])
@@ -337,27 +338,33 @@ class WatchedSolver:
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
 
-    def _near(self, working) -> tuple[ContactSolver, Landing] | None:
-        """What samples with these sets (n, m) need to begin with what the round before found: most press the same many
-        contacts, whose inverse is at hand, and all are prepared."""
+    def _lands(self) -> bool:
+        """Whether a round may begin with what the one before found: most samples press the same many contacts, whose
+        inverse is accurate; of a crowd it takes too long."""
         native = self._settings.get("backend", "native") == "native"
-        if self._guessing or not self.law.frictional or not native or self._start.sum() <= MANY:
-            return None
-        if self._prepared is None or (working & ~self._joined).any():
-            return None
+        if self._guessing or not self.law.frictional or not native or not MANY < self._start.sum() <= CROWD:
+            return False
         if self._landing is None:
             self._landing = self._solver(self._start).backend.landing(self._start, self._S)
-        return (self._prepared, self._landing) if self._landing else None
+        return bool(self._landing)
 
-    def _landed(self, solver: ContactSolver, landing: Landing, working, b, force, anchor) -> PathSolution:
-        """The last loads at once, from forces that are near, over all candidates that are prepared; those that a sample
-        does not have are far away from each other."""
-        among, rows = np.flatnonzero(self._joined), np.repeat(self._joined, self._d)
+    def _by_solver(self, working, todo) -> Iterator[tuple[np.ndarray, np.ndarray, ContactSolver]]:
+        """Samples of `todo`, candidates (m,) with their sets (n, m) among them, and the solver of these."""
+        if self._prepared is not None and not (working[todo] & ~self._joined).any():
+            yield todo, self._joined, self._prepared
+            return
+        for samples, own in _alike(working, todo):
+            yield samples, own, self._solver(own)
+
+    def _landed(self, own, solver: ContactSolver, working, b, force, anchor) -> PathSolution:
+        """The last loads at once, from forces that are near, over the candidates `own` (m,) of a solver; those that a
+        sample does not have are far away from each other."""
+        among, rows = np.flatnonzero(own), np.repeat(own, self._d)
         end = b[:, -1, rows].reshape(len(b), -1, self._d)
         end[:, :, 1:] -= anchor[:, among]
         end[:, :, 0][~working[:, among]] = FAR
         load = end.reshape(len(b), -1)
-        landed = solver.backend.land(load, force[:, rows], among, landing)
+        landed = solver.backend.land(load, force[:, rows], among, self._landing)
         solution = ended(solver, solver.certified(load, *landed))
         return replace(solution, anchor=solution.anchor + anchor[:, among])
 
