@@ -116,7 +116,7 @@ class Columns:
             return
         count = self._count + len(new)
         if count > len(self._own):
-            most = max(2 * count, ROOM // (8 * self.shape[0]))
+            most = max(2 * count, ROOM // (8 * max(self.shape[0], 1)))
             room = untouched(min(most, self.shape[1] - len(self._given)), self.shape[0])
             room[: self._count] = self._own[: self._count]
             self._own = room
