@@ -26,6 +26,7 @@ from mic.contact.problems import (
     slip_dominated,
     sphere_pile,
 )
+from mic.contact.states import OPEN, STICK
 
 FRICTION = [0.0, 1e-12, 0.27, 1.0, 5.0, 1e3]
 
@@ -350,6 +351,30 @@ def test_newton_for_forces_and_for_displacements_agree(law):
             )
             assert error <= tol and done < 10
             np.testing.assert_allclose(y * scaling, force, atol=1e-9)
+
+
+@pytest.mark.parametrize("condition, near", [(10.0, True), (1e6, False)])
+def test_a_large_step_is_approached_or_else_factorised(condition, near):
+    """Contacts that all stick: the forces that take their displacements back."""
+    m = kernels.LARGE // 3 + 5
+    W, rng = compliant(m, np.random.default_rng(4), condition), np.random.default_rng(5)
+    z, x = rng.normal(size=3 * m), np.empty(3 * m)
+    A, B, stick = np.zeros((m, 3, 3)), np.tile(np.eye(3), (m, 1, 1)), np.full(m, STICK)
+    assert kernels.linear_step(W, A, B, z, stick, OPEN, z, 0.0, True, x) == near
+    np.testing.assert_allclose(W @ x, -z, atol=1e-7 * np.abs(z).max())
+
+
+def test_many_contacts_that_stick_are_the_same_in_any_company():
+    m = kernels.LARGE // 3 + 5
+    rng = np.random.default_rng(6)
+    problem = manufactured(compliant(m, rng, 1e3), np.full(m, 0.3), 6, rng, stick=0.8, slide=0.1)
+    solver = ContactSolver(problem.S, problem.mu)
+    found = solver.solve(problem.b)
+    assert_solved(found, problem.S, problem.b, problem.mu)
+    assert set(found.rung) == {"splitting"}
+    np.testing.assert_allclose(found.force, problem.force, atol=1e-7 * np.abs(problem.force).max())
+    for some in (slice(0, 1), slice(2, 6), slice(1, 6)):  # by themselves, or in another place among four
+        np.testing.assert_array_equal(solver.solve(problem.b[some]).force, found.force[some])
 
 
 def test_a_sample_ends_within_its_budget(monkeypatch):

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from mic.contact import ContactSolver, laws
+from mic.contact import watched as watching
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
+from mic.contact.native import landing
 from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
 from mic.contact.problems import compliant
@@ -239,6 +241,33 @@ def test_one_increment_of_all_samples_in_one_call_is_that_of_each_alone(problem,
     assert (together.force[:, np.repeat(~allowed, 3)] == 0).all()
     for name in ("slip", "length", "work", "share", "error"):
         np.testing.assert_allclose(getattr(together.trace, name), getattr(one_by_one.trace, name), atol=1e-7)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "associated", "micro-slip", "pressure-dependent"])
+def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(problem, law, monkeypatch):
+    """Where most press the same contacts: the same answer, and the same bits in whatever company."""
+    _, point, b = problem
+    start, end = np.arange(M) % 3 == 0, 0.3 * b[:, 1]
+    end[:, ::3][:, start] = -1.0  # these press, and most stick; of the others some join
+    apart = np.linalg.norm(point[:, None] - point, axis=2)
+    given = np.kron(np.eye(M) + np.exp(-apart / 8.0), np.eye(3)), point, None
+    friction = rough(0.3)
+    usual = watched(given, law, start, friction=friction).solve(end)
+    monkeypatch.setattr(watching, "MANY", 10)
+    monkeypatch.setattr(landing, "STEPS", 3)  # enough where each squares the error
+    near = watched(given, law, start, friction=friction)
+    found = near.solve(end)
+    assert usual.converged.all() and found.converged.all() and (found.rung == "guess").sum() >= 10
+    for name in ("force", "displacement", "anchor"):
+        size = np.abs(getattr(usual, name)).max()
+        np.testing.assert_allclose(getattr(found, name), getattr(usual, name), atol=1e-9 * size)
+    for solver in (near, watched(given, law, start, friction=friction)):  # all is known, or nothing
+        alone = [solver.solve(end[[i]]) for i in range(N)]
+        for name in ("force", "displacement", "anchor"):
+            np.testing.assert_array_equal(getattr(found, name), np.concatenate([getattr(one, name) for one in alone]))
+    monkeypatch.setattr(watching, "PREPARED", 30)
+    apiece = watched(given, law, start, friction=friction)  # of more candidates no solver is had for all samples
+    np.testing.assert_array_equal(apiece.solve(end).force, found.force)
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated", "micro-slip"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -12,6 +12,10 @@ from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.path import Leg, Path
 from mic.contact.programme import OPTIMISERS, ConeProgramme
+
+if TYPE_CHECKING:
+    from mic.contact.columns import Columns
+    from mic.contact.native.landing import Landing
 
 __all__ = ["BACKENDS", "Backend"]
 
@@ -99,6 +103,21 @@ class Backend(Protocol):
             or a forecast.
         leg : Leg
             Of the batch: what was found of the samples' own contacts is put there, and factorisations are added.
+        """
+
+    def landing(self, own: np.ndarray, S: Columns) -> Landing:
+        """What :meth:`land` needs of a problem of contacts that most samples press, `own` (m,) of those of `S`; nothing
+        true where their inverse is not accurate."""
+
+    def land(
+        self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """As :meth:`solve`, for a law with friction and guesses (n, 3m) that are near: Newton's method alone.
+
+        Parameters
+        ----------
+        among : (m,) int array
+            Numbers of this problem's contacts among those that `landing` knows.
         """
 
     def infeasible(self, b: np.ndarray) -> bool:

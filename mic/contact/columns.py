@@ -13,7 +13,13 @@ from threading import Lock
 
 import numpy as np
 
+from mic.contact.memory import untouched
+
 __all__ = ["Columns"]
+
+ROOM = (
+    2**31
+)  # bytes of address space for columns to come: to move them when they are more takes longer than to find them
 
 
 class Columns:
@@ -79,6 +85,10 @@ class Columns:
         self._provide(numbers)
         return symmetric(self._given, self._own, self._at, np.ascontiguousarray(numbers, dtype=np.int64))
 
+    def through(self, find: Callable[[np.ndarray], np.ndarray], rows: int) -> Columns:
+        """(rows, c) whose columns are a function of this matrix's, told (k, r) and returned (k, rows)."""
+        return Columns(partial(_through, self, find), (rows, self.shape[1]))
+
     def first(self, count: int) -> Columns:
         """(count, count) the first rows and columns."""
         return self if self.shape == (count, count) else Columns(partial(_first, self, count), (count, count))
@@ -106,7 +116,8 @@ class Columns:
             return
         count = self._count + len(new)
         if count > len(self._own):
-            room = np.empty((min(max(2 * self._count, count), self.shape[1]), self.shape[0]))
+            most = max(2 * count, ROOM // (8 * max(self.shape[0], 1)))
+            room = untouched(min(most, self.shape[1] - len(self._given)), self.shape[0])
             room[: self._count] = self._own[: self._count]
             self._own = room
         self._own[self._count : count] = self._find(new)
@@ -117,6 +128,10 @@ class Columns:
 
 def _first(S: Columns, count: int, numbers: np.ndarray) -> np.ndarray:
     return S.take(numbers)[:, :count]
+
+
+def _through(S: Columns, find: Callable[[np.ndarray], np.ndarray], numbers: np.ndarray) -> np.ndarray:
+    return find(S.take(numbers))
 
 
 def _missing(numbers):

@@ -20,11 +20,12 @@ from functools import reduce
 import numpy as np
 
 from mic.contact.increments import Increments
+from mic.contact.solution import ContactSolution
 from mic.contact.states import OPEN, SLIP, STICK, classify
 from mic.contact.trail import Trail, trails
 from mic.product import product
 
-__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at_once"]
+__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at_once", "ended"]
 
 #: Increments of a leg for a sample that the follower gives up.
 RESCUE = 256
@@ -354,8 +355,12 @@ def at_once(solver, b, guess, recorded: bool = False) -> PathSolution:
     b, guess : (n, d m) array
     recorded : bool
     """
-    solution = solver.solve(b, guess=guess)
-    n, m = len(b), solver.contacts
+    return ended(solver, solver.solve(b, guess=guess), recorded)
+
+
+def ended(solver, solution: ContactSolution, recorded: bool = False) -> PathSolution:
+    """A path that is no more than the `solution` (n samples) at its end, by a :class:`mic.contact.ContactSolver`."""
+    n, m = len(solution.force), solver.contacts
     u = solution.displacement.reshape(n, m, -1)
     force = solution.force.reshape(n, m, -1)
     state = classify(force, solver.bound(force[:, :, 0]))

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,11 +31,14 @@ from scipy.spatial.distance import cdist
 from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import FRICTIONLESS, Law
-from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, at_once
+from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, at_once, ended
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, OPEN, SLIP, STICK, classify
 from mic.contact.trail import Trail, trails
+
+if TYPE_CHECKING:
+    from mic.contact.native.landing import Landing
 
 __all__ = ["PENETRATION", "Foreseen", "WatchedSolver"]
 
@@ -46,6 +50,7 @@ ROUNDS = 40  # in which a working set may grow
 MANY = 300  # contacts that a sample may begin a path with unasked
 PREPARED = 1500  # contacts that are prepared for all samples together: some 0.3 GB
 TOGETHER = 2000  # contacts of all samples whose steps are recorded together, 0.2 MB of address space each
+FAR = 1e9  # mm: no contact closes that
 CROWD = 1000  # candidates of which a guess looks at what presses alone: with friction it would cost as much as a sample
 
 
@@ -147,6 +152,7 @@ class WatchedSolver:
         self._joined = self._beside.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
         self._pressing: ContactSolver | None = None  # see _pressed
+        self._landing: Landing | None = None  # see _lands
 
     def under(self, friction: Friction) -> WatchedSolver:
         """The same candidates under another friction; what the compliance alone decides is kept."""
@@ -155,6 +161,7 @@ class WatchedSolver:
         some._parameters, some.carried = self.law.parameters(some._friction), np.zeros_like(self.carried)
         of = lambda solver, own: solver.under(some._friction.take(own))
         some._solvers = {key: of(one, np.frombuffer(key, dtype=bool)) for key, one in self._solvers.items()}
+        some._landing = None
         some._prepared = None if self._prepared is None else of(self._prepared, self._joined)
         return some
 
@@ -294,7 +301,18 @@ class WatchedSolver:
             if self._guessing:
                 working[:] = working.any(axis=0)
             self._prepare(working[todo].any(axis=0))
-            for samples, own in _alike(working, todo, TOGETHER if looking else None):
+            left = todo
+            if round_ and path is None and self._lands():
+                for samples, own, solver in self._by_solver(working, todo):
+                    solution = self._landed(own, solver, working[samples], b[samples], force[samples], anchor[samples])
+                    self._put(found, samples, own, solution, b[samples])
+                    u = found.displacement[samples].reshape(len(samples), m, d)
+                    found.anchor[samples] = np.where(working[samples, :, None], found.anchor[samples], u[:, :, 1:])
+                    iterations[samples] += solution.iterations
+                    factorisations[samples] += solution.trace.factorisations
+                    force[samples] = found.force[samples]
+                left = todo[~found.converged[todo]]
+            for samples, own in _alike(working, left, TOGETHER if looking else None):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], way)
                 self._put(found, samples, own, solution, b[samples])
                 if looking:
@@ -319,6 +337,36 @@ class WatchedSolver:
         found.status[todo] = Status.NOT_CONVERGED
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
+
+    def _lands(self) -> bool:
+        """Whether a round may begin with what the one before found: most samples press the same many contacts, whose
+        inverse is accurate; of a crowd it takes too long."""
+        native = self._settings.get("backend", "native") == "native"
+        if self._guessing or not self.law.frictional or not native or not MANY < self._start.sum() <= CROWD:
+            return False
+        if self._landing is None:
+            self._landing = self._solver(self._start).backend.landing(self._start, self._S)
+        return bool(self._landing)
+
+    def _by_solver(self, working, todo) -> Iterator[tuple[np.ndarray, np.ndarray, ContactSolver]]:
+        """Samples of `todo`, candidates (m,) with their sets (n, m) among them, and the solver of these."""
+        if self._prepared is not None and not (working[todo] & ~self._joined).any():
+            yield todo, self._joined, self._prepared
+            return
+        for samples, own in _alike(working, todo):
+            yield samples, own, self._solver(own)
+
+    def _landed(self, own, solver: ContactSolver, working, b, force, anchor) -> PathSolution:
+        """The last loads at once, from forces that are near, over the candidates `own` (m,) of a solver; those that a
+        sample does not have are far away from each other."""
+        among, rows = np.flatnonzero(own), np.repeat(own, self._d)
+        end = b[:, -1, rows].reshape(len(b), -1, self._d)
+        end[:, :, 1:] -= anchor[:, among]
+        end[:, :, 0][~working[:, among]] = FAR
+        load = end.reshape(len(b), -1)
+        landed = solver.backend.land(load, force[:, rows], among, self._landing)
+        solution = ended(solver, solver.certified(load, *landed))
+        return replace(solution, anchor=solution.anchor + anchor[:, among])
 
     def _touching(self, b, force, anchor) -> np.ndarray:
         """(n, m) which of the candidates that samples begin with carry force where the path begins or ends, each taken

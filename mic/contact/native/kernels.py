@@ -33,6 +33,7 @@ __all__ = [
     "force_scale",
     "gauss_seidel",
     "jit",
+    "linear_step",
     "local_factors",
     "newton",
     "solve_by_splitting",
@@ -56,6 +57,11 @@ RANK = 1e-10
 NEARLY = 1e-9
 #: Steps of Newton's method without a gain before it is given up.
 PATIENT = 6
+#: Rows above which a linear system is approached before it is factorised, and a product serves so many samples at once.
+LARGE, TOGETHER = 900, 4
+#: Steps towards the solution of a large linear system, and how near, of its right-hand side; each step of Newton's
+#: method then gains that much.
+KRYLOV, NEAR = 40, 1e-8
 #: Rows and columns of pieces of a matrix that are taken with those of its transpose.
 TILE = 32
 
@@ -323,6 +329,39 @@ def times(W, x, out):
             out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
 
 
+@jit(void(MATRIX, MATRIX, MATRIX))
+def _times_together(W, X, out):
+    """``out = X W`` for symmetric ``W``, some samples a pass; a row is the same bits whatever the others are."""
+    n, whole = W.shape[1], len(X) - len(X) % TOGETHER
+    out[:] = 0.0
+    for s in range(0, whole, TOGETHER):
+        out0, out1, out2, out3 = out[s], out[s + 1], out[s + 2], out[s + 3]
+        for i in range(0, n, 3):
+            row0, row1, row2 = W[i], W[i + 1], W[i + 2]
+            a0, a1, a2 = X[s, i], X[s, i + 1], X[s, i + 2]
+            b0, b1, b2 = X[s + 1, i], X[s + 1, i + 1], X[s + 1, i + 2]
+            c0, c1, c2 = X[s + 2, i], X[s + 2, i + 1], X[s + 2, i + 2]
+            d0, d1, d2 = X[s + 3, i], X[s + 3, i + 1], X[s + 3, i + 2]
+            for j in range(n):
+                w0, w1, w2 = row0[j], row1[j], row2[j]
+                out0[j] += w0 * a0 + w1 * a1 + w2 * a2
+                out1[j] += w0 * b0 + w1 * b1 + w2 * b2
+                out2[j] += w0 * c0 + w1 * c1 + w2 * c2
+                out3[j] += w0 * d0 + w1 * d1 + w2 * d2
+    for s in range(whole, len(X)):
+        only = out[s]
+        for i in range(0, n - n % 6, 6):
+            row0, row1, row2, row3, row4, row5 = W[i], W[i + 1], W[i + 2], W[i + 3], W[i + 4], W[i + 5]
+            a0, a1, a2, a3, a4, a5 = X[s, i], X[s, i + 1], X[s, i + 2], X[s, i + 3], X[s, i + 4], X[s, i + 5]
+            for j in range(n):
+                one = only[j] + (row0[j] * a0 + row1[j] * a1 + row2[j] * a2)
+                only[j] = one + (row3[j] * a3 + row4[j] * a4 + row5[j] * a5)
+        for i in range(n - n % 6, n, 3):
+            row0, row1, row2, a0, a1, a2 = W[i], W[i + 1], W[i + 2], X[s, i], X[s, i + 1], X[s, i + 2]
+            for j in range(n):
+                only[j] += row0[j] * a0 + row1[j] * a1 + row2[j] * a2
+
+
 @jit(void(MATRIX, MATRIX, COUNTS, MATRIX, MATRIX))
 def responses(S, T, at, F, out):
     """``out = F Sᵀ``, one sample a row, skipping the entries of F that vanish; column k is row ``at[k]`` of S and T.
@@ -463,26 +502,64 @@ def _unknowns(A, B, phi, k, M, N, a, x):
     return 2
 
 
-@jit(MATRIX(MATRIX, COUNTS))
-def _apart(W, own):
-    """Rows and columns of the contacts `own`; in a row all columns n come first, then t1, then t2."""
+@jit(void(VECTOR, COUNTS, VECTOR))
+def _apart(row, own, out):
+    """The columns of a row that are those of the contacts `own`: all columns n come first, then t1, then t2."""
     count = len(own)
-    out = np.empty((3 * count, 3 * count))
-    for a in range(3 * count):
-        line, target = W[3 * own[a // 3] + a % 3], out[a]
-        first, second, third = target[:count], target[count : 2 * count], target[2 * count :]
-        for b in range(count):
-            j = 3 * own[b]
-            first[b], second[b], third[b] = line[j], line[j + 1], line[j + 2]
-    return out
+    first, second, third = out[:count], out[count : 2 * count], out[2 * count :]
+    for b in range(count):
+        j = 3 * own[b]
+        first[b], second[b], third[b] = row[j], row[j + 1], row[j + 2]
 
 
-@jit(void(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, VECTOR))
-def _linear_step(W, A, B, phi, state, known, z, damping, x):
+@jit(boolean(MATRIX, VECTOR, VECTOR))
+def _approached(columns, r, d):
+    """GMRES (Saad and Schultz 1986): fill ``d`` with ``J⁻¹ r`` up to :data:`NEAR`, of a matrix given by its columns.
+
+    Returns whether it was reached; it is given up where a quarter of the steps brings no quarter of the digits.
+    """
+    size, n = np.linalg.norm(r), len(r)
+    if size == 0.0:
+        d[:] = 0.0
+        return True
+    V, R = np.empty((KRYLOV + 1, n)), np.zeros((KRYLOV, KRYLOV))
+    c, s, g = np.zeros(KRYLOV), np.zeros(KRYLOV), np.zeros(KRYLOV + 1)
+    V[0], g[0] = r / size, 1.0
+    for k in range(KRYLOV):
+        v = np.dot(V[k], columns)
+        for i in range(k + 1):
+            R[i, k] = np.dot(V[i], v)
+            v -= R[i, k] * V[i]
+        beyond = np.linalg.norm(v)
+        for i in range(k):
+            R[i, k], R[i + 1, k] = c[i] * R[i, k] + s[i] * R[i + 1, k], c[i] * R[i + 1, k] - s[i] * R[i, k]
+        length = np.sqrt(R[k, k] ** 2 + beyond**2)
+        if not 0.0 < length < np.inf:
+            return False
+        c[k], s[k], R[k, k] = R[k, k] / length, beyond / length, length
+        g[k], g[k + 1] = c[k] * g[k], -s[k] * g[k]
+        if abs(g[k + 1]) <= NEAR:
+            d[:] = 0.0
+            for i in range(k, -1, -1):
+                for j in range(i + 1, k + 1):
+                    g[i] -= R[i, j] * g[j]
+                g[i] /= R[i, i]
+                d += size * g[i] * V[i]
+            return True
+        if 4 * (k + 1) == KRYLOV and abs(g[k + 1]) > NEAR**0.25:
+            return False
+        V[k + 1] = v / beyond
+    return False
+
+
+@jit(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR))
+def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
     Fills ``x``.  Contacts that slide have two unknowns, others three: the matrix has the first ones of all contacts,
-    then the second ones, then the third, so that what is computed for one of them is computed for all in a row.
+    then the second ones, then the third, so that what is computed for one of them is computed for all in a row.  More
+    than :data:`LARGE` unknowns are approached, which no factorisation takes where the contacts are about as stiff as
+    what couples them; returned is ``approach``, False once that was in vain.
     """
     m = len(state)
     unknown = np.flatnonzero(state != known)
@@ -490,7 +567,7 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x):
     for i in range(len(x)):
         x[i] = -z[i] if state[i // 3] == known else 0.0
     if count == 0:
-        return
+        return approach
     M, N, some = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.full(count, 3)
     threes = 0
     for a in range(count):
@@ -501,7 +578,7 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x):
             for c in range(3):
                 M[a, c, c] = N[a, c, c] = 1.0
         threes += some[a] == 3
-    own, size = _apart(W, unknown), 2 * count + threes
+    own, size = np.empty((3, 3 * count)), 2 * count + threes
     product = np.zeros(3 * count)  # W x, as far as it is known
     for k in range(m):
         for i in range(3 * k, 3 * k + 3):
@@ -510,8 +587,10 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x):
                     for c in range(3):
                         product[c * count + b] += W[i, 3 * unknown[b] + c] * x[i]
     for a in range(3 * count):
-        value, line = x[3 * unknown[a // 3] + a % 3], own[a]
+        i = 3 * unknown[a // 3] + a % 3
+        value, line = x[i], own[0]
         if value != 0.0:
+            _apart(W[i], unknown, line)
             for j in range(3 * count):
                 product[j] += line[j] * value
     place, last = np.empty((3, count), np.int64), 2 * count  # of each contact's unknowns
@@ -535,13 +614,13 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x):
                 MA = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
                 for q in range(some[a]):
                     D[p, q, a] += MA * N[a, c, q]
-    for a in range(count):
-        for c in range(3):
-            own[3 * a + c, c * count + a] += damping
     columns, line = np.empty((size, size)), np.empty(3 * count)
     line0, line1, line2 = line[:count], line[count : 2 * count], line[2 * count :]
     for a in range(count):
-        W0, W1, W2 = own[3 * a], own[3 * a + 1], own[3 * a + 2]
+        for c in range(3):
+            _apart(W[3 * unknown[a] + c], unknown, own[c])
+            own[c, c * count + a] += damping
+        W0, W1, W2 = own[0], own[1], own[2]
         for q in range(some[a]):
             n0, n1, n2 = N[a, 0, q], N[a, 1, q], N[a, 2, q]
             for j in range(3 * count):
@@ -557,11 +636,16 @@ def _linear_step(W, A, B, phi, state, known, z, damping, x):
                         target[place[2, b]] = C[2, 0, b] * line0[b] + C[2, 1, b] * line1[b] + C[2, 2, b] * line2[b]
             for p in range(some[a]):
                 target[place[p, a]] += D[p, q, a]
-    d = _solve_dense(columns, r)
+    d = np.empty(size)
+    large = approach and size > LARGE
+    approach = approach and (not large or _approached(columns, r, d))
+    if not large or not approach:
+        d = _solve_dense(columns, r)
     for a in range(count):
         for q in range(some[a]):
             for c in range(3):
                 x[3 * unknown[a] + c] += N[a, c, q] * d[place[q, a]]
+    return approach
 
 
 @jit(
@@ -613,8 +697,9 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     state, trial_state = np.empty(m, np.int64), np.empty(m, np.int64)
     step, change = np.empty(n), np.empty(n)
     trial_y, trial_w = y.copy(), w.copy()
-    error, size, gained = np.inf, 0.0, 0
-    for iteration in range(steps + 1):
+    error, size, gained, approach = np.inf, 0.0, 0, True
+    iteration = 0
+    while True:
         derivative(equation, parameters, trial_y, trial_w, phi, A, B, state)
         trial = np.sqrt(np.dot(phi, phi))
         if iteration == 0 or trial < error or (halvings > 0 and np.isfinite(trial)):
@@ -628,12 +713,12 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
             stuck += state[k] == STICK
             free += state[k] == OPEN
         if stuck > free and len(inverse) > 0:
-            _linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, change)
+            approach = linear_step(inverse, B, A, phi, state, STICK, trial_w, 0.0, approach, change)
             times(inverse, change, step)
         elif m - free > crowd:
             return _relative(error, size), iteration
         else:
-            _linear_step(W, A, B, phi, state, OPEN, trial_y, damping, step)
+            approach = linear_step(W, A, B, phi, state, OPEN, trial_y, damping, approach, step)
         if halvings == 0:
             trial_y += step
         else:
@@ -650,7 +735,7 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
                 return _relative(error, size), iteration + 1
         times(W, trial_y, trial_w)
         trial_w += q
-    return _relative(error, size), steps
+        iteration += 1
 
 
 @jit(NUMBER(VECTOR))
@@ -663,35 +748,33 @@ def starting_scale(q):
     return np.sqrt(total)
 
 
-@jit(void(NUMBER, MATRIX, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR, int64))
-def _split(shift, resolvent, q, parameters, rho, z, l, r, x, steps):
-    """Over-relaxed ADMM, in place, with ``resolvent = (W + ρ I)⁻¹``.
+@jit(void(NUMBER, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR))
+def _split(shift, q, parameters, rho, z, l, r, x):
+    """A step of over-relaxed ADMM, in place, with ``x = (W + ρ I)⁻¹ r``.
 
-    ``x = resolvent r``; ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so
-    that De Saxcé's shift is ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
+    ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that De Saxcé's shift is
+    ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
     """
-    for _ in range(steps):
-        times(resolvent, r, x)
-        for k in range(len(parameters)):
-            i = 3 * k
-            mu = parameters[k, 0]
-            v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
-            v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
-            v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
-            t = np.sqrt(v1 * v1 + v2 * v2)
-            if mu * t <= -v0:
-                z0, shrink = 0.0, 0.0
-            elif t <= mu * v0:
-                z0, shrink = v0, 1.0
-            else:
-                z0 = (v0 + mu * t) / (1.0 + mu * mu)
-                shrink = mu * z0 / t
-            z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
-            l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
-            opening = shift * mu * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
-            r[i] = rho * z0 - l[i] - q[i] - opening
-            r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
-            r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
+    for k in range(len(parameters)):
+        i = 3 * k
+        mu = parameters[k, 0]
+        v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
+        v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
+        v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
+        t = np.sqrt(v1 * v1 + v2 * v2)
+        if mu * t <= -v0:
+            z0, shrink = 0.0, 0.0
+        elif t <= mu * v0:
+            z0, shrink = v0, 1.0
+        else:
+            z0 = (v0 + mu * t) / (1.0 + mu * mu)
+            shrink = mu * z0 / t
+        z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
+        l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
+        opening = shift * mu * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
+        r[i] = rho * z0 - l[i] - q[i] - opening
+        r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
+        r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
 @jit(
@@ -732,31 +815,45 @@ def solve_by_splitting(
 ):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.
+    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.  Of more
+    than :data:`LARGE` rows some samples take the steps of the splitting together; each remains what it is alone.
     """
-    m = len(parameters)
-    for s in range(len(Q)):
-        q = Q[s]
-        scale = starting_scale(q)
-        z, l, x = Y[s].copy(), np.zeros_like(q), np.empty_like(q)
-        r = rho * z - q
-        w = np.empty_like(q)
-        run, best = steps, np.inf
+    m, size = len(parameters), len(W)
+    for first in range(0, len(Q), TOGETHER):
+        own = Q[first : first + TOGETHER]
+        count, left = len(own), len(own)
+        Z, L, X = Y[first : first + count].copy(), np.zeros_like(own), np.empty_like(own)
+        R, best, run = rho * Z - own, np.full(count, np.inf), steps
         for _ in range(rounds):
-            _split(shift, resolvent, q, parameters, rho, z, l, r, x, run)
-            y = z.copy()
-            times(W, y, w)
-            w += q
-            error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
-            iterations[s] += run + more
-            factorisations[s] += more
-            if error < best:
-                best = error
-                Y[s] = y
-            if error <= tol:
+            if size > LARGE:
+                for _ in range(run):
+                    _times_together(resolvent, R, X)
+                    for s in range(count):
+                        _split(shift, own[s], parameters, rho, Z[s], L[s], R[s], X[s])
+            else:
+                for s in range(count):
+                    q, z, l, r, x = own[s], Z[s], L[s], R[s], X[s]
+                    for _ in range(run if best[s] > tol else 0):
+                        times(resolvent, r, x)
+                        _split(shift, q, parameters, rho, z, l, r, x)
+            for s in range(count):
+                if best[s] <= tol:
+                    continue
+                q, y, w = own[s], Z[s].copy(), np.empty(size)
+                scale = starting_scale(q)
+                times(W, y, w)
+                w += q
+                error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
+                iterations[first + s] += run + more
+                factorisations[first + s] += more
+                if error < best[s]:
+                    best[s] = error
+                    Y[first + s] = y
+                left -= error <= tol
+            if left == 0:
                 break
             run *= 2
-        errors[s] = best
+        errors[first : first + count] = best
 
 
 @jit(

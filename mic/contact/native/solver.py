@@ -6,18 +6,23 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from mmap import mmap
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
+from mic.contact.memory import untouched
 from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
+from mic.contact.native.landing import Landing
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
 from mic.contact.trail import Trail, trails
+
+if TYPE_CHECKING:
+    from mic.contact.columns import Columns
 
 __all__ = ["NativeSolver"]
 
@@ -122,6 +127,16 @@ class NativeSolver:
         force[:, :: self._stride] = Y * self.scaling
         return force, iterations, factorisations, found
 
+    def landing(self, own: np.ndarray, S: Columns) -> Landing:
+        """See :meth:`mic.contact.backends.Backend.landing`."""
+        return Landing(self.problem, self.scaling, own, S)
+
+    def land(self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing):
+        """See :meth:`mic.contact.backends.Backend.land`."""
+        Q, Y = np.ascontiguousarray(b * self.scaling), np.ascontiguousarray(guess / self.scaling)
+        spent = landing.solve(self.problem, self.scaling, among, Q, Y, ladder.MARGIN * self.tol)
+        return Y * self.scaling, spent, spent.copy(), np.full(len(b), "guess", dtype=object)
+
     def _solve_apart(self, b, unsolved, rungs, Y, iterations, factorisations, found):
         """The same samples, contacts that hang together by themselves: each goes down the ladder as far as it must."""
         furthest, names = np.zeros(len(unsolved), dtype=int), [rung.name for rung in rungs]
@@ -213,7 +228,7 @@ class NativeSolver:
             follower.SWEEPS * problem.law.gauss_seidel,
         )
         room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
-        passed, passed_force = np.zeros((n, room)), _untouched(n, room, 3 * m)
+        passed, passed_force = untouched(n, room), untouched(n, room, 3 * m)
         follow, _ = follower.follower()
 
         def chunk(own):
@@ -260,7 +275,6 @@ class NativeSolver:
             )
 
         self._each(chunk, len(some))
-        leg.steps[some] = counts[some, follower.STEPS]
         leg.factorisations[some] += counts[some, follower.FACTORISATIONS]
         leg.given_up[some] = counts[some, follower.FAILED] > 0
 
@@ -318,10 +332,3 @@ class NativeSolver:
         else:
             with ThreadPoolExecutor(self.threads) as pool:
                 list(pool.map(work, slices))
-
-
-def _untouched(*shape: int) -> np.ndarray:
-    """Zeros that take memory where they are written, and nowhere else: from the system, for the allocator that MPI
-    brings along writes all that it gives."""
-    size = int(np.prod(shape))
-    return np.frombuffer(mmap(-1, 8 * size), float, size).reshape(shape) if size else np.zeros(shape)
