@@ -1,4 +1,4 @@
-"""Work shared with a second core by a copy of this process: blocks of samples, pictures; the same wherever it is done."""
+"""Work shared with a second core by a copy of this process: blocks of samples, pictures."""
 
 from __future__ import annotations
 
