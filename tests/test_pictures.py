@@ -53,9 +53,9 @@ def upright(ax, colour):
 
 
 @pytest.mark.parametrize("stay", [True, False])
-def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
-    """To less than the 3 points that a layout leaves free beside labels, so that none is cut; on panels whose ticks stay
-    and on such whose ticks change with their size."""
+def test_labels_that_aremeasured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
+    """To less than the 3 points that a layout leaves free beside labels, so that none is cut; where ticks stay
+    and where they change with the size of the axes."""
 
     def places():
         fig, axes = panels(6, 3, (3.0, 2.0))
@@ -70,7 +70,7 @@ def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(st
         return np.array([ax.get_position().extents for ax in axes]) * fig.get_size_inches()[[0, 1, 0, 1]] * 72
 
     found = places()
-    monkeypatch.setattr(picture, "_measured_once", lambda axes: nullcontext())
+    monkeypatch.setattr(picture, "measured_once", lambda axes: nullcontext())
     np.testing.assert_allclose(found, places(), rtol=0, atol=3.0)
 
 

@@ -26,7 +26,7 @@ from PIL import Image  # which matplotlib brings
 
 from mic.report.style import LAWS
 
-__all__ = ["MOST_PANELS", "Picture", "law_legend", "panels", "png", "svg"]
+__all__ = ["MOST_PANELS", "Picture", "law_legend", "measured_once", "panels", "png", "svg"]
 
 _DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
 _LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is seen by nobody
@@ -154,7 +154,7 @@ def _joined(*tenths: int) -> str:
 
 
 @contextmanager
-def _measured_once(axes: Sequence[Axes]) -> Iterator[None]:
+def measured_once(axes: Sequence[Axes]) -> Iterator[None]:
     """Within it the room for labels around axes is measured anew only where their ticks have changed: a layout asks
     twice, and that takes most of the time of a picture. Axes that keep an aspect are measured each time."""
     own = [ax for ax in axes if ax.name == "rectilinear" and ax.get_aspect() == "auto"]
@@ -186,7 +186,7 @@ def _save(fig, title, caption, kind, dpi, metadata):
                 axis.set_label_coords(0.5, 0.5)  # else all ticks are laid out, time and again, to find its place
     engine = fig.get_layout_engine()
     if engine is not None:  # once and for all: saving would draw everything once more to find it
-        with _measured_once(fig.axes):
+        with measured_once(fig.axes):
             engine.execute(fig)
         fig.set_layout_engine("none")
     fig.set_dpi(dpi)
