@@ -53,7 +53,7 @@ def upright(ax, colour):
 
 
 @pytest.mark.parametrize("stay", [True, False])
-def test_labels_that_aremeasured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
+def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
     """To less than the 3 points that a layout leaves free beside labels, so that none is cut; where ticks stay
     and where they change with the size of the axes."""
 
