@@ -5,8 +5,9 @@
     python benchmarks/run.py --cold                          # nothing cached, nothing compiled
     python benchmarks/run.py meshes/lap_joint --samples 100
 
-Seconds of processor time of one process, its threads together, the less of two runs; wall time of the whole. The copy
-of the process that draws half of the pictures on the second core is not counted, but in the wall time. Warm:
+Seconds of processor time of one process, its threads together, the less of two runs; wall time of the whole. Copies of
+the process, which evaluate half of the blocks and draw half of the pictures on the second core, are not counted, but in
+the wall time. Warm:
 meshes, contact pairs, influence coefficients and compiled code are kept from a first run, the results folder is new.
 The last table is of processes of their own: the import alone, the help, and the first evaluation of a model that is
 loaded, all in the environment of the run.

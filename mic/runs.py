@@ -273,11 +273,15 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written:
         start, stop = np.searchsorted(there[law], (first, first + count))
         return bool(stop - start == count)
 
-    def sink(law: str, first: int, evaluation: Evaluation) -> None:
+    def sink(law: str, first: int, evaluation: Evaluation) -> dict[str, pd.DataFrame] | None:
         block = Block(law, first, len(evaluation.deviations))
         found = write_evaluation(store, block, whose, model, evaluation)
-        if world is None or world.rank == 0:  # which makes the statistics
-            written.keep(block, found)
+        first_process = world is None or world.rank == 0  # which makes the statistics
+        return found if first_process and written.keep(block, found) else None
+
+    def take(law: str, first: int, count: int, found: dict[str, pd.DataFrame] | None) -> None:
+        if found is not None:
+            written.keep(Block(law, first, count), found)
 
     def expect(seconds: float) -> None:
         if seconds > LONG:
@@ -287,7 +291,7 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written:
             )
 
     with listener.sampling(laws, samples) as advance:
-        return monte_carlo(model, laws, samples, seed, sink, done, advance, expect)
+        return monte_carlo(model, laws, samples, seed, sink, done, advance, expect, take)
 
 
 def write_evaluation(

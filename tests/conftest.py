@@ -35,8 +35,12 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory):
-    """A cache folder of its own, so that no test depends on what earlier runs left behind."""
-    return tmp_path_factory.mktemp("cache")
+    """A cache folder of these tests, so that none depends on what earlier runs left behind; where they are shared out
+    over processes, one for all."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cache"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 @pytest.fixture(scope="session")

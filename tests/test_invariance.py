@@ -14,17 +14,15 @@ from mic.process.stage import LEAST_MOTION
 
 #: How each transformed scene is made from the case and a number, with the matrix and the unit that it is seen in.
 SAME = {
-    "turned": lambda case, seed: _turned(case, rotation(seed, right_angles=case.has_box)),
-    "mirrored": lambda case, seed: _turned(case, -rotation(seed, right_angles=case.has_box)),
-    "in metres": lambda case, seed: (in_units(case, 1000.0), np.eye(3), 1000.0),
-    "in inches": lambda case, seed: (in_units(case, 25.4), np.eye(3), 25.4),
+    "turned, in inches": lambda case, seed: _turned(case, rotation(seed, right_angles=case.has_box), 25.4),
+    "mirrored, in metres": lambda case, seed: _turned(case, -rotation(seed, right_angles=case.has_box), 1000.0),
     "renumbered": lambda case, seed: (renumbered(case, seed), np.eye(3), 1.0),
 }
 SEEDS = st.integers(0, 10**6)
 
 
-def _turned(case, matrix):
-    return turned(case, matrix), matrix, 1.0
+def _turned(case, matrix, unit):
+    return in_units(turned(case, matrix), unit), matrix, unit
 
 
 def readings(case, folder):

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from mic.results import statistics
-from mic.sampling import montecarlo
+from mic.sampling import montecarlo, sharing
 from mic.sampling.draw import draw
 from mic.sampling.montecarlo import BLOCK, CROWD, FEW, ROOM, SIZES, blocks, monte_carlo
 from mic.scene import Scene
@@ -151,6 +151,33 @@ def test_every_sample_reaches_the_sink_once(lap_model):
         expected = draw(lap_model.scene, 4, first, len(evaluation.deviations))
         np.testing.assert_array_equal(evaluation.deviations, expected)
     assert reused == {"coulomb": 0, "frictionless": 0}
+
+
+def test_a_copy_of_the_process_evaluates_some_blocks_to_the_same_bits(lap_model, monkeypatch):
+    """Ten blocks; what both processes found is handed over here, and all samples are told of."""
+
+    def found(core):
+        taken, heard = {}, []
+        monkeypatch.setattr(montecarlo, "second_core", lambda: core)
+        monkeypatch.setattr(sharing, "second_core", lambda: core)
+        monte_carlo(
+            lap_model,
+            LAWS,
+            5 * BLOCK,
+            4,
+            lambda law, first, evaluation: (os.getpid(), evaluation.measurements, evaluation.functional_force),
+            advance=lambda law, count: heard.append(count),
+            take=lambda law, first, count, found: taken.setdefault((law, first, count), found),
+        )
+        assert sum(heard) == 2 * 5 * BLOCK
+        assert sorted(taken) == [(law, first, BLOCK) for law in LAWS for first in range(0, 5 * BLOCK, BLOCK)]
+        return taken
+
+    one, two = found(False), found(True)
+    assert {who for who, *_ in one.values()} == {os.getpid()} < {who for who, *_ in two.values()}
+    for block, (_, *values) in one.items():
+        for value, other in zip(values, two[block][1:]):
+            np.testing.assert_array_equal(value, other)
 
 
 def test_blocks_that_are_done_are_left_out_and_counted(lap_model):

@@ -1,5 +1,7 @@
 """What public functions return, as pictures: each draws the numbers of its tables, where they belong."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,9 +11,9 @@ from support.studies import filled, friction, optimum, order, rare, remedy, sens
 
 import mic
 from mic.options import app
-from mic.report import change_pictures, driver_pictures, miss_pictures, pictures, single
+from mic.report import change_pictures, driver_pictures, miss_pictures, picture, pictures, single
 from mic.report.measurement_pictures import LIMIT_COLOUR
-from mic.report.picture import Picture
+from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.shown import SHOWN
 from mic.report.style import INSIDE, OUTSIDE
 from mic.results.schema import PREDICTIONS
@@ -48,6 +50,28 @@ def dots(ax, container=0):
 
 def upright(ax, colour):
     return [line.get_xdata()[0] for line in ax.lines if to_hex(line.get_color()) == colour]
+
+
+@pytest.mark.parametrize("stay", [True, False])
+def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
+    """To less than the 3 points that a layout leaves free beside labels, so that none is cut; where ticks stay
+    and where they change with the size of the axes."""
+
+    def places():
+        fig, axes = panels(6, 3, (3.0, 2.0))
+        for k, ax in enumerate(axes):
+            ax.plot([0, 10.0**k], [0, 1e5 * 10.0**k])
+            if stay:
+                ax.set_xticks([0, 10.0**k])
+                ax.set_yticks([0, 1e5 * 10.0**k])
+            ax.set_ylabel("what it shows" * (k % 2))
+        law_legend(fig, ["coulomb"])
+        svg(fig, "", "")
+        return np.array([ax.get_position().extents for ax in axes]) * fig.get_size_inches()[[0, 1, 0, 1]] * 72
+
+    found = places()
+    monkeypatch.setattr(picture, "measured_once", lambda axes: nullcontext())
+    np.testing.assert_allclose(found, places(), rtol=0, atol=3.0)
 
 
 def test_steps_are_bars_in_micrometres_the_largest_first(drawn):

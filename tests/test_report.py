@@ -21,7 +21,6 @@ from support.studies import left_by_studies
 import mic.report
 from mic.contact import ContactSolver
 from mic.geometry.surface import Surface
-from mic.report import sharing
 from mic.report.ahead import AHEAD, Ahead
 from mic.report.context import read_context
 from mic.report.gallery import PICTURES, Entry, draw, draw_all
@@ -37,6 +36,7 @@ from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
 from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
+from mic.sampling import sharing
 from mic.scene import Scene
 from mic.studies.contributors import Contributors, contributors
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from mic.report import sharing
-from mic.report.sharing import Copy, side_by_side
+from mic.sampling import sharing
+from mic.sampling.sharing import Copy, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +44,40 @@ def test_a_copy_works_before_it_is_asked_and_is_gone_once_let_go():
     unasked = Copy([partial(done, number, 60.0) for number in range(6)])
     unasked.end()
     assert not active_children()
+
+
+def test_each_result_comes_as_it_is_done_and_none_is_lost():
+    own = os.getpid()
+    with Copy([partial(done, number, 0.02 * (number < 20)) for number in range(300)]) as copy:
+        found = dict(copy.each([partial(done, 1000 + number, 0.02 * (number < 20)) for number in range(300)]))
+    assert list(sorted(found)) == list(range(300)) and not active_children()
+    assert all(number == task + 1000 * (who == own) for task, (number, who) in found.items())
+    assert 0 < sum(who == own for _, who in found.values()) < 300
+
+
+def test_of_each_what_the_copy_takes_and_fails_at_is_done_here_and_what_fails_is_raised():
+    own = os.getpid()
+
+    def fatal(number):
+        if os.getpid() != own:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return done(number)
+
+    def failing(number):
+        raise RuntimeError(f"in {number}")
+
+    with Copy([partial(fatal, number) for number in range(6)]) as copy:
+        assert sorted(copy.each()) == [(number, (number, own)) for number in range(6)]
+    with pytest.raises(RuntimeError, match=r"in \d"), Copy([partial(failing, number) for number in range(6)]) as copy:
+        list(copy.each())
+
+
+def test_a_copy_that_is_let_go_as_it_hands_in_much_holds_up_nobody():
+    """In a process of its own, which is to end."""
+    program = "from mic.sampling import sharing; sharing.second_core = lambda: True\n"
+    program += "copy = sharing.Copy([lambda: bytes(10**8)] * 1000)\n"
+    program += "import time; time.sleep(1.5); copy.end()"
+    assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
 
 
 def test_without_a_second_core_no_copy_is_made(monkeypatch):
@@ -104,10 +138,10 @@ def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
 
 KILLED = """
 import os, time
-from mic.report import sharing
+from mic.sampling import sharing
 sharing.second_core = lambda: True
 def task():
-    print(os.getpid(), flush=True)
+    os.write(1, b"%d\\n" % os.getpid())
     time.sleep(60)
 sharing.side_by_side([task, task])
 """

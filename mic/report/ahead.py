@@ -8,8 +8,8 @@ from __future__ import annotations
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
-from mic.report.sharing import Copy
 from mic.results.outcome import Outcome
+from mic.sampling.sharing import Copy
 
 if TYPE_CHECKING:
     from mic.report.context import Context

@@ -22,7 +22,6 @@ from mic.report.measurement_pictures import measurement_picture
 from mic.report.miss_pictures import likeliest_miss_picture, miss_picture
 from mic.report.path_pictures import friction_work_picture, path_error_picture, path_state_picture
 from mic.report.picture import Picture
-from mic.report.sharing import side_by_side
 from mic.report.space_pictures import assembly_picture, deviation_map_picture, field_picture, overview_picture
 from mic.report.style import RC
 from mic.results.outcome import Outcome
@@ -38,6 +37,7 @@ from mic.results.schema import (
     SENSITIVITIES,
     Table,
 )
+from mic.sampling.sharing import side_by_side
 
 if TYPE_CHECKING:
     from mic.report.ahead import Ahead

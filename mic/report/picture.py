@@ -8,21 +8,25 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
+import numpy as np
 from markupsafe import Markup, escape  # which jinja2 brings
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.transforms import Bbox
 from PIL import Image  # which matplotlib brings
 
 from mic.report.style import LAWS
 
-__all__ = ["MOST_PANELS", "Picture", "law_legend", "panels", "png", "svg"]
+__all__ = ["MOST_PANELS", "Picture", "law_legend", "measured_once", "panels", "png", "svg"]
 
 _DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
 _LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is seen by nobody
@@ -149,6 +153,31 @@ def _joined(*tenths: int) -> str:
     return "".join(one if i == 0 or one.startswith("-") else f" {one}" for i, one in enumerate(each))
 
 
+@contextmanager
+def measured_once(axes: Sequence[Axes]) -> Iterator[None]:
+    """Within it the room for labels around axes is measured anew only where their ticks have changed: a layout asks
+    twice, and that takes most of the time of a picture. Axes that keep an aspect are measured each time."""
+    own = [ax for ax in axes if ax.name == "rectilinear" and ax.get_aspect() == "auto"]
+    for ax in own:
+        ax.get_tightbbox = partial(_room, ax, {})  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        for ax in own:
+            del ax.get_tightbbox
+
+
+def _room(ax: Axes, known: dict[str, Any], renderer: Any, *args: Any, **kwargs: Any) -> Bbox | None:
+    """:meth:`matplotlib.axes.Axes.get_tightbbox`, with what is known since the last call."""
+    ticks = [*ax.get_xticks(), np.nan, *ax.get_yticks()]
+    if "margins" in known and np.array_equal(ticks, known["ticks"], equal_nan=True):
+        return Bbox.from_extents(*np.add(ax.bbox.extents, known["margins"]))
+    whole = type(ax).get_tightbbox(ax, renderer, *args, **kwargs)
+    if whole is not None:
+        known |= {"ticks": ticks, "margins": np.subtract(whole.extents, ax.bbox.extents)}
+    return whole
+
+
 def _save(fig, title, caption, kind, dpi, metadata):
     buffer = io.BytesIO()
     for ax in fig.axes:
@@ -157,7 +186,8 @@ def _save(fig, title, caption, kind, dpi, metadata):
                 axis.set_label_coords(0.5, 0.5)  # else all ticks are laid out, time and again, to find its place
     engine = fig.get_layout_engine()
     if engine is not None:  # once and for all: saving would draw everything once more to find it
-        engine.execute(fig)
+        with measured_once(fig.axes):
+            engine.execute(fig)
         fig.set_layout_engine("none")
     fig.set_dpi(dpi)
     if kind == "svg":  # by the canvas itself: savefig draws all once for nothing where there was a layout

@@ -365,12 +365,14 @@ class Written(dict[Block, Mapping[str, pd.DataFrame]]):
         super().__init__()
         self._room = room  # bytes
 
-    def keep(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> None:
-        """Those of one block, all or none."""
-        size = sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
-        if size <= self._room:
-            self[block] = tables
-            self._room -= size
+    def keep(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> bool:
+        """Those of one block, all or none; whether they are kept."""
+        if block not in self:
+            size = sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
+            if size <= self._room:
+                self[block] = tables
+                self._room -= size
+        return block in self
 
 
 def read_outcome(

@@ -1,6 +1,8 @@
 """The Monte Carlo: samples drawn and taken through the process in blocks, the blocks shared out over processes.
 
-Where an evaluated block goes is not known here: it is handed over before the next begins.
+Under MPI they are shared out over its processes, else with a copy of this one where there is a core for it: what is
+between the kernels, tables and files, would else wait for one core. Where an evaluated block goes is not known here: it
+is handed over before the next begins.
 """
 
 from __future__ import annotations
@@ -8,20 +10,25 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from mic.process.evaluation import Evaluation
 from mic.sampling.draw import draw
 from mic.sampling.ranks import communicator, on_first, wait
+from mic.sampling.sharing import Copy, second_core
 
 __all__ = ["BLOCK", "ROOM", "SIZES", "blocks", "monte_carlo"]
 
+T = TypeVar("T")
 BLOCK = 50  # samples in each of the first blocks
 SIZES = (BLOCK, 100, 250, 500, 1000, 2500, 5000)
 SHARE = 20  # a block is at most this part of what stands before it: little is lost, and processes finish together
 CROWD = 1000  # contact pairs from which on a sample takes so long that few of them make a block
 FEW = 5
+WORTH = 4  # blocks from which on a copy of the process is made
 SIGN = 10.0  # s: where samples take long, one is told of them about so often
 ROOM = 200_000  # samples × contact pairs that a block may hold: some hundred megabytes while it is evaluated or read
 
@@ -54,10 +61,11 @@ def monte_carlo(
     laws: Sequence[str],
     samples: int,
     seed: int,
-    sink: Callable[[str, int, Evaluation], None],
+    sink: Callable[[str, int, Evaluation], T],
     done: Callable[[str, int, int], bool] | None = None,
     advance: Callable[[str, int], None] | None = None,
     expect: Callable[[float], None] | None = None,
+    take: Callable[[str, int, int, T], None] | None = None,
 ) -> dict[str, int]:
     """Evaluate all samples under all laws; under MPI a collective call that shares the blocks out.
 
@@ -76,6 +84,10 @@ def monte_carlo(
         all, as it advances itself. Where samples take long, for those of its own block as they are done.
     expect : callable, optional
         Called once by the first process with the seconds that all will take, as its first samples let expect.
+    take : callable, optional
+        Called with (law, number of the first sample, number of samples, what `sink` returned) for each block that this
+        process has evaluated or a copy of it, which is made only where one takes so; `sink` returns what can be
+        pickled, and is called in the copy then.
 
     Returns
     -------
@@ -93,16 +105,35 @@ def monte_carlo(
             reused[law] += count
             if advance is not None:
                 advance(law, count)
-    threads = max(1, len(os.sched_getaffinity(0)) // size)
+    cores = len(os.sched_getaffinity(0))
+    worth = take is not None and len(missing) >= WORTH and len(model.contacts) <= CROWD
+    copied = worth and world is None and second_core()
+    threads = max(1, cores // (2 if copied else size))
     processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
-    pace = _Pace(advance, (lambda each: expect(each * left / size)) if expect is not None and rank == 0 else None)
+
+    def evaluated(pace: _Pace, law: str, first: int, count: int) -> tuple[T, int]:
+        evaluation, told = pace.evaluate(law, processes[law].attempt, draw(model.scene, seed, first, count))
+        return sink(law, first, evaluation), told
+
+    share = 2 if copied else size
+    pace = _Pace(advance, (lambda each: expect(each * left / share)) if expect is not None and rank == 0 else None)
+    if copied:
+        silent = _Pace(None)  # of the copy, whose words nobody hears
+        with Copy([partial(evaluated, silent, *block) for block in missing]) as copy:
+            for number, (found, told) in copy.each([partial(evaluated, pace, *block) for block in missing]):
+                law, first, count = missing[number]
+                if take is not None:
+                    take(law, first, count, found)
+                if advance is not None:
+                    advance(law, count - told)
+        return reused
     for i in range(0, len(missing), size):
         together = missing[i : i + size]  # what the processes evaluate side by side
         told = 0
         if rank < len(together):
-            law, first, count = together[rank]
-            evaluation, told = pace.evaluate(law, processes[law].attempt, draw(model.scene, seed, first, count))
-            sink(law, first, evaluation)
+            found, told = evaluated(pace, *together[rank])
+            if take is not None:
+                take(*together[rank], found)
         if advance is not None:
             for number, (law, _, count) in enumerate(together):
                 advance(law, count - told if number == rank else count)
