@@ -152,15 +152,15 @@ class Condensation:
 
     def __init__(self, parts: HeldParts, B: csr_matrix, yielding: np.ndarray | None, C: csr_matrix):
         self.parts, self.B, self.C, self.b = parts, B, C, B.shape[0]
-        self._unit = np.column_stack([parts.response(B), parts.moved])  # u under unit r and w
+        unit = np.column_stack([parts.response(B), parts.moved])  # u under unit r and w: not kept, a step's are large
         border = np.zeros((self.b + parts.d, self.b + parts.d))
-        border[: self.b] = B @ self._unit
+        border[: self.b] = B @ unit
         border[self.b :, : self.b] = -border[: self.b, self.b :].T
         border[self.b :, self.b :] = parts.carried
         border[np.arange(self.b), np.arange(self.b)] += 0.0 if yielding is None else yielding
         self._scale = 1 / np.sqrt(np.abs(border).max(axis=1))  # forces beside displacements
         self._border = np.linalg.inv(border * np.outer(self._scale, self._scale))
-        self._read = C @ self._unit
+        self._read = C @ unit
 
     def compliance(self) -> np.ndarray:
         """(k, k) S, mm/N; of all steps of a mesh, the one that asked last has it kept."""
@@ -177,7 +177,8 @@ class Condensation:
         u, λ = self.parts.solve(p[:, None], np.zeros((self.parts.d, 1)))
         u = u[:, 0]
         unknown = self._bordered(np.concatenate([v - self.B @ u, -λ[:, 0]]))
-        return u + self._unit @ unknown, unknown[: self.b]
+        r, w = unknown[: self.b], unknown[self.b :]
+        return u + self.parts.response(self.B) @ r + self.parts.moved @ w, r
 
     def _bordered(self, right):
         scale = self._scale if right.ndim == 1 else self._scale[:, None]
