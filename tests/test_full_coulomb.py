@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from scipy.sparse import vstack
-from support.strips import E, clamped, contact_law, strip, vertex_rows
+from support.strips import clamped, contact_law, strip, vertex_rows
 
 import mic
 from fem_reference.full import coulomb
@@ -80,7 +80,12 @@ def held():
     x = shell.surface.points[:, 0]
     rows = vertex_rows(shell, np.flatnonzero(x % 20 == 0), (0, 0, 1), side=-1).tocsr()
     parts = Parts([shell], MPI.COMM_SELF)
-    return parts.stiffness, parts.held(clamped(shell, np.flatnonzero(x == 0))), rows, clamped(shell, np.flatnonzero(x == 100))
+    return (
+        parts.stiffness,
+        parts.held(clamped(shell, np.flatnonzero(x == 0))),
+        rows,
+        clamped(shell, np.flatnonzero(x == 100)),
+    )
 
 
 @pytest.mark.parametrize("yielding", [False, True])

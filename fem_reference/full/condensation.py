@@ -188,6 +188,4 @@ class Condensation:
 def _names(rows: csr_matrix) -> list[tuple]:
     """What tells each row from others: its columns and numbers."""
     edges = rows.indptr
-    return [
-        (rows.indices[lo:hi].tobytes(), rows.data[lo:hi].tobytes()) for lo, hi in zip(edges, edges[1:])
-    ]
+    return [(rows.indices[lo:hi].tobytes(), rows.data[lo:hi].tobytes()) for lo, hi in zip(edges, edges[1:])]

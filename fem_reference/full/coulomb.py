@@ -1,7 +1,7 @@
 """Contact forces of a condensed equilibrium: Alart and Curnier's Newton method, and proximal points where it fails.
 
-With the gaps and slips w = b + M f of all contacts, M = S + c, c what a contact itself yields, Coulomb's law holds
-where f is its own projection, for any ρ > 0:
+With the gaps and slips w = b + M f of all contacts, M = S + c, c what a contact itself yields (1/ε in the penalty
+method), Coulomb's law holds where f is its own projection, for any ρ > 0:
 
     y = f − ρ w,      f_n = max(0, y_n),      f_t = y_t, shortened to g(f_n) where it is longer.            (1)
 
@@ -169,7 +169,6 @@ class _Problem:
         y, g, slope, length = self._trial(f, w)
         closed = y[:, 0] > 0
         rough = closed & (g > 0)
-        stick, slip = rough & (length <= g), rough & (length > g)
         free = np.zeros((m, d), dtype=bool)
         free[closed, 0] = True
         free[rough, 1:] = True
@@ -182,29 +181,22 @@ class _Problem:
         M[np.diag_indices(len(index))] += (self.own + κ / ρ).ravel()[index]
         J = ρ.ravel()[index, None] * M
         right = (-ρ * w).ravel()[index]
-        if slip.any():
-            k = np.flatnonzero(slip)
-            τ, ft = y[k, 1:] / length[k, None], gone[k, 1:]
-            size = np.linalg.norm(ft, axis=1)
-            e = g[k] / length[k]
-            F = ft[:, :, None] * τ[:, None, :] / np.maximum(g[k], size)[:, None, None]
-            along = np.einsum("kii->k", F)
-            e = e / (1 + np.maximum(-along, 0))
+        k = np.flatnonzero(rough & (length > g))  # the others of these stick
+        if len(k):
+            τ, f_t, e = y[k, 1:] / length[k, None], gone[k, 1:], g[k] / length[k]
+            F = f_t[:, :, None] * τ[:, None, :] / np.maximum(g[k], np.linalg.norm(f_t, axis=1))[:, None, None]
+            e = e / (1 + np.maximum(-np.einsum("kii->k", F), 0))  # 1 − A stays positive
             A = e[:, None, None] * (np.eye(d - 1) - F)
-            rows = place.reshape(m, d)[k, 1:]  # (s, d - 1)
-            ρM = J[rows]  # (s, d - 1, free)
-            lines = np.einsum("kij,kjf->kif", A, ρM)
-            own = np.eye(d - 1) - A
-            s = np.arange(len(k))[:, None, None]
-            lines[s, np.arange(d - 1)[None, :, None], rows[:, None, :]] += own
-            lines[np.arange(len(k))[:, None], np.arange(d - 1)[None], place.reshape(m, d)[k, 0][:, None]] -= (
-                slope[k, None] * τ
-            )
-            J[rows] = lines
-            # f_t + df_t − (g + g' dy_n) τ − A (df_t − ρ dw_t) = 0, with dy_n = f_n + df_n − y_n
-            wanted = g[k, None] * τ - ft + slope[k, None] * (gone[k, 0] - y[k, 0])[:, None] * τ
-            shift = np.einsum("kij,kj->ki", A, -(ρ * (w - before))[k, 1:])
-            right[rows] = wanted + shift
+            # f_t + df_t − (g + g' dy_n) τ − A (df_t − ρ dw_t) = 0, where dy_n = f_n + df_n − y_n
+            normal, tangential = place.reshape(m, d)[k, 0], place.reshape(m, d)[k, 1:]
+            lines = A @ J[tangential]
+            one, i, j = np.ix_(np.arange(len(k)), np.arange(d - 1), np.arange(d - 1))
+            lines[one, i, tangential[:, None, :]] += np.eye(d - 1) - A
+            lines[one[:, :, 0], i[:, :, 0], normal[:, None]] -= slope[k, None] * τ
+            J[tangential] = lines
+            pressed = g[k] + slope[k] * (gone[k, 0] - y[k, 0])
+            moved = np.einsum("kij,kj->ki", A, (ρ * (w - before))[k, 1:])
+            right[tangential] = pressed[:, None] * τ - f_t - moved
         found = np.zeros(m * d)
         found[index] = np.linalg.solve(J, right)
         return gone + found.reshape(m, d) - f

@@ -183,7 +183,9 @@ def run(context):
     rows = pd.DataFrame(
         [
             {"assembly": name} | row
-            for (name, _), row in zip(items, context.team.map(lambda i: compare(built[i[0]], nominal[i[0]], i[1]), items))
+            for (name, _), row in zip(
+                items, context.team.map(lambda i: compare(built[i[0]], nominal[i[0]], i[1]), items)
+            )
         ]
     )
     solved = rows[rows["failure"] == ""]
