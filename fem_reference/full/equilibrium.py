@@ -537,7 +537,8 @@ class Equilibrium:
         """The same on the system that is condensed onto the contact forces, begun from forces (m, d).
 
         The law's penalty may be infinite: no contact yields then but those that do so of themselves. Returned are the
-        solution, its contacts' states (m,) and the iterations, the residual of the last being the whole system's.
+        solution, its contacts' states (m,) and the iterations, the residual of the last being that of the whole system,
+        its bilateral rows among it.
 
         Raises
         ------
@@ -560,6 +561,9 @@ class Equilibrium:
             state = own.state(δ)
             contact, _, _ = own.linearise(δ, f, state)
             residual, allowed = self._measure(x, p, contact, own)
+            if largest := np.abs(x[self.N :]).max(initial=0.0):
+                misfit = np.abs(self.B @ u + soft * r - v).max(initial=0.0)
+                residual = max(residual, float(law.stiffness.max(initial=0.0) * misfit / largest))
             history.append(Iteration.of(residual, 1.0, state, 0))
             if residual <= allowed:
                 return self.unpack(x), state, history
