@@ -172,10 +172,11 @@ def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
     assert difference(FullModel(lap).evaluate(sample, "coulomb"), reduced) > 1e-3
 
 
-def test_newton_converges_quadratically(scene, cache):
+def test_newton_converges_quadratically(scene, cache, monkeypatch):
     """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one
     squared."""
     ratios = []
+    monkeypatch.setattr(equilibrium, "CONDENSED", 0)
     lap = assemble(going(scene, "one-step"), cache)
     for sample in draw(scene, 5, 0, 3):
         for solve in FullModel(lap, augmented=False).evaluate(sample).history:
@@ -249,6 +250,7 @@ def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch
         return newton(self, start, p, v, law)
 
     monkeypatch.setattr(equilibrium.Equilibrium, "newton", refuse_long_steps)
+    monkeypatch.setattr(equilibrium, "CONDENSED", 0)
     cut = FullModel(lap).evaluate(sample)
     fractions = [
         solve.share for solve in cut.history if (solve.stage, solve.step, solve.augmentation) == ("clamp", 1, 0)
@@ -260,8 +262,23 @@ def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch
         )
 
 
+def test_where_no_forces_are_found_on_the_condensed_system_the_whole_one_answers(lap, scene, monkeypatch):
+    sample = draw(scene, 5, 0, 1)[0]
+    condensed = FullModel(lap).evaluate(sample)
+    monkeypatch.setattr(equilibrium, "contact_forces", lambda *given: (None, []))
+    whole = FullModel(lap).evaluate(sample)
+    assert all(np.isinf(solve.penalty) for solve in condensed.history)
+    assert all(np.isfinite(solve.penalty) for solve in whole.history)
+    for stage, resolution in whole.resolutions.items():
+        for name in ("force", "displacement", "reaction"):
+            exact = getattr(resolution, name)
+            off = np.abs(getattr(condensed.resolutions[stage], name) - exact).max()
+            assert off < 1e-8 * np.abs(exact).max()
+
+
 def test_a_failure_names_stage_increment_contact_and_remedy(lap, scene, monkeypatch):
     monkeypatch.setattr(equilibrium, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(equilibrium, "CONDENSED", 0)
     with pytest.raises(
         ContactFailure,
         match=r"stage 'clamp', step 1 of 2, at 0 of its load, worst at contact 'lap \d+': "

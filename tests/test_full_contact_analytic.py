@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix, vstack
 from support.strips import E, bend_leaves, clamped, contact_law, interleave, rest, strip, vertex_rows
 
 from fem_reference.full import equilibrium
-from fem_reference.full.equilibrium import SLIP, STICK, Equilibrium, Parts
+from fem_reference.full.equilibrium import OPEN, SLIP, STICK, Equilibrium, NoConvergence, Parts
 from fem_reference.full.friction import ContactFriction
 
 pytestmark = pytest.mark.fem
@@ -39,9 +39,9 @@ def test_strip_pressed_on_a_stop(share):
     assert state.force[0, 0] == pytest.approx(max(0.0, P - stiffness * gap), rel=2e-3)
 
 
-def dragged(loads=slice(None)):
+def dragged():
     """A strip pressed on feet and dragged along them, loads that change, contacts that open, stick and slip: each
-    load's solution and iterations."""
+    load's solution and iterations by the whole system, and its solution, states and iterations by the condensed one."""
     shell = strip(100.0, 10.0, 5.0, 10.0)
     x = shell.surface.points[:, 0]
     feet = np.flatnonzero((x > 30) & (x % 20 == 0))
@@ -53,56 +53,34 @@ def dragged(loads=slice(None)):
     held = clamped(shell, np.flatnonzero(x == 0))
     system = Equilibrium(Parts([shell], MPI.COMM_SELF), held, C, 3, held=True)
     state, found = rest(system), []
-    for p in way[loads]:
+    for p in way:
+        condensed = system.condensed(state.force, p, np.zeros(system.b), law)
         state, history = system.newton(state, p, np.zeros(system.b), law)
-        found.append((state, history))
+        found.append((state, history, *condensed))
     return found
 
 
-@pytest.fixture(scope="module")
-def dragged_whole():
-    """By the whole system alone."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(equilibrium, "FACTORISED", -1e9)
-        patch.setattr(equilibrium, "Condensation", None)
-        return dragged()
-
-
-def test_the_condensed_linear_part_leaves_the_iterates_as_they_are(monkeypatch, dragged_whole):
-    monkeypatch.setattr(equilibrium, "FACTORISED", 1e9)  # pays from the second iteration on
+def test_the_condensed_system_finds_what_the_whole_one_finds():
+    """Each load from where the one before has left the contacts."""
     seen = set()
-    for (state, history), (exact, iterations) in zip(dragged(), dragged_whole, strict=True):
-        assert np.abs(state.stacked - exact.stacked).max() < 1e-8 * np.abs(exact.stacked).max()
-        assert np.abs(state.u - exact.u).max() < 1e-8 * np.abs(exact.u).max()
-        assert len(history) == len(iterations)
-        steps = [(one.step, one.open, one.stick, one.slip) for one in history]
-        assert steps == [(one.step, one.open, one.stick, one.slip) for one in iterations]
+    for state, iterations, condensed, states, found in dragged():
+        assert np.abs(condensed.stacked - state.stacked).max() < 1e-8 * np.abs(state.stacked).max()
+        assert np.abs(condensed.u - state.u).max() < 1e-8 * np.abs(state.u).max()
+        counts = [(one.open, one.stick, one.slip) for one in (iterations[-1], found[-1])]
+        assert counts[0] == counts[1] == tuple(int((states == s).sum()) for s in (OPEN, STICK, SLIP))
+        assert found[-1].residual <= 1e-10
         seen |= {name for name in ("open", "stick", "slip") if getattr(iterations[-1], name)}
     assert seen == {"open", "stick", "slip"}
 
 
-@pytest.mark.parametrize("spoilt", ["astray", "singular", "no numbers"])
-def test_where_the_condensed_iterations_fail_those_of_the_whole_system_answer(monkeypatch, dragged_whole, spoilt):
-    """A compliance of the wrong sign, one that makes the tangent singular, and one without a number in it."""
-    failed = []
-
-    class Spoilt(equilibrium.Condensation):
-        def __init__(self, matrix, C):
-            super().__init__(matrix, C)
-            self.compliance = {"astray": -1.0, "singular": 0.0, "no numbers": np.nan}[spoilt] * self.compliance
-
-    class Told(equilibrium.NoConvergence):
-        def __init__(self, *said):
-            super().__init__(*said)
-            failed.append(said)
-
-    monkeypatch.setattr(equilibrium, "NoConvergence", Told)
-    monkeypatch.setattr(equilibrium, "FACTORISED", 1e9)
-    monkeypatch.setattr(equilibrium, "Condensation", Spoilt)
-    for (state, history), (exact, iterations) in zip(dragged(slice(3)), dragged_whole):
-        assert np.abs(state.stacked - exact.stacked).max() < 1e-8 * np.abs(exact.stacked).max()
-        assert len(history) == len(iterations)
-    assert failed  # with what was planted, and then the whole system answered
+@pytest.mark.parametrize("spoilt", ["none", "none that hold", "no numbers"])
+def test_what_does_not_solve_the_whole_system_is_refused(monkeypatch, spoilt):
+    """Forces that were not found, that leave the contacts penetrating, or are none."""
+    given = {"none": None, "none that hold": 0.0, "no numbers": np.nan}[spoilt]
+    forces = lambda S, δ, at, law, start: (None if given is None else np.full_like(start, given), [])
+    monkeypatch.setattr(equilibrium, "contact_forces", forces)
+    with pytest.raises(NoConvergence):
+        dragged()
 
 
 def block_on_feet():

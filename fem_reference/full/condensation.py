@@ -1,79 +1,191 @@
-"""The linear part of an equilibrium, condensed onto the contact forces: exact algebra, once for all Newton iterations.
+"""The linear part of an equilibrium, condensed onto the contact forces: exact algebra, one factorisation for a mesh.
 
-Of the unknowns (u, r, f) of :mod:`fem_reference.full.equilibrium` the first two obey linear equations. Where the
-bilateral rows hold the parts these can be solved for any f, with A = [[K, −Bᵀ], [B, c]] factorised once:
+Of the unknowns (u, r, f) of :mod:`fem_reference.full.equilibrium` the first two obey linear equations. All parts, held
+on rows D, are factorised once, LDLᵀ,
 
-    (u, r) = A⁻¹ (p, v) + W f,        W = A⁻¹ (Cᵀ, 0),        δ = C u = δ⁰ + S f,       S = C W,              (1)
+    K u = Dᵀ λ + p,        D u = w        gives u and λ for any p, w,                                      (1)
 
-so that an iteration of Newton's method is a system of the contact lines alone, as large as there are contact forces.
-The iterates are those of the whole system, but for rounding. Nothing is left out and nothing approximated; whoever uses
-the result holds it against the whole system's residual.
+and a step whose bilateral rows are B is that with as many more unknowns as it has rows, r and w: its rows read what
+they shall, and D carries nothing,
+
+    B u + c r = v,         λ = 0,         p + Bᵀ r + Cᵀ f in place of p.                                   (2)
+
+Elimination of r and w leaves what the contacts read, δ = C u = δ⁰ + S f, so that an iteration of Newton's method is a
+system of the contact lines alone. Nothing is left out and nothing approximated; whoever uses the result holds it
+against the whole system's residual.
 """
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 from petsc4py import PETSc
-from scipy.sparse import csr_matrix
+from scipy.sparse import bmat, csr_matrix, diags, vstack
 
-__all__ = ["Condensation"]
+__all__ = ["Condensation", "HeldParts"]
+
+_BLOCK = 64  # right-hand sides at a time
+_ICNTL_EXTRA_MEMORY, _ICNTL_RIGHT_HAND_SIDES, _INFOG_STATUS = 14, 27, 1  # MUMPS
 
 
-class Condensation:
-    """A⁻¹, W and S of (1), on one process.
+class HeldParts:
+    """System (1), on one process, and what rows read under unit forces on rows: each is solved for once.
 
     Parameters
     ----------
-    matrix : PETSc.Mat
-        Of the unknowns (u, r, f) in this order, the lines of f being ``f = given``. It is kept, and must not change.
-    C : (k, N) csr_matrix
-        Rows of the contacts.
+    K : (N, N) csr_matrix
+        Stiffness of the free parts.
+    D : (d, N) csr_matrix
+        Independent rows that hold them.
 
-    Attributes
-    ----------
-    response : (N + b, k) array
-        W.
-    compliance : (k, k) array
-        S, mm/N.
+    Raises
+    ------
+    ArithmeticError
+        If it cannot be factorised.
     """
 
-    def __init__(self, matrix: PETSc.Mat, C: csr_matrix):
-        self._matrix, (k, N) = matrix, C.shape
-        self._size = matrix.getSize()[0] - k
-        self._right, self._left = matrix.createVecs()
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
-        self._ksp = PETSc.KSP().create(matrix.getComm())
-        self._ksp.setOperators(matrix)
-        self._ksp.setType("preonly")
-        pc = self._ksp.getPC()
-        pc.setType("lu")
-        pc.setFactorSolverType("mumps")
-        unit = np.eye(k)
-        self.response = np.column_stack([self._inverse(np.concatenate([np.zeros(self._size), f])) for f in unit])
-        self.compliance = C @ self.response[:N]
+    def __init__(self, K: csr_matrix, D: csr_matrix):
+        self._K, self.D = K, D.tocsr()
+        self.N, self.d = K.shape[0], D.shape[0]
+        system = bmat([[K, -D.T], [-D, None]], format="csr") + diags(np.zeros(self.N + self.d), format="csr")
+        system.sort_indices()
+        index = PETSc.IntType
+        self._matrix = PETSc.Mat().createAIJ(
+            system.shape,
+            csr=(system.indptr.astype(index), system.indices.astype(index), system.data),
+            comm=PETSc.COMM_SELF,
+        )
+        self._matrix.assemble()
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._pc = PETSc.PC().create(PETSc.COMM_SELF)
+        self._pc.setOperators(self._matrix)
+        self._pc.setType("cholesky")
+        self._pc.setFactorSolverType("mumps")
+        self._pc.setFactorSetUpSolverType()
+        self._factor = self._pc.getFactorMatrix()
+        self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
+        self._factor.setMumpsIcntl(_ICNTL_RIGHT_HAND_SIDES, _BLOCK)
+        self._pc.setUp()
+        if self._factor.getMumpsInfog(_INFOG_STATUS) < 0:
+            raise ArithmeticError("the held parts cannot be factorised")
+        self._response: dict[tuple, np.ndarray] = {}  # (N,) of unit forces on a row
+        self._place: dict[tuple, int] = {}  # of a row in `_read`
+        self.formed: tuple = (None, None)  # the step whose compliance is kept, and that
+        self._rows, self._read = csr_matrix((0, self.N)), np.zeros((0, 0))
+        self.moved, self.carried = self.solve(np.zeros((self.N, self.d)), np.eye(self.d))
 
     def __del__(self):
         """Free the factors, which petsc4py would keep to the end of the process."""
-        for held in ("_ksp", "_matrix"):
+        for held in ("_pc", "_matrix"):
             if hasattr(self, held):
                 getattr(self, held).destroy()
 
-    def unloaded(self, p: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(N + b,) A⁻¹ (p, v): u and r where no contact carries anything; the last loads asked for are remembered."""
-        loads = np.concatenate([p, v])
-        if self._last is None or not np.array_equal(self._last[0], loads):
-            right = np.concatenate([loads, np.zeros(self.response.shape[1])])
-            self._last = loads, self._inverse(right)
-        return self._last[1]
+    def solve(self, p: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """u (N, k) and λ (d, k) of (1) under p (N, k) and w (d, k), refined once."""
+        x = self._solve(np.concatenate([p, -w]))
+        u, λ = x[: self.N], x[self.N :]
+        x += self._solve(np.concatenate([p - self._K @ u + self.D.T @ λ, self.D @ u - w]))
+        return x[: self.N], x[self.N :]
 
-    def _inverse(self, right):
-        """Solved, and refined once."""
-        x = self._solve(right)
-        self._right.setArray(x)
-        self._matrix.mult(self._right, self._left)
-        return (x + self._solve(right - self._left.getArray()))[: self._size]
+    def response(self, rows: csr_matrix) -> np.ndarray:
+        """(N, r) u under unit forces on rows, D held; remembered row by row."""
+        names = _names(rows)
+        new = [i for i, name in enumerate(names) if name not in self._response]
+        if new:
+            u, _ = self.solve(rows[new].T.toarray(), np.zeros((self.d, len(new))))
+            self._response.update(zip([names[i] for i in new], u.T.copy(), strict=True))
+        return np.array([self._response[name] for name in names]).reshape(len(names), self.N).T
 
-    def _solve(self, right):
-        self._left.setArray(right)
-        self._ksp.solve(self._left, self._right)
-        return self._right.getArray().copy()
+    def readings(self, rows: csr_matrix) -> np.ndarray:
+        """(r, r) what rows read under unit forces on them, D held; remembered, the displacements are not."""
+        names = _names(rows)
+        new = [i for i, name in enumerate(names) if name not in self._place]
+        if new:
+            first = len(self._read)
+            self._place.update((names[i], first + j) for j, i in enumerate(new))
+            added = rows[new]
+            self._rows = vstack([self._rows, added], format="csr")
+            whole = np.zeros((first + len(new), first + len(new)))
+            whole[:first, :first] = self._read
+            for j in range(0, len(new), _BLOCK):
+                forces = added[j : j + _BLOCK].T.toarray()
+                u = self._solve(np.concatenate([forces, np.zeros((self.d, forces.shape[1]))]))[: self.N]
+                whole[:, first + j : first + j + _BLOCK] = self._rows @ u
+            whole[first:, :first] = whole[:first, first:].T
+            whole[first:, first:] = 0.5 * (whole[first:, first:] + whole[first:, first:].T)
+            self._read = whole
+        place = [self._place[name] for name in names]
+        if place == list(range(len(self._read))):
+            return self._read
+        return self._read[np.ix_(place, place)]
+
+    def _solve(self, right: np.ndarray) -> np.ndarray:
+        found = np.empty(right.shape)
+        for j in range(0, right.shape[1], _BLOCK):
+            given = np.asfortranarray(right[:, j : j + _BLOCK])
+            B = PETSc.Mat().createDense(given.shape, array=given, comm=PETSc.COMM_SELF)
+            B.assemble()
+            X = PETSc.Mat().createDense(given.shape, comm=PETSc.COMM_SELF)
+            X.setUp()
+            X.assemble()
+            self._factor.matSolve(B, X)
+            found[:, j : j + _BLOCK] = X.getDenseArray()
+            X.destroy()
+            B.destroy()
+        return found
+
+
+class Condensation:
+    """System (2) of a step.
+
+    Parameters
+    ----------
+    parts : HeldParts
+    B : (b, N) csr_matrix
+        Bilateral rows, independent, that hold all parts.
+    yielding : (b,) array or None
+        c, mm/N.
+    C : (k, N) csr_matrix
+        Rows of the contacts.
+    """
+
+    def __init__(self, parts: HeldParts, B: csr_matrix, yielding: np.ndarray | None, C: csr_matrix):
+        self.parts, self.B, self.C, self.b = parts, B, C, B.shape[0]
+        unit = np.column_stack([parts.response(B), parts.moved])  # u under unit r and w: not kept, a step's are large
+        border = np.zeros((self.b + parts.d, self.b + parts.d))
+        border[: self.b] = B @ unit
+        border[self.b :, : self.b] = -border[: self.b, self.b :].T
+        border[self.b :, self.b :] = parts.carried
+        border[np.arange(self.b), np.arange(self.b)] += 0.0 if yielding is None else yielding
+        self._scale = 1 / np.sqrt(np.abs(border).max(axis=1))  # forces beside displacements
+        self._border = np.linalg.inv(border * np.outer(self._scale, self._scale))
+        self._read = C @ unit
+
+    def compliance(self) -> np.ndarray:
+        """(k, k) S, mm/N; of all steps of a mesh, the one that asked last has it kept."""
+        step, S = self.parts.formed
+        if step is None or step() is not self:
+            own = self._read.copy()
+            own[:, : self.b] *= -1
+            S = self.parts.readings(self.C) + self._read @ self._bordered(own.T)
+            self.parts.formed = weakref.ref(self), S
+        return S
+
+    def solve(self, p: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """u (N,) and r (b,) under loads p (N,), contact forces among them, and values v (b,)."""
+        u, λ = self.parts.solve(p[:, None], np.zeros((self.parts.d, 1)))
+        u = u[:, 0]
+        unknown = self._bordered(np.concatenate([v - self.B @ u, -λ[:, 0]]))
+        r, w = unknown[: self.b], unknown[self.b :]
+        return u + self.parts.response(self.B) @ r + self.parts.moved @ w, r
+
+    def _bordered(self, right):
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        return scale * (self._border @ (scale * right))
+
+
+def _names(rows: csr_matrix) -> list[tuple]:
+    """What tells each row from others: its columns and numbers."""
+    edges = rows.indptr
+    return [(rows.indices[lo:hi].tobytes(), rows.data[lo:hi].tobytes()) for lo, hi in zip(edges, edges[1:])]

@@ -57,7 +57,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse import block_diag, csr_matrix, diags, hstack, vstack
 
-from fem_reference.full.condensation import Condensation
+from fem_reference.full.condensation import Condensation, HeldParts
+from fem_reference.full.coulomb import contact_forces
 from fem_reference.full.friction import ContactFriction
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -67,9 +68,9 @@ MAX_ITERATIONS = 60
 _PATIENCE = 25  # iterations with full steps
 _TOLERANCE = 1e-11  # of the largest force in the system
 _WORST_ROUNDING = 1e-7
+_CORRECTIONS = 6  # of a condensed solution by what it leaves in the whole system
 _LINE_SEARCH = 0.8  # a full step whose work falls below this share of the start's is taken as it is
-FACTORISED = 8  # back-substitutions that a factorisation takes as long as: condensing pays after so many iterations
-CONDENSED = 5e7  # numbers that the response to all contact forces may take
+CONDENSED = 5000  # contact forces at most: what each moves at the others is 200 MB then
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
 
 
@@ -111,6 +112,13 @@ class Parts:
             indptr, indices, data = shell.stiffness.getValuesCSR()
             blocks.append(csr_matrix((data, indices, indptr), shape=(len(indptr) - 1, shell.ndof)))
         self.stiffness = block_diag(blocks, format="csr")  # this process's rows, all columns
+        self._held: HeldParts | None = None
+
+    def held(self, rows: csr_matrix) -> HeldParts:
+        """All parts, on one process, held on the rows that are asked for first: independent ones that hold them."""
+        if self._held is None:
+            self._held = HeldParts(self.stiffness, rows)
+        return self._held
 
     def layout(self, extra: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows of this process and the place of every unknown, with `extra` unknowns that the last process owns.
@@ -270,6 +278,11 @@ class Iteration:
     slip: int
     changed: int
 
+    @classmethod
+    def of(cls, residual: float, step: float, state: np.ndarray, changed: int) -> Iteration:
+        """With the contacts' states (m,) counted."""
+        return cls(residual, step, *(int((state == s).sum()) for s in (OPEN, STICK, SLIP)), changed)
+
 
 @dataclass(frozen=True)
 class State:
@@ -311,7 +324,7 @@ class Equilibrium:
         c of the bilateral rows, mm/N.
     held : bool
         Whether the bilateral rows alone hold all parts. On one process the linear part is then condensed onto the
-        contact forces (:mod:`fem_reference.full.condensation`) as soon as that pays.
+        contact forces (:mod:`fem_reference.full.condensation`).
     """
 
     def __init__(
@@ -328,39 +341,54 @@ class Equilibrium:
         comm = parts.comm
         owned, self._place = parts.layout(self.b + self.m * dimension)
         self._last = comm.rank == comm.size - 1
-        small = (self.N + self.b) * self.m * dimension <= CONDENSED
-        self._condensable, self._condensation, self._iterations = held and small and comm.size == 1, None, 0
-        u_rows = owned[owned < self.N]
-        BT, CT = self.B.T.tocsr()[u_rows], self.C.T.tocsr()[u_rows]
-        rows = [hstack([parts.stiffness, -BT, -CT], format="csr")]
+        self._yielding, self._held = yielding, held and comm.size == 1
+        self.condensable = self._held and self.m * dimension <= CONDENSED
+        self._u_rows = owned[owned < self.N]
+        BT, CT = self.B.T.tocsr()[self._u_rows], self.C.T.tocsr()[self._u_rows]
+        self._balance = hstack([parts.stiffness, -BT, -CT], format="csr")  # of this process's freedoms
+
+    @cached_property
+    def _matrix(self) -> PETSc.Mat:
+        """Of the unknowns (u, r, f), the lines of f to be set."""
+        rows, contacts = [self._balance], self.m * self.d
         self._contact_pattern()
         if self._last:
-            soft = csr_matrix((self.b, self.b)) if yielding is None else diags(yielding, format="csr")
-            rows.append(hstack([self.B, soft, csr_matrix((self.b, self.m * dimension))], format="csr"))
-            rows.append(
-                self._contact_rows(np.zeros((self.m, dimension, dimension)), np.zeros((self.m, dimension, dimension)))
-            )
+            none = np.zeros((self.m, self.d, self.d))
+            soft = csr_matrix((self.b, self.b)) if self._yielding is None else diags(self._yielding, format="csr")
+            rows.append(hstack([self.B, soft, csr_matrix((self.b, contacts))], format="csr"))
+            rows.append(self._contact_rows(none, none))
         local = vstack(rows, format="csr")
         local = csr_matrix((local.data, self._place[local.indices], local.indptr), shape=local.shape)
         local.sort_indices()
-        size = (len(owned), local.shape[1])
-        self._matrix = PETSc.Mat().createAIJ(
+        size = local.shape
+        matrix = PETSc.Mat().createAIJ(
             (size, size),
-            comm=comm,
+            comm=self.parts.comm,
             csr=(local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data),
         )
-        self._matrix.assemble()
-        self._right, self._left = self._matrix.createVecs()
-        self._magnitude = abs(hstack([parts.stiffness, -BT, -CT], format="csr")), u_rows
-        self._ksp = PETSc.KSP().create(comm)
-        self._ksp.setOperators(self._matrix)
-        self._ksp.setType("preonly")
-        pc = self._ksp.getPC()
+        matrix.assemble()
+        return matrix
+
+    @cached_property
+    def _vectors(self):
+        return self._matrix.createVecs()
+
+    @cached_property
+    def _magnitude(self):
+        return abs(self._balance)
+
+    @cached_property
+    def _ksp(self) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(self.parts.comm)
+        ksp.setOperators(self._matrix)
+        ksp.setType("preonly")
+        pc = ksp.getPC()
         pc.setType("lu")
         pc.setFactorSolverType("mumps")
         pc.setFactorSetUpSolverType()
         self._factor = pc.getFactorMatrix()
         self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
+        return ksp
 
     def __del__(self):
         """Free the factors, hundreds of MB that petsc4py would keep to the end of the process.
@@ -369,8 +397,8 @@ class Equilibrium:
         """
         if self.parts.comm.size == 1:
             for held in ("_factor", "_ksp", "_matrix"):
-                if hasattr(self, held):
-                    getattr(self, held).destroy()
+                if held in self.__dict__:
+                    self.__dict__[held].destroy()
 
     # ------------------------------------------------------------------------------------------ sparse contact operator
 
@@ -409,15 +437,16 @@ class Equilibrium:
         )
 
     def _update(self, by_δ, by_f):
+        matrix = self._matrix
         if self._last and self.m:
             rows = self._place[self.N + self.b :].astype(PETSc.IntType)
-            self._matrix.setValuesIJV(
+            matrix.setValuesIJV(
                 self._row_start.astype(PETSc.IntType),
                 self._place[self._row_columns],
                 self._contact_data(by_δ, by_f),
                 rowmap=rows,
             )
-        self._matrix.assemble()
+        matrix.assemble()
 
     # ------------------------------------------------------------------------------------------ distributed algebra
 
@@ -431,20 +460,22 @@ class Equilibrium:
         return np.concatenate(self.parts.comm.allgather(vector.getArray()))[self._place]
 
     def _multiply(self, x):
-        self._scatter(x, self._right)
-        self._matrix.mult(self._right, self._left)
-        return self._gathered(self._left)
+        right, left = self._vectors
+        self._scatter(x, right)
+        self._matrix.mult(right, left)
+        return self._gathered(left)
 
     def _solve(self, right):
-        self._scatter(right, self._left)
-        self._ksp.solve(self._left, self._right)
+        solved, given = self._vectors
+        self._scatter(right, given)
+        self._ksp.solve(given, solved)
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
             raise NoConvergence(
                 f"MUMPS reports INFOG(1) = {status}, INFOG(2) = "
                 f"{self._factor.getMumpsInfog(2)} when it factorises the tangent"
             )
-        solution = self._gathered(self._right)
+        solution = self._gathered(solved)
         if not np.isfinite(solution).all():
             raise NoConvergence("the tangent is singular")
         return solution
@@ -456,6 +487,9 @@ class Equilibrium:
 
     def linear(self, p: np.ndarray, v: np.ndarray, force: np.ndarray) -> State:
         """Equilibrium under loads p (N,) and given contact forces (m, d)."""
+        if self._held:
+            u, r = self._condensation.solve(p + self.C.T @ force.ravel(), v)
+            return State(u, r, force.copy())
         zero = np.zeros((self.m, self.d, self.d))
         self._update(zero, np.tile(np.eye(self.d), (self.m, 1, 1)))
         right = np.concatenate([p, v, force.ravel()])
@@ -471,15 +505,6 @@ class Equilibrium:
         NoConvergence
             After `MAX_ITERATIONS`, or where the tangent cannot be factorised.
         """
-        if self._condensable and self._iterations * FACTORISED >= self.m * self.d:
-            try:
-                return self._iterate(start, p, v, law, self._condensed_step)
-            except NoConvergence:  # led astray by rounding: iterates of the whole system go their own way
-                pass
-        return self._iterate(start, p, v, law, self._whole_step)
-
-    def _iterate(self, start, p, v, law, steps):
-        """Newton's iterations by one kind of steps, and the whole system's where these are stopped by rounding."""
         N, b = self.N, self.b
         x = start.stacked
         δ = self._contact(x)
@@ -488,17 +513,17 @@ class Equilibrium:
         for iteration in range(MAX_ITERATIONS):
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
             F = self._residual(x, p, v, contact)
-            step = self._whole_step if _stalled(history) else steps
-            dx = step(x, F, p, v, by_δ, by_f)
+            self._update(by_δ, by_f)
+            dx = -self._solve(F)
+            dx -= self._solve(F + self._multiply(dx))
             α = self._step_length(x, dx, F, law, state, iteration)
             x = x + α * dx
             δ = self._contact(x)
             before, state = state, law.state(δ)
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
             changed = int((state != before).sum())
-            residual, allowed = self._measure(x, p, v, contact, law)
-            history.append(Iteration(residual, α, *(int((state == s).sum()) for s in (OPEN, STICK, SLIP)), changed))
-            self._iterations += 1
+            residual, allowed = self._measure(x, p, contact, law)
+            history.append(Iteration.of(residual, α, state, changed))
             if residual <= allowed:
                 return self.unpack(x), history
         worst = int(np.argmax(np.abs(contact).max(axis=1))) if self.m else None
@@ -508,29 +533,48 @@ class Equilibrium:
             worst,
         )
 
-    def _whole_step(self, x, F, p, v, by_δ, by_f):
-        """Newton's step of all unknowns, refined once."""
-        self._update(by_δ, by_f)
-        dx = -self._solve(F)
-        return dx - self._solve(F + self._multiply(dx))
+    def condensed(self, force: np.ndarray, p: np.ndarray, v: np.ndarray, law: ContactLaw):
+        """The same on the system that is condensed onto the contact forces, begun from forces (m, d).
 
-    def _condensed_step(self, x, F, p, v, by_δ, by_f):
-        """The same, the linear part solved beforehand."""
-        if self._condensation is None:
-            self._update(np.zeros_like(by_δ), np.tile(np.eye(self.d), (self.m, 1, 1)))
-            self._condensation = Condensation(self._matrix.copy(), self.C)
-        linear, f = self._condensation, x[self.N + self.b :]
-        unloaded = linear.unloaded(p, v)
-        jump = self.C @ (unloaded[: self.N] - x[: self.N]) + linear.compliance @ f
-        tangent = by_δ @ linear.compliance.reshape(self.m, self.d, -1)
-        own = np.arange(self.m)
-        tangent.reshape(self.m, self.d, self.m, self.d)[own, :, own, :] += by_f
-        right = F[self.N + self.b :] + np.einsum("kij,kj->ki", by_δ, jump.reshape(self.m, self.d)).ravel()
-        try:
-            df = -np.linalg.solve(tangent.reshape(len(f), len(f)), right)
-        except np.linalg.LinAlgError as problem:
-            raise NoConvergence("the tangent is singular") from problem
-        return np.concatenate([unloaded + linear.response @ (f + df) - x[: self.N + self.b], df])
+        The law's penalty may be infinite: no contact yields then but those that do so of themselves. Returned are the
+        solution, its contacts' states (m,) and the iterations, the residual of the last being that of the whole system,
+        its bilateral rows among it.
+
+        Raises
+        ------
+        NoConvergence
+        """
+        linear, history = self._condensation, []
+        S, soft = linear.compliance(), 0.0 if self._yielding is None else self._yielding
+        u, r, f = np.zeros(self.N), np.zeros(self.b), np.zeros_like(force)
+        for _ in range(_CORRECTIONS):  # what rounding has left is less each time
+            x = np.concatenate([u, r, f.ravel()])
+            du, dr = linear.solve(p - self._balance @ x, v - self.B @ u - soft * r)
+            force, iterations = contact_forces(S, self._contact(u + du), f, law, force)
+            history += [Iteration.of(*one) for one in iterations]
+            if force is None:
+                raise NoConvergence("no contact forces were found on the condensed system")
+            more, added = linear.solve(self.C.T @ (force - f).ravel(), np.zeros(self.b))
+            u, r, f = u + du + more, r + dr + added, force
+            x, δ = np.concatenate([u, r, f.ravel()]), self._contact(u)
+            own = replace(law, penalty=law.stiffness).augmented(f) if np.isinf(law.penalty).any() else law
+            state = own.state(δ)
+            contact, _, _ = own.linearise(δ, f, state)
+            residual, allowed = self._measure(x, p, contact, own)
+            if largest := np.abs(x[self.N :]).max(initial=0.0):
+                misfit = np.abs(self.B @ u + soft * r - v).max(initial=0.0)
+                residual = max(residual, float(law.stiffness.max(initial=0.0) * misfit / largest))
+            history.append(Iteration.of(residual, 1.0, state, 0))
+            if residual <= allowed:
+                return self.unpack(x), state, history
+        raise NoConvergence(
+            f"the condensed system's solution leaves {residual:.1e} of the largest force in the whole one, over "
+            f"{allowed:.1e}"
+        )
+
+    @cached_property
+    def _condensation(self) -> Condensation:
+        return Condensation(self.parts.held(self.B), self.B, self._yielding, self.C)
 
     def _contact(self, x):
         return (self.C @ x[: self.N]).reshape(self.m, self.d)
@@ -546,22 +590,21 @@ class Equilibrium:
         F[self.N + self.b :] = contact.ravel()
         return F
 
-    def _measure(self, x, p, v, contact, law):
+    def _measure(self, x, p, contact, law):
         """Relative residual, and the one allowed: the tolerance, or what rounding makes of the sums where that is more.
 
         Rounding that leaves no digits to trust (a part that nothing holds any more has flown off) is no excuse.
         """
         N = self.N
-        F = self._residual(x, p, v, contact)
-        matrix, rows = self._magnitude
-        rounding = self._largest((matrix @ np.abs(x)).max(initial=0.0))
+        left = np.abs(self._balance @ x - p[self._u_rows]).max(initial=0.0)
+        rounding = self._largest((self._magnitude @ np.abs(x)).max(initial=0.0))
         if self.m:
             rounding = max(
                 rounding,
                 float((law.stiffness * (np.abs(self.C) @ np.abs(x[:N])).reshape(self.m, self.d).max(axis=1)).max()),
             )
         scale = np.abs(x[N:]).max(initial=0.0)
-        residual = max(np.abs(F[:N]).max(initial=0.0), np.abs(contact).max(initial=0.0))
+        residual = max(self._largest(left), np.abs(contact).max(initial=0.0))
         nothing = 1e-13 * max(np.abs(law.stiffness * law.gap).max(initial=0.0), rounding if scale == 0 else 0.0)
         if scale <= nothing:  # no contact carries anything, nor does a row
             return (0.0 if residual <= nothing else np.inf), 0.0
@@ -595,8 +638,3 @@ class Equilibrium:
                 break
             low, high = (α, high) if value < 0 else (low, α)
         return max(α, 1e-3)
-
-
-def _stalled(history) -> bool:
-    """Whether it is rounding that keeps the residual from falling."""
-    return len(history) > 1 and 0.5 * history[-2].residual < history[-1].residual < _WORST_ROUNDING

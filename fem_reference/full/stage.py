@@ -86,7 +86,7 @@ class Solve:
     augmentation : int
         0 for the penalty method, then the number of times that f̂ was replaced by f.
     penalty : float
-        ε/k.
+        ε/k; infinite where Coulomb's law itself was solved for.
     iterations : tuple of Iteration
     """
 
@@ -413,26 +413,55 @@ class _Way:
         law = ContactLaw(friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
         solution = self.system.equilibrium.unpack(point.held)
         place = self._place(solution)
-        law, solution = self._penalised(solution, point.share, share, law, place)
-        if penalty.augmented or len(place):
-            law, solution = self._augment(solution, share, law, place)
+        condensed = self._condensed(solution, share, law, place)
+        if condensed is None:
+            law, solution = self._penalised(solution, point.share, share, law, place)
+            if penalty.augmented or len(place):
+                law, solution = self._augment(solution, share, law, place)
+            state = law.state(mesh.contact(solution.u, stops))
+        else:
+            law, solution, state = condensed
         δ = mesh.contact(solution.u, stops)
         position = friction.slider(δ, solution.force)
         gap = law.displacement(δ)[:, 0] + layer * solution.force[:, 0]
-        return Point(share, position, gap, solution.force, law.state(δ), solution.stacked)
+        return Point(share, position, gap, solution.force, state, solution.stacked)
 
     def _place(self, solution: State) -> np.ndarray:
         """(k,) where the parts are that lie on springs."""
         return (self.system.rows @ solution.u)[self.system.soft]
 
-    def _newton(self, solution, share, law, place, augmentation):
+    def _condensed(self, solution, share, law, place):
+        """At once on the condensed system, by Coulomb's law itself where augmentation leads to that; None where there
+        is no such system, or no solution was found."""
+        equilibrium = self.system.equilibrium
+        if not equilibrium.condensable:
+            return None
+        p, v, gap = self._loads(share, place)
+        law = replace(law, gap=gap)
+        exact = replace(law, penalty=np.full(len(gap), np.inf)) if self.stage.penalty.augmented else law
+        try:
+            solution, state, iterations = equilibrium.condensed(solution.force, p, v, exact)
+        except NoConvergence:
+            return None
+        self._note(share, 0, exact, iterations)
+        return law, solution, state
+
+    def _loads(self, share, place):
+        """Nodal forces, values and gaps at a share, resting parts on springs about `place`."""
         p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
         v[np.searchsorted(self.system.kept, self.system.soft)] = place
+        return p, v, gap
+
+    def _newton(self, solution, share, law, place, augmentation):
+        p, v, gap = self._loads(share, place)
         law = replace(law, gap=gap)
         solution, iterations = self.system.equilibrium.newton(solution, p, v, law)
+        self._note(share, augmentation, law, iterations)
+        return law, solution
+
+    def _note(self, share, augmentation, law, iterations):
         penalty = float(law.penalty[0] / law.stiffness[0])
         self.solves.append(Solve(self.stage.plan.name, self.number, share, augmentation, penalty, tuple(iterations)))
-        return law, solution
 
     def _penalised(self, solution, done, share, law, place):
         """On by the penalty method, cut where Newton's method fails; resting parts on springs about `place`."""

@@ -1,0 +1,142 @@
+"""Contact forces on a condensed system, and that system itself, against what is known otherwise."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.sparse import vstack
+from support.strips import clamped, contact_law, strip, vertex_rows
+
+import mic
+from fem_reference.full import coulomb
+from fem_reference.full.condensation import Condensation, HeldParts
+from fem_reference.full.coulomb import contact_forces
+from fem_reference.full.equilibrium import Parts
+from fem_reference.full.model import FullModel
+from mic import examples
+from mic.model.assembly import assemble
+from mic.sampling.draw import draw
+from verification.nominal_stiffness.study import scaled
+from verification.scenes import going, shipped
+
+pytestmark = pytest.mark.fem
+
+SEEDS = range(40)
+
+
+def sheets(m, seed, softest=1e6):
+    """(3m, 3m) a compliance that yields so many times as much in some ways as in others, and what contacts read."""
+    rng = np.random.default_rng(seed)
+    turned, _ = np.linalg.qr(rng.normal(size=(3 * m, 3 * m)))
+    return (turned * np.geomspace(1 / softest, 1, 3 * m)) @ turned.T, rng.normal(size=(m, 3))
+
+
+def solved(S, δ, friction, start=None):
+    """Forces under Coulomb's law itself: no contact yields."""
+    none = np.zeros_like(δ)
+    law = contact_law(friction, np.zeros(len(δ)), 1e5, 3, penalty=np.inf)
+    return contact_forces(S, δ, none, law, none if start is None else start)[0]
+
+
+def breach(S, δ, f, friction):
+    """Largest breach of Coulomb's law by forces (m, 3), N and mm alike."""
+    w = δ + (S @ f.ravel()).reshape(f.shape)
+    bound, size, slip = friction * f[:, 0], np.linalg.norm(f[:, 1:], axis=1), np.linalg.norm(w[:, 1:], axis=1)
+    against = (f[:, 1:] * w[:, 1:]).sum(axis=1) + bound * slip  # vanishes where the whole bound opposes the slip
+    parts = (-f[:, 0], -w[:, 0], np.abs(f[:, 0] * w[:, 0]), size - bound, np.abs(against))
+    return max(part.max() for part in parts)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.8])
+def test_forces_obey_coulombs_law(friction):
+    for seed in SEEDS:
+        S, δ = sheets(20, seed)
+        f = solved(S, δ, friction)
+        assert breach(S, δ, f, friction) < 1e-9 * np.abs(f).max()
+        assert f[:, 0].max() > 0 and (f[:, 0] == 0).any()
+        if friction:
+            assert breach(S, δ, f, 1.1 * friction) > 1e-6  # the law of another coefficient is broken
+
+
+def test_where_newtons_method_fails_proximal_points_answer(monkeypatch):
+    problems = [sheets(20, seed) for seed in SEEDS]
+    assert all(solved(*problem, 0.8) is not None for problem in problems)
+    monkeypatch.setattr(coulomb, "PROXIMAL", 0)
+    assert any(solved(*problem, 0.8) is None for problem in problems)
+
+
+def test_a_slip_that_turns_back_may_stop_on_the_way():
+    """One contact that is pulled one way and the other: it slips, turns back and stops in whatever direction."""
+    S = np.diag([1.0, 1e-3, 1e-3])
+    for pull in np.linspace(-2.0, 2.0, 41):
+        δ = np.array([[-1.0, 0.2e-3 * pull, 0.0]])
+        f = solved(S, δ, 0.2, np.array([[1.0, -0.2 * np.sign(pull), 0.0]]))
+        np.testing.assert_allclose(f, [[1.0, -0.2 * np.clip(pull, -1, 1), 0.0]], atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def held():
+    """A strip held at one end, factorised so, and rows along it."""
+    shell = strip(100.0, 10.0, 2.0, 10.0)
+    x = shell.surface.points[:, 0]
+    rows = vertex_rows(shell, np.flatnonzero(x % 20 == 0), (0, 0, 1), side=-1).tocsr()
+    parts = Parts([shell], MPI.COMM_SELF)
+    return (
+        parts.stiffness,
+        parts.held(clamped(shell, np.flatnonzero(x == 0))),
+        rows,
+        clamped(shell, np.flatnonzero(x == 100)),
+    )
+
+
+@pytest.mark.parametrize("yielding", [False, True])
+def test_a_step_held_otherwise_is_condensed_exactly(held, yielding):
+    """The strip let go at the end at which it was factorised, and held at the other and under its middle: dense
+    algebra of the whole system says the same."""
+    K, base, rows, other = held
+    B, C = vstack([other, rows[6:7]]).tocsr(), rows[:6]
+    c = np.full(B.shape[0], 1e-5) if yielding else None
+    step = Condensation(base, B, c, C)
+    rng = np.random.default_rng(0)
+    p, v = K @ rng.normal(size=K.shape[0]) * 1e-3, rng.normal(size=B.shape[0])
+    b = B.shape[0]
+    whole = np.block([[K.toarray(), -B.T.toarray()], [B.toarray(), np.zeros((b, b)) if c is None else np.diag(c)]])
+    exact = np.linalg.solve(whole, np.concatenate([p, v]))
+    u, r = step.solve(p, v)
+    assert np.abs(u - exact[: len(u)]).max() < 1e-7 * np.abs(exact[: len(u)]).max()
+    assert np.abs(r - exact[len(u) :]).max() < 1e-7 * np.abs(exact[len(u) :]).max()
+    unit = np.linalg.solve(whole, np.vstack([C.T.toarray(), np.zeros((b, C.shape[0]))]))[: len(u)]
+    S = C @ unit
+    assert np.abs(step.compliance() - S).max() < 1e-7 * np.abs(S).max()
+    assert np.abs(base.readings(C) - S).max() > 0.1 * np.abs(S).max()  # what the first rows alone would say
+
+
+def test_rows_are_solved_for_once_and_steps_form_their_own_compliance(held, monkeypatch):
+    K, base, rows, other = held
+    first, second = Condensation(base, other, None, rows[:6]), Condensation(base, base.D, None, rows[:6])
+    asked = first.compliance().copy()
+    monkeypatch.setattr(HeldParts, "_solve", None)
+    assert np.array_equal(first.compliance(), asked)
+    assert np.abs(second.compliance() - asked).max() > 0.1 * np.abs(asked).max()
+    assert np.array_equal(first.compliance(), asked)
+
+
+def test_a_sample_whose_slips_turn_back_has_a_solution(cache):
+    """The lap joint's 37th on its own mesh: by penalty and augmentation one slip turned back for ever, over the small
+    forces that would stop it, from either side."""
+    scene = going(mic.load_scene(examples.folder("lap_joint")), "increments", 1)
+    full = FullModel(assemble(scene, cache), deviated=True, comm=MPI.COMM_SELF)
+    found = full.evaluate(draw(scene, scene.monte_carlo.seed, 37, 1)[0])
+    assert {"clamp", "release"} <= set(found.resolutions)
+    assert all(np.isinf(solve.penalty) and solve.augmentation == 0 for solve in found.history)
+
+
+@pytest.mark.slow
+def test_the_deviated_wheelhouse_has_a_solution(cache):
+    """A tenth of a millimetre off nominal, it is near what the nominal mesh gives; by penalty and augmentation a
+    dozen contacts opened and closed for ever."""
+    assembly = assemble(going(shipped("wheelhouse", "coarse"), "increments", 1), cache)
+    nominal = FullModel(assembly, comm=MPI.COMM_SELF)
+    deviations = scaled(assembly, nominal, 0.1)
+    found = FullModel(assembly, deviated=True, comm=MPI.COMM_SELF).evaluate(deviations)
+    flat = nominal.evaluate(deviations).measurements
+    assert 1e-4 < np.abs(found.measurements - flat).max() / np.abs(flat).max() < 0.05
