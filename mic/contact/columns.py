@@ -17,9 +17,8 @@ from mic.contact.memory import untouched
 
 __all__ = ["Columns"]
 
-ROOM = (
-    2**31
-)  # bytes of address space for columns to come: to move them when they are more takes longer than to find them
+#: Bytes of address space for columns to come: to move them when they are more takes longer than to find them.
+ROOM = 2**31
 
 
 class Columns:
