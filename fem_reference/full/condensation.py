@@ -39,6 +39,11 @@ class HeldParts:
     D : (d, N) csr_matrix
         Independent rows that hold them.
 
+    Attributes
+    ----------
+    solved : int
+        Right-hand sides so far.
+
     Raises
     ------
     ArithmeticError
@@ -72,7 +77,7 @@ class HeldParts:
         self._response: dict[tuple, np.ndarray] = {}  # (N,) of unit forces on a row
         self._place: dict[tuple, int] = {}  # of a row in `_read`
         self.formed: tuple = (None, None)  # the step whose compliance is kept, and that
-        self._rows, self._read = csr_matrix((0, self.N)), np.zeros((0, 0))
+        self._rows, self._read, self.solved = csr_matrix((0, self.N)), np.zeros((0, 0)), 0
         self.moved, self.carried = self.solve(np.zeros((self.N, self.d)), np.eye(self.d))
 
     def __del__(self):
@@ -122,6 +127,7 @@ class HeldParts:
 
     def _solve(self, right: np.ndarray) -> np.ndarray:
         found = np.empty(right.shape)
+        self.solved += right.shape[1]
         for j in range(0, right.shape[1], _BLOCK):
             given = np.asfortranarray(right[:, j : j + _BLOCK])
             B = PETSc.Mat().createDense(given.shape, array=given, comm=PETSc.COMM_SELF)
