@@ -4,6 +4,7 @@ errors."""
 import json
 import re
 import shutil
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -13,7 +14,7 @@ import pytest
 from support.processes import on_processes
 
 from verification import run as runs
-from verification.cost import Cost, together
+from verification.cost import Cost, Meter, together
 from verification.pdf import NoBrowser
 from verification.plots import panels
 from verification.report import over_limit, write_report
@@ -228,6 +229,17 @@ def test_what_a_study_takes_is_told(tmp_path):
     assert 0.2 <= told["small"]["cpu_seconds"] < 5 and told["small"]["seconds"] >= 0.2
     assert told["large"]["memory_gb"]["0"] - told["small"]["memory_gb"]["0"] == pytest.approx(300 * 1.048e-3, rel=0.2)
     assert told["large"]["began"] < told["small"]["began"] and lines[-1].startswith("2 studies: ")
+
+
+def test_a_small_program_is_not_told_with_the_memory_of_the_process_that_called_it():
+    held = np.ones(30_000_000)
+    meter = Meter(0)
+    own = meter.read().memory
+    subprocess.run([sys.executable, "-c", "pass"], check=True)
+    assert held.nbytes * 1e-9 < own <= meter.read().memory < 1.1 * own
+    larger = f"held = bytearray({int(1.5e9 * own)}); held[::4096] = held[::4096]"
+    subprocess.run([sys.executable, "-c", larger], check=True)
+    assert meter.read().memory > 2.4 * own
 
 
 def test_memory_together_is_that_of_what_went_on_at_a_time():

@@ -14,6 +14,7 @@ __all__ = ["Cost", "Meter", "give_back", "together"]
 
 PROC = Path("/proc/self")
 KILO = 1024e-9  # GB in what Linux counts memory in
+LARGER = 1.05  # times this process's most: more can only be a program's own
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Cost:
     cpu : float
         s, those of programs that it called among them.
     memory : float
-        GB that the process held at most meanwhile, and the largest program that it called.
+        GB that the process held at most meanwhile, and the largest program that it called, where that is the larger.
     """
 
     process: int
@@ -51,13 +52,14 @@ class Meter:
             (PROC / "clear_refs").write_text("5")  # Linux begins anew to look for the most
         except OSError:
             pass  # then it is the most since the process began
-        self.began, self.start, self.cpu, self.called = time.time(), time.perf_counter(), _cpu(), _called()
+        self.began, self.start, self.cpu, self.called = time.time(), time.perf_counter(), _cpu(), _program()
 
     def read(self) -> Cost:
         """What was taken so far."""
-        wall, memory = time.perf_counter() - self.start, _most()
-        if _called() > self.called:  # the largest program that the process ever called, beside it: no less
-            memory += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * KILO
+        wall, memory, called = time.perf_counter() - self.start, _most(), _program()
+        # Linux counts to what is called what the process held itself just then: `true` called with 5 GB has 5 GB.
+        if called > max(self.called, LARGER * memory):
+            memory += called
         return Cost(self.process, self.began, wall, _cpu() - self.cpu, memory)
 
 
@@ -88,9 +90,9 @@ def _cpu() -> float:
     return sum(os.times()[:4])
 
 
-def _called() -> float:
-    """s of programs that this process called and that have ended."""
-    return sum(os.times()[2:4])
+def _program() -> float:
+    """GB of the largest program that this process ever called and that has ended, no less than its own just then."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * KILO
 
 
 def _most() -> float:
