@@ -20,13 +20,14 @@ from __future__ import annotations
 import weakref
 
 import numpy as np
-from petsc4py import PETSc
 from scipy.sparse import bmat, csr_matrix, diags, vstack
+
+from fem_reference.shell.factorisation import PetscFactors
+from fem_reference.shell.mumps import MumpsFailure
 
 __all__ = ["Condensation", "HeldParts"]
 
 _BLOCK = 64  # right-hand sides at a time
-_ICNTL_EXTRA_MEMORY, _ICNTL_RIGHT_HAND_SIDES, _INFOG_STATUS = 14, 27, 1  # MUMPS
 
 
 class HeldParts:
@@ -54,37 +55,15 @@ class HeldParts:
         self._K, self.D = K, D.tocsr()
         self.N, self.d = K.shape[0], D.shape[0]
         system = bmat([[K, -D.T], [-D, None]], format="csr") + diags(np.zeros(self.N + self.d), format="csr")
-        system.sort_indices()
-        index = PETSc.IntType
-        self._matrix = PETSc.Mat().createAIJ(
-            system.shape,
-            csr=(system.indptr.astype(index), system.indices.astype(index), system.data),
-            comm=PETSc.COMM_SELF,
-        )
-        self._matrix.assemble()
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._pc = PETSc.PC().create(PETSc.COMM_SELF)
-        self._pc.setOperators(self._matrix)
-        self._pc.setType("cholesky")
-        self._pc.setFactorSolverType("mumps")
-        self._pc.setFactorSetUpSolverType()
-        self._factor = self._pc.getFactorMatrix()
-        self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
-        self._factor.setMumpsIcntl(_ICNTL_RIGHT_HAND_SIDES, _BLOCK)
-        self._pc.setUp()
-        if self._factor.getMumpsInfog(_INFOG_STATUS) < 0:
-            raise ArithmeticError("the held parts cannot be factorised")
+        try:
+            self._factors = PetscFactors(system, definite=False)
+        except MumpsFailure as problem:
+            raise ArithmeticError("the held parts cannot be factorised") from problem
         self._response: dict[tuple, np.ndarray] = {}  # (N,) of unit forces on a row
         self._place: dict[tuple, int] = {}  # of a row in `_read`
         self.formed: tuple = (None, None)  # the step whose compliance is kept, and that
         self._rows, self._read, self.solved = csr_matrix((0, self.N)), np.zeros((0, 0)), 0
         self.moved, self.carried = self.solve(np.zeros((self.N, self.d)), np.eye(self.d))
-
-    def __del__(self):
-        """Free the factors, which petsc4py would keep to the end of the process."""
-        for held in ("_pc", "_matrix"):
-            if hasattr(self, held):
-                getattr(self, held).destroy()
 
     def solve(self, p: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """u (N, k) and λ (d, k) of (1) under p (N, k) and w (d, k), refined once."""
@@ -129,16 +108,7 @@ class HeldParts:
         found = np.empty(right.shape)
         self.solved += right.shape[1]
         for j in range(0, right.shape[1], _BLOCK):
-            given = np.asfortranarray(right[:, j : j + _BLOCK])
-            B = PETSc.Mat().createDense(given.shape, array=given, comm=PETSc.COMM_SELF)
-            B.assemble()
-            X = PETSc.Mat().createDense(given.shape, comm=PETSc.COMM_SELF)
-            X.setUp()
-            X.assemble()
-            self._factor.matSolve(B, X)
-            found[:, j : j + _BLOCK] = X.getDenseArray()
-            X.destroy()
-            B.destroy()
+            found[:, j : j + _BLOCK] = self._factors.solve(right[:, j : j + _BLOCK])
         return found
 
 

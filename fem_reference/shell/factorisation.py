@@ -23,7 +23,15 @@ from fem_reference.shell.mumps import Instance, MumpsFailure, Unavailable
 from fem_reference.shell.ordering import nested_dissection
 from mic.errors import MicError
 
-__all__ = ["BLOCK", "Factorisation", "FactorisationError", "NoSchurComplement", "OutOfMemory", "upper_triangle"]
+__all__ = [
+    "BLOCK",
+    "Factorisation",
+    "FactorisationError",
+    "NoSchurComplement",
+    "OutOfMemory",
+    "PetscFactors",
+    "upper_triangle",
+]
 
 BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
 
@@ -91,14 +99,14 @@ class Factorisation:
         K = upper_triangle(K)
         L = csr_matrix((0, self.size)) if L is None else L
         self.influence: np.ndarray | None = None
-        self._factors: _Factors | _PetscFactors
+        self._factors: _Factors | PetscFactors
         try:
             self._factors = _Factors(K, L)
             self.influence = self._factors.influence
         except Unavailable as problem:
             if L.shape[0]:
                 raise NoSchurComplement(f"no Schur complements: {problem}") from problem
-            self._factors = _PetscFactors(K)
+            self._factors = PetscFactors((K + triu(K, 1).T).tocsr())
         except MumpsFailure as problem:
             raise _failure(problem) from problem
         if self._factors.negative_pivots:
@@ -242,13 +250,25 @@ def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.n
     return row, column, value
 
 
-class _PetscFactors:
-    """K's factors by MUMPS through PETSc, in whatever order MUMPS finds; K (m, m) on and above the diagonal."""
+class PetscFactors:
+    """Factors of a symmetric matrix (m, m) by MUMPS through PETSc, in whatever order MUMPS finds.
 
-    def __init__(self, K: csr_matrix):
-        whole = K + triu(K, 1).T
-        self._matrix = _petsc_matrix(whole.tocsr())
-        self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+    Parameters
+    ----------
+    whole : csr_matrix (m, m)
+        With what stands below its diagonal.
+    definite : bool
+        Whether it is positive definite; otherwise pivots may be put off, which takes room.
+
+    Raises
+    ------
+    MumpsFailure
+        If it cannot be factorised.
+    """
+
+    def __init__(self, whole: csr_matrix, definite: bool = True):
+        self._matrix = _petsc_matrix(whole)
+        self._matrix.setOption(PETSc.Mat.Option.SPD if definite else PETSc.Mat.Option.SYMMETRIC, True)
         self._pc = PETSc.PC().create(PETSc.COMM_SELF)
         self._pc.setOperators(self._matrix)
         self._pc.setType("cholesky")
@@ -256,6 +276,8 @@ class _PetscFactors:
         self._pc.setFactorSetUpSolverType()
         self._factor = self._pc.getFactorMatrix()
         self._factor.setMumpsIcntl(_ICNTL_RHS_BLOCK, 64)
+        if not definite:
+            self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
         self._pc.setUp()
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:

@@ -108,14 +108,14 @@ def monte_carlo(
     cores = len(os.sched_getaffinity(0))
     worth = take is not None and len(missing) >= WORTH and len(model.contacts) <= CROWD
     copied = worth and world is None and second_core()
-    threads = max(1, cores // (2 if copied else size))
+    share = 2 if copied else size  # of what is left, and of the cores
+    threads = max(1, cores // share)
     processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
 
     def evaluated(pace: _Pace, law: str, first: int, count: int) -> tuple[T, int]:
         evaluation, told = pace.evaluate(law, processes[law].attempt, draw(model.scene, seed, first, count))
         return sink(law, first, evaluation), told
 
-    share = 2 if copied else size
     pace = _Pace(advance, (lambda each: expect(each * left / share)) if expect is not None and rank == 0 else None)
     if copied:
         silent = _Pace(None)  # of the copy, whose words nobody hears
