@@ -352,6 +352,32 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
     np.testing.assert_allclose(opening(lap, "contact", deviated_parts(lap, fields), read)[::3], 0.1, rtol=1e-9)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_pair_with_a_fixture_opens_by_what_its_part_leaves_it(bracket, cache, order):
+    """The base tilted about a point of the rest's face, far from the origin: with R n the turned normal and the fixture
+    standing at x_f, level with c, the gap grows by R n · (c − x_f), or less it where n points at the fixture."""
+    zones = [
+        zone.model_copy(update={"parts": zone.parts[::order]}) if "rest" in zone.parts else zone
+        for zone in bracket.scene.zones
+    ]
+    rested = assemble(bracket.scene.model_copy(update={"zones": zones}), cache)
+    angle, c = 0.02, np.array(rested.scene.fixtures[0].point)
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    fields = {part.name: np.zeros((len(part.surface.points), 6)) for part in rested.parts}
+    base = next(part for part in rested.parts if part.name == "base")
+    fields["base"][:, :3] = (base.surface.points - c) @ (turn - np.eye(3)).T
+    fields["base"][:, 4] = np.tan(angle)
+    read = np.ones(rested.rows["contact"].shape[0])
+    found = opening(rested, "contact", deviated_parts(rested, fields), read)[::3]
+    own = np.array(["rest" in zone.parts for zone in zones])[rested.contacts.zone]
+    normal, foot = rested.contacts.frame[own, :, 0], rested.contacts.point[own].copy()
+    foot[:, 2] = c[2]
+    assert own.sum() > 3
+    expected = order * np.einsum("ki,ki->k", normal @ turn.T, c - foot)
+    np.testing.assert_allclose(found[own], expected, atol=1e-9)
+    assert np.ptp(expected) > 0.1
+
+
 def test_how_an_averaged_weld_tilts_on_deviated_meshes_is_what_the_shape_reads(scene, cache):
     welds = [weld.model_copy(update={"fused": False}) for weld in scene.welds]
     lap = assemble(scene.model_copy(update={"welds": welds}), cache)

@@ -48,6 +48,8 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
 def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndarray:
     """(r,) change of the distance between the two mid-surfaces along each row of a kind, nominal to deviated, mm.
 
+    Of a pair with a rigid fixture, which no row reads, it is that of the part from where the fixture stands, d·(x − x_f).
+
     Parameters
     ----------
     assembly : mic.model.assembly.Assembly
@@ -57,12 +59,26 @@ def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndar
     read : (r,) array
         What the rows read of the deviations of shape: it is the answer of those that read rotations.
     """
-    turns = abs(assembly.rows[kind]) @ np.concatenate([part.functionals.rotation for part in parts]) > 0
-    before, after = (
-        assembly.rows[kind] @ np.concatenate([_position(part) for part in version])
-        for version in (assembly.parts, parts)
+    rows = assembly.rows[kind]
+    turns = abs(rows) @ np.concatenate([part.functionals.rotation for part in parts]) > 0
+    standing, direction = (
+        [rows @ np.concatenate([of(part) for part in version]) for version in (assembly.parts, parts)]
+        for of in (_position, _direction)
     )
-    return np.where(turns, read, after - before)
+    found = standing[1] - standing[0]
+    if kind == "contact":  # a fixture is all that a row's directions, turned, do not cancel for
+        turned = (direction[1] - direction[0]).reshape(len(assembly.contacts), -1, 3)
+        found -= np.einsum("kdi,ki->kd", turned, _standing(assembly)).ravel()
+    return np.where(turns, read, found)
+
+
+def _standing(assembly) -> np.ndarray:
+    """(m, 3) where at each contact the fixture's face stands, mm, if one body is a fixture."""
+    contacts, half = assembly.contacts, {part.name: 0.5 * part.thickness for part in assembly.parts}
+    zones = [zone.parts for zone in assembly.scene.zones]
+    sheet = np.array([half.get(first, half.get(second, 0.0)) for first, second in zones])[contacts.zone]
+    ahead = np.array([1.0 if first in half else -1.0 for first, _ in zones])[contacts.zone]
+    return contacts.point + (ahead * (sheet + contacts.gap))[:, None] * contacts.frame[:, :, 0]
 
 
 def _deviated(surface, field):
@@ -83,6 +99,11 @@ def _position(part):
             for patch, d, rotation in zip(patches, f.direction, f.rotation)
         ]
     )
+
+
+def _direction(part):
+    """(F, 3) direction along which each functional reads where its patch stands; zero for rotations."""
+    return np.where(part.functionals.rotation[:, None], 0.0, part.functionals.direction)
 
 
 def _joints(assembly, kind):
