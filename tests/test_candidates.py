@@ -335,7 +335,9 @@ def test_denser_pairs_stand_at_a_share_of_the_distance(scene, cache):
     few = assemble(with_zone(scene, pairs=24), cache)
     assert denser(few).zones[0].pairs == 49
     many = assemble(scene, cache)
-    assert denser(many).zones[0].spacing == pytest.approx(DENSER * 4.0)
+    assert assemble(denser(many), cache).spacing == pytest.approx([DENSER * 4.0])
+    stated = assemble(with_zone(scene, spacing_factor=0.9), cache)
+    assert assemble(denser(stated), cache).spacing == pytest.approx([DENSER * 0.9 * 4.0])
 
 
 # -------------------------------------------------------------------------------------------- known answers

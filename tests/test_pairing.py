@@ -337,6 +337,30 @@ def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stan
     assert len(one) == len(find_pairs(zone(pairs=None), *bodies, pressed=[clamp]))
 
 
+@pytest.mark.parametrize("keys", [{}, {"spacing": 4.0}])
+def test_a_factor_brings_candidates_nearer_under_pads_and_elsewhere(keys):
+    """Half the distance, four times as many in either place."""
+    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    clamp = Pressed(np.array([9.0, 10.5, 0.5]), 5.0)
+    apart, under = [], []
+    for factor in (1.0, 0.5):
+        asked = zone(pairs=None, spacing_factor=factor, **keys)
+        pairs = find_pairs(asked, *bodies, pressed=[clamp])
+        own = [np.linalg.norm((pair.point - clamp.point)[:2]) < 4.9 for pair in pairs]
+        apart.append(candidate_spacing(asked, *bodies, pressed=[clamp]))
+        under.append((sum(own), min(pair.apart for pair in pairs)))
+    assert apart[1] == pytest.approx(apart[0] / 2)
+    assert under[0] == (7, pytest.approx(10 / 3)) and under[1] == (28, pytest.approx(5 / 3))
+
+
+def test_a_factor_is_for_candidates_and_ends_where_elements_do():
+    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    with pytest.raises(ValueError, match=r"spacing = \S+ mm times spacing_factor = 0\.05 .*finer than the elements"):
+        candidate_spacing(zone(pairs=None, spacing_factor=0.05), *bodies)
+    with pytest.raises(ValueError, match="spacing_factor is for candidates"):
+        zone(pairs=9, spacing_factor=0.5)
+
+
 def bend(turn, size, z=0.0):
     """A sheet in the plane z, 10 mm long, that goes on in an arc of 8 mm by facets of `turn`, 20 mm wide."""
     profile = [(0.0, z), (10.0, z)]

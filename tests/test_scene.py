@@ -351,7 +351,11 @@ def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
     draft = SETTINGS["draft"]
     assert [part.size for part in scene.parts] == [draft["size"], "medium"]  # the second part gives its own
     assert scene.path.tolerance == draft["tolerance"] and scene.monte_carlo.samples == 200
-    assert scene.zones[0].candidates and {stage.increments for stage in scene.stages} == {None}
+    assert scene.zones[0].candidates and scene.zones[0].spacing_factor == draft["spacing_factor"]
+    stated = tomllib.loads('setting = "reference"\n' + text.partition("\n")[2])
+    stated["zones"][0]["spacing"] = 5.0
+    assert mic.Scene(**stated).zones[0].spacing_factor == 1.0 > SETTINGS["reference"]["spacing_factor"]
+    assert {stage.increments for stage in scene.stages} == {None}
     assert mic.Scene(**scene.model_dump(mode="json")) == scene.model_copy(update={"folder": Path(".")})
     (tmp_path / "scene.toml").write_text(text.replace('"draft"', '"hasty"'))
     with pytest.raises(mic.SceneError, match="setting: .*'draft', 'standard' or 'reference'.*'hasty'"):

@@ -38,7 +38,7 @@ ALL = "all"
 ORDERS = {"path": math.log(6) / math.log(16), "pairs": 1.0, "mesh and element": 2.0}
 KNOBS = {
     "path": "a path followed to {:.2g} of its tolerance",
-    "pairs": "candidates at {:.2g} of their distance (`spacing`)",
+    "pairs": "candidates at {:.2g} of their distance (`spacing_factor`)",
     "mesh and element": "elements of {:.2g} of their size",
 }
 
@@ -96,7 +96,8 @@ def as_set(scene: Scene, setting: str) -> Scene:
         part.model_copy(update={"size": gives["size"]}) if part.geometry is not None and part.accuracy is None else part
         for part in scene.parts
     ]
-    zones = [zone.model_copy(update=dict.fromkeys(("pairs", "spacing", "points"))) for zone in scene.zones]
+    contacts = dict.fromkeys(("pairs", "spacing", "points")) | {"spacing_factor": gives["spacing_factor"]}
+    zones = [zone.model_copy(update=contacts) for zone in scene.zones]
     stages = [stage.model_copy(update={"path": None, "increments": None}) for stage in scene.stages]
     path = FollowedPath(tolerance=gives["tolerance"])
     return scene.model_copy(update={"parts": parts, "zones": zones, "stages": stages, "path": path, "setting": setting})

@@ -191,7 +191,8 @@ def find_pairs(zone, first: Side, second: Side, landmarks=(), pressed: Sequence[
     if zone.candidates:
         spacing = candidate_spacing(zone, first, second, pressed)
         pads = sorted((one for one in pressed if one.weld < 0 and one.radius), key=lambda one: one.radius)
-        finer = [(one, min(spacing, PAD * max(one.radius, one.backs))) for one in pads]
+        under = zone.spacing_factor * PAD
+        finer = [(one, min(spacing, under * max(one.radius, one.backs))) for one in pads]
         return _candidates(zone, sampled, other, spacing, anchors, pressed, finer, swap)
     area = _facing(zone, sampled, other, _first_spacing(sampled.surface)).area.sum()
     count = len(zone.points or ()) or zone.pairs
@@ -615,7 +616,8 @@ def _turned(cloud, body):
 
 
 def candidate_spacing(zone, first: Side, second: Side, pressed: Sequence[Pressed] = ()) -> float:
-    """Distance between the candidates of a zone, mm: what it states, or what elements, sheets and clamps demand.
+    """Distance between the candidates of a zone, mm: what it states, or what elements, sheets and clamps demand, times
+    its factor.
 
     Parameters
     ----------
@@ -631,19 +633,22 @@ def candidate_spacing(zone, first: Side, second: Side, pressed: Sequence[Pressed
     cloud = _facing(zone, sampled, other, _first_spacing(sampled.surface))
     surfaces = [(sampled, cloud.triangle)] + [(other, cloud.other_triangle)] * (not other.rigid)
     element = max(float(np.median(body.surface.edge_lengths[np.unique(own)])) for body, own in surfaces)
-    if zone.spacing is not None:
-        if zone.spacing < RESOLVED * element:
-            raise ValueError(
-                f"spacing = {zone.spacing:g} mm between candidates is finer than the elements there "
-                f"({element:.2g} mm), which tell such neighbours not apart: refine the mesh, or ask for "
-                f"{RESOLVED * element:.2g} mm or more"
-            )
-        return zone.spacing
-    thinner = _thinner(sampled, other)
-    radii = [place.radius for place in pressed if place.radius and place.weld < 0 and not place.backs]
-    flat = max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
-    radius = min(_bend_radius(body.surface, own, cloud.area) for body, own in surfaces)
-    return min(flat, max(FACET * element, BENDS * np.sqrt(radius * thinner)))
+    spacing = zone.spacing
+    if spacing is None:
+        thinner = _thinner(sampled, other)
+        radii = [place.radius for place in pressed if place.radius and place.weld < 0 and not place.backs]
+        flat = max(element, min(ACROSS * thinner, UNDER * min(radii, default=np.inf)))
+        radius = min(_bend_radius(body.surface, own, cloud.area) for body, own in surfaces)
+        spacing = min(flat, max(FACET * element, BENDS * np.sqrt(radius * thinner)))
+    found = zone.spacing_factor * spacing
+    if found < RESOLVED * element:
+        times = f" times spacing_factor = {zone.spacing_factor:g}" if zone.spacing_factor != 1 else ""
+        raise ValueError(
+            f"spacing = {spacing:g} mm{times} between candidates is finer than the elements there "
+            f"({element:.2g} mm), which tell such neighbours not apart: refine the mesh, or ask for "
+            f"{RESOLVED * element:.2g} mm or more"
+        )
+    return found
 
 
 def _bend_radius(surface, triangle, area) -> float:

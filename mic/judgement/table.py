@@ -139,6 +139,7 @@ FILE: tuple[Rule, ...] = (
         "leave pairs out, so that candidates stand where the sheets need them",
     ),
     number("zones.spacing", 0.5, 100.0, "mm", "pairs stand as dense as elements, some to a flange", "give it in mm"),
+    number("zones.spacing_factor", 0.3, 2.0, "", "pairs stand as dense as elements", "give a share of the distance"),
     number("zones.within", 1.0, 100.0, "mm", "flanges are 8 to 60 mm wide", "give the radius of the tube in mm"),
     number("zones.patch", 0.5, 30.0, "mm", "a pair reads what lies about it; 0 is nodal", "leave patch out", 0.0),
     number("stages.increments", 1, 200, "", "the followed path is exact for less", "leave increments out"),

@@ -9,15 +9,15 @@ from mic.contact.path import Followed
 __all__ = ["SETTINGS", "fill_in"]
 
 #: What a named setting gives wherever the scene leaves it open: the geometry's named element size, the tolerance of the
-#: path of friction, samples. What each costs, and how far off it is, `verification/trade` measures. Contact is left to
-#: the candidates that a zone without pairs gets: a stated number of pairs is off by more than any of these. So is one
+#: path of friction, how far apart candidates stand, samples. What each costs, and how far off it is,
+#: `verification/trade` measures. A stated number of pairs is off by more than any of these. So is one
 #: increment for each step of the process. What the path leaves may take half of what a setting is to keep, 5, 2 and 1 %
 #: of a 6σ, of the slip that it errs most in. The tolerance of the contact solver is not among them: the tightest costs
 #: no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "draft": {"size": "coarse", "tolerance": 10 * Followed.tolerance, "samples": 100},
-    "standard": {"size": "medium", "tolerance": 4 * Followed.tolerance, "samples": 500},
-    "reference": {"size": "fine", "tolerance": Followed.tolerance, "samples": 2000},
+    "draft": {"size": "coarse", "tolerance": 10 * Followed.tolerance, "spacing_factor": 1.0, "samples": 100},
+    "standard": {"size": "medium", "tolerance": 4 * Followed.tolerance, "spacing_factor": 0.7, "samples": 500},
+    "reference": {"size": "fine", "tolerance": Followed.tolerance, "spacing_factor": 0.5, "samples": 2000},
 }
 FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
 
@@ -42,6 +42,7 @@ def fill_in(table: dict[str, Any]) -> dict[str, Any]:
     return (
         table
         | each("parts", lambda part: filled(part, "size", ("accuracy",), applies=generated(part)))
+        | each("zones", lambda zone: filled(zone, "spacing_factor", ("spacing", "pairs", "points")))
         | {"path": filled(table.get("path", {}), "tolerance")}
         | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples", ("table", "values"))}
     )

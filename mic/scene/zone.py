@@ -71,6 +71,11 @@ class Zone(Table):
         "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii; nearer "
         "on bends, 1.3 √(radius · thickness) and no less than 0.85 elements, and under a clamp, 2/3 of its radius",
     )
+    spacing_factor: Positive = Field(
+        1.0,
+        description="times these distances, under clamps as well: 0.7 gives twice as many candidates, which are dearer "
+        "and leave less of the slips",
+    )
     pairs: Annotated[Count, Field(gt=0)] | None = Field(
         None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
     )
@@ -108,6 +113,8 @@ class Zone(Table):
             raise ValueError("path stands still: two points that follow each other are one, remove one of them")
         if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
             raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
+        if self.spacing_factor != 1 and not self.candidates:
+            raise ValueError("spacing_factor is for candidates: leave it out beside pairs or points")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
             raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
         return self

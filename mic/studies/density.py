@@ -50,14 +50,17 @@ class Convergence:
 
 
 def denser(assembly: Assembly, share: float = DENSER) -> Scene:
-    """The scene of an assembly with its pairs at a share of their distance; points it states turn to candidates."""
+    """The scene of an assembly with its pairs at a share of their distance, under clamps as well; points it states turn to
+    candidates."""
     zones = []
-    for i, (zone, spacing) in enumerate(zip(assembly.scene.zones, assembly.spacing)):
+    for i, zone in enumerate(assembly.scene.zones):
         if zone.pairs:
             zones.append(zone.model_copy(update={"pairs": round(zone.pairs / share**2)}))
-        else:
-            own = spacing or float(np.sqrt(assembly.contacts.area[assembly.contacts.zone == i].mean()))
+        elif zone.points:
+            own = float(np.sqrt(assembly.contacts.area[assembly.contacts.zone == i].mean()))
             zones.append(zone.model_copy(update={"points": None, "spacing": share * own}))
+        else:
+            zones.append(zone.model_copy(update={"spacing_factor": share * zone.spacing_factor}))
     return assembly.scene.model_copy(update={"zones": zones})
 
 

@@ -42,8 +42,8 @@ class Knobs:
     ----------
     size : str or float or None
         Of elements, a name or mm.
-    spacing : float or None
-        Of candidates, mm.
+    factor : float or None
+        Times the distance between candidates.
     pairs : int or None
         Stated in each zone, in place of candidates.
     increments : int or None
@@ -53,7 +53,7 @@ class Knobs:
     """
 
     size: str | float | None = None
-    spacing: float | None = None
+    factor: float | None = None
     pairs: int | None = None
     increments: int | None = None
     tolerance: float | None = None
@@ -63,8 +63,9 @@ class Knobs:
         change = {}
         if self.size is not None:
             change["parts"] = [part.model_copy(update={"size": self.size}) for part in scene.parts]
-        if self.spacing is not None or self.pairs is not None:
-            zone = {"spacing": self.spacing, "pairs": self.pairs, "points": None}
+        if self.factor is not None or self.pairs is not None:
+            factor = 1.0 if self.factor is None else self.factor
+            zone = {"spacing": None, "spacing_factor": factor, "pairs": self.pairs, "points": None}
             change["zones"] = [one.model_copy(update=zone) for one in scene.zones]
         if self.increments is not None:
             steps = {"path": None, "increments": self.increments}
@@ -92,23 +93,23 @@ class Truth:
     samples: int
 
 
-def truth(size: float, spacing: float, samples: int) -> Truth:
+def truth(size: float, factor: float, samples: int) -> Truth:
     """Of a mesh and candidates; meshes are of second order, candidates between first and second."""
-    knobs = Knobs(size=size, spacing=spacing, tolerance=FINE)
+    knobs = Knobs(size=size, factor=factor, tolerance=FINE)
     coarser = {
         "element size": (replace(knobs, size=2 * size), 1 / 3),
-        "pairs": (replace(knobs, spacing=2**0.5 * spacing), 1.7),  # 1 / (2^(p/2) - 1), p from 1 to 2: 2.4 to 1
+        "pairs": (replace(knobs, factor=2**0.5 * factor), 1.7),  # 1 / (2^(p/2) - 1), p from 1 to 2: 2.4 to 1
         "path": (replace(knobs, tolerance=COARSER * FINE), 1 / 5),
     }
     return Truth(knobs, coarser, samples)
 
 
-TRUTHS = {"lap_joint": truth(0.625, 2.8, 100), "bracket": truth(1.0, 2.8, 60)}
-QUICK = {"lap_joint": truth(0.625, 2.8, 24)}
+TRUTHS = {"lap_joint": truth(0.625, 0.5, 100), "bracket": truth(1.0, 0.5, 60)}
+QUICK = {"lap_joint": truth(0.625, 0.5, 24)}
 #: What the standard setting's knobs are turned to, one at a time.
 TURNED = {
     "element size": (Knobs(size="coarse"), Knobs(size="fine")),
-    "pairs": (Knobs(pairs=34), Knobs(pairs=102), Knobs(spacing=2.8)),
+    "pairs": (Knobs(pairs=34), Knobs(pairs=102), Knobs(factor=0.5), Knobs(factor=1.4)),
     "path": (
         Knobs(increments=1),
         Knobs(increments=4),
