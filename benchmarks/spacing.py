@@ -85,10 +85,9 @@ def measure(scene, arguments) -> list[Row]:
     """The rows of one scene; a spacing that its elements do not bear is left out, and said."""
     cache = mic.cache_folder()
     scene = scene.model_copy(update={"report": scene.report.model_copy(update={"fields": False, "laws": ["coulomb"]})})
-    default = assemble(scene, cache)
     rows = []
     for share in arguments.shares:
-        zones = [zone.model_copy(update={"spacing": share * own}) for zone, own in zip(scene.zones, default.spacing)]
+        zones = [zone.model_copy(update={"spacing_factor": share * zone.spacing_factor}) for zone in scene.zones]
         try:
             assembly = assemble(scene.model_copy(update={"zones": zones}), cache)
         except SceneError as problem:

@@ -366,6 +366,7 @@ NONSENSE |= {
         "zones.within",
     ),
     "spacing of a metre": ("lap_joint", put("zones.lap", pairs=None, spacing=1000), "lap", "zones.spacing"),
+    "a spacing factor in percent": ("lap_joint", put("zones.lap", spacing_factor=70), "lap", "zones.spacing_factor"),
     "friction that nobody gave": ("lap_joint", put("zones.lap", friction=None), "lap", "friction-forgotten"),
     "friction of 40 in a stage": (
         "lap_joint",

@@ -39,11 +39,11 @@ and numbered. A table of `[[welds]]` with `points = [[x, y, z], …]` stands for
 `NAME-2`, ….
 """
 SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry`
-(its named size), how closely the `path` of friction is followed, `samples`. Zones that give neither `pairs`, `spacing`
-nor `points` have their candidates, as without a setting.
+(its named size), how closely the `path` of friction is followed, the `spacing_factor` of zones that give neither `pairs`,
+`spacing` nor `points`, `samples`.
 
-| `setting` | `size` | `tolerance` of the path | `samples` |
-| --- | --- | --- | --- |
+| `setting` | `size` | `tolerance` of the path | `spacing_factor` | `samples` |
+| --- | --- | --- | --- | --- |
 {rows}
 
 What each is worth in accuracy, and what it costs, is measured by `python -m verification run trade`; of your own scene,
@@ -63,7 +63,7 @@ def reference() -> str:
         several = "list" in str(field.annotation)
         tables.append(_table(f"[[{key}]]" if several else f"[{key}]", kinds))
     rows = "\n".join(
-        f'| `"{name}"` | `"{gives["size"]}"` | {gives["tolerance"]:g} | {gives["samples"]} |'
+        f'| `"{name}"` | `"{gives["size"]}"` | {gives["tolerance"]:g} | {gives["spacing_factor"]:g} | {gives["samples"]} |'
         for name, gives in SETTINGS.items()
     )
     top = "## Top level\n\n" + _keys(plain)

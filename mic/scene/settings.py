@@ -15,9 +15,9 @@ __all__ = ["SETTINGS", "fill_in"]
 #: of a 6σ, of the slip that it errs most in. The tolerance of the contact solver is not among them: the tightest costs
 #: no more than the loosest.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "draft": {"size": "coarse", "tolerance": 10 * Followed.tolerance, "spacing_factor": 1.0, "samples": 100},
-    "standard": {"size": "medium", "tolerance": 4 * Followed.tolerance, "spacing_factor": 0.7, "samples": 500},
-    "reference": {"size": "fine", "tolerance": Followed.tolerance, "spacing_factor": 0.5, "samples": 2000},
+    "draft": {"size": "coarse", "tolerance": 10 * Followed.tolerance, "spacing_factor": 0.7, "samples": 100},
+    "standard": {"size": "fine", "tolerance": 4 * Followed.tolerance, "spacing_factor": 0.85, "samples": 500},
+    "reference": {"size": "fine", "tolerance": Followed.tolerance, "spacing_factor": 0.7, "samples": 2000},
 }
 FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
 

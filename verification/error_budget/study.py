@@ -142,7 +142,7 @@ STUDY = Study(
     ),
     reference=(
         "For each source of error the same samples with less of it, extrapolated: Coulomb's law, a tighter path, other "
-        "orders, pairs at half the distance, meshes of half the size, the stiffness of each sample's own shape; full "
+        "orders, pairs at half their distance, meshes of half the size, the stiffness of each sample's own shape; full "
         "frictional contact finite elements on picked samples. The samples' own uncertainty is told, and not judged: "
         "their number is the user's choice."
     ),

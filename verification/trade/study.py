@@ -108,8 +108,8 @@ TRUTHS = {"lap_joint": truth(0.625, 0.5, 100), "bracket": truth(1.0, 0.5, 60)}
 QUICK = {"lap_joint": truth(0.625, 0.5, 24)}
 #: What the standard setting's knobs are turned to, one at a time.
 TURNED = {
-    "element size": (Knobs(size="coarse"), Knobs(size="fine")),
-    "pairs": (Knobs(pairs=34), Knobs(pairs=102), Knobs(factor=0.5), Knobs(factor=1.4)),
+    "element size": (Knobs(size="coarse"), Knobs(size="medium")),
+    "pairs": (Knobs(pairs=34), Knobs(pairs=102), Knobs(factor=1.0), Knobs(factor=1.4)),
     "path": (
         Knobs(increments=1),
         Knobs(increments=4),
