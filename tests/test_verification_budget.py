@@ -248,6 +248,11 @@ def test_a_scene_gets_its_budget_and_a_second_call_estimates_nothing_again(cache
     assert set(quantities) == {"measurement:M1", "measurement:M2", "slip:clamp:lap", "slip:release:lap"}
     assert known["reduction"].table.loc["measurement:M1", "mean_half"] < 1e-6
     assert abs(known["nominal stiffness"].table.loc["measurement:M1", "mean"]) > 1e-4
+    model, assembly = reduced_and_assembly(lap(), cache)
+    own = budget.Case(assembly, model, "coulomb", cache)  # its path is followed, though the full solves take one step
+    for source in ("pairs", "mesh and element"):
+        again = budget.SOURCES[source](own)[1]["mean"]
+        np.testing.assert_allclose(known[source].table.loc[again.index, "mean"], again, rtol=1e-4, err_msg=source)
     page = (tmp_path / "report.html").read_text()
     assert all(sentence in page for sentence in found["budget"]["sentences"].values() if "'" not in sentence)
     written = json.loads((tmp_path / "summary.json").read_text())

@@ -163,7 +163,7 @@ class Case:
     ----------
     assembly : Assembly
     model : ReducedModel
-        With the scene's own path.
+        Both with the scene's own path, or what refines them would be charged with that of another.
     law : str
         What production prints.
     cache : Path

@@ -188,7 +188,8 @@ def verify_scene(
             tell("error budget: " + ", ".join(sources) + " …")
             printing = outcome if production.name == "reduced" else read_outcome(production)
             figures = printed(printing, law)
-            case = Case(assembly, dataclasses.replace(model, scene=asked), law, cache, figures["six_sigma"])
+            followed = (dataclasses.replace(one, scene=asked) for one in (assembly, model))
+            case = Case(*followed, law, cache, figures["six_sigma"])
             items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
             mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
             items += estimate(case, folder / "budget", mark, team, sources, say)
