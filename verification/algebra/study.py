@@ -201,7 +201,7 @@ STUDY = Study(
             reason="Rounding, as for the forces.",
         ),
     ),
-    seconds=(580, 90),
+    seconds=(170, 90),
     memory=3.0,
     run=run,
 )

@@ -116,6 +116,6 @@ STUDY = Study(
         )
         for name, text, _, limit in JUDGED
     ),
-    seconds=(20, 8),
+    seconds=(31, 8),
     run=run,
 )

@@ -189,7 +189,7 @@ STUDY = Study(
             reason="Of eight intervals of 95 % six hold or more in 169 cases of 170 (binomial).",
         ),
     ),
-    seconds=(2000, 60),
+    seconds=(1200, 60),
     memory=4.8,
     run=run,
 )

@@ -347,7 +347,7 @@ STUDY = Study(
             reason="A remedy that does not work is none.",
         ),
     ),
-    seconds=(220, 30),
+    seconds=(310, 30),
     memory=4.8,
     run=run,
 )

@@ -357,7 +357,7 @@ STUDY = Study(
             reason="1e4 times the limit of the agreement: a law ignored by one of the routes could not hide.",
         ),
     ),
-    seconds=(80, 120),
+    seconds=(40, 120),
     memory=1.8,
     run=run,
 )

@@ -317,7 +317,7 @@ STUDY = Study(
             reason="The setting reference, slips as well: 1 %.",
         ),
     ),
-    seconds=(270, 110),
+    seconds=(430, 110),
     memory=3.0,
     run=run,
 )

@@ -250,7 +250,7 @@ STUDY = Study(
             reason="A judge errs by no more than a fifth of what it judges.",
         ),
     ),
-    seconds=(150, 90),
+    seconds=(112, 90),
     memory=1.2,
     run=run,
 )

@@ -191,6 +191,6 @@ STUDY = Study(
             reason="2 % of the force and 5 % of the slip, of which it is the product.",
         ),
     ),
-    seconds=(300, 5),
+    seconds=(280, 5),
     run=run,
 )

@@ -511,6 +511,6 @@ STUDY = Study(
             reason="Rounding of a solve, 1e-8.",
         ),
     ),
-    seconds=(170, 95),
+    seconds=(215, 95),
     run=run,
 )

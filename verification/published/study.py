@@ -249,6 +249,6 @@ STUDY = Study(
             reason="A reference errs by no more than a fifth of the limit.",
         ),
     ),
-    seconds=(30, 30),
+    seconds=(25, 30),
     run=run,
 )

@@ -200,6 +200,6 @@ STUDY = Study(
             reason="Theory: 4, less the 2 % that the setting standard promises of a figure.",
         ),
     ),
-    seconds=(165, 70),
+    seconds=(240, 70),
     run=run,
 )

@@ -124,7 +124,7 @@ STUDY = Study(
             reason="The uncertainties claim to be intervals of 95 %.",
         ),
     ),
-    seconds=(430, 25),
+    seconds=(372, 25),
     memory=2.8,
     run=run,
 )

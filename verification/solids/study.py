@@ -275,7 +275,7 @@ STUDY = Study(
             reason="A reference that may move by half of what it allows leaves as much to what it judges.",
         ),
     ),
-    seconds=(240, 100),
+    seconds=(330, 100),
     memory=2.9,
     run=run,
     missing=lambda: "" if available() else "ccx is not installed: apt-get install calculix-ccx",

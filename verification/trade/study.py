@@ -501,6 +501,6 @@ STUDY = Study(
             reason="Ten times the rounding of the two routes, 1e-8.",
         ),
     ),
-    seconds=(420, 60),
+    seconds=(650, 60),
     run=run,
 )
