@@ -40,11 +40,12 @@ from mic.model.slopes import Slopes
 from mic.model.sources import sources
 from mic.process.actions import Joints
 
-__all__ = ["Shapes", "carrying", "coefficients", "following", "shape_fields", "wanted"]
+__all__ = ["Shapes", "carrying", "coefficients", "following", "listed", "most", "shape_fields", "wanted"]
 
 Model = TypeVar("Model", bound=Reduction)
 
 LEFT = 0.1  # of how the samples' shapes turn the sheets, root mean square: what sources without derivatives may make
+LISTED = 6  # sources that are told by name
 REACH = 6.0  # standard deviations about the mean for which derivatives are believed
 
 
@@ -91,11 +92,17 @@ class Shapes:
             }
         return middle, ends
 
+    def further(self, assembly: Assembly) -> list[Part]:
+        """All parts whose coefficients are wanted beside the nominal ones."""
+        (middle, ends), known = self.parts(assembly), {part.fingerprint() for part in assembly.parts}
+        every = [*middle, *(end for pairs in ends.values() for pair in pairs.values() for end in pair)]
+        return [part for part in every if part.fingerprint() not in known]
+
     def __str__(self) -> str:
-        """In words, what is wanted beside the mean shape."""
-        told = f"stiffness to first order in {', '.join(self.along) or 'no source'}"
+        """The sources in words."""
+        told = listed(list(self.along))
         if self.left:
-            told += f"; {self.left} more, which make {self.share:.1%} of how samples turn the sheets, are left out"
+            told += f" ({self.left} more, which make {self.share:.1%} of how samples turn the sheets, are left out)"
         return told
 
 
@@ -117,7 +124,7 @@ def coefficients(
     assert shapes is not None  # told by the first
     parts, ends = shapes.parts(assembly)
     if progress and assembly.scene.stiffness == "first-order":
-        progress(str(shapes))
+        progress(f"stiffness to first order in {shapes}")
     beside = [end for pairs in ends.values() for pair in pairs.values() for end in pair]
     own, known = influence_coefficients(replace(assembly, parts=(*parts, *beside)), cache, progress, comm)
     both = {name: replace(one, deviated=(shapes.mean[name], own[name])) for name, one in found.items() if name in own}
@@ -134,6 +141,35 @@ def coefficients(
         for part, pair in pairs.items():
             known[part] = known[part] and all(known[end.name] for end in pair)
     return both, {name: cached[name] and known[name] for name in cached}
+
+
+def most(assembly: Assembly) -> tuple[list[str], int]:
+    """The sources that vary shapes, and how many sets of coefficients beside the nominal ones it takes at most to
+    follow them to first order; known before any coefficients are.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    """
+    scene, names = assembly.scene, [part.name for part in assembly.parts]
+    joined = [set(item.parts) & set(names) for item in (*scene.zones, *scene.welds)]
+    sets, found = len(names), []
+    for item, source in zip(scene.deviations, sources(scene)):
+        control = source.control(assembly.labels, assembly.rows)
+        rows = source.load(assembly.labels, assembly.rows) if control is None else control.rows
+        own = set(source.expansion())
+        if rows is not None:
+            own |= {names[p] for p in np.searchsorted(assembly.offsets, rows.indices, side="right") - 1}
+        if own and item.sigma > 0:
+            found.append(item.name)
+            sets += 2 * len(own.union(*(both for both in joined if both & own)))
+    return found, sets
+
+
+def listed(names: Sequence[str]) -> str:
+    """Sources in words, the first of many by name."""
+    told = ", ".join(names[:LISTED])
+    return f"{len(names)} sources: {told} …" if len(names) > LISTED else told or "no source"
 
 
 def wanted(assembly: Assembly, nominal: Reduction) -> Shapes:
