@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 import mic
 from fem_reference.full.model import FullModel
-from mic.options import app
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.assembly import assemble
 from mic.model.reduction import Reduction
+from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.stiffness import coefficients, most, wanted
 from mic.sampling.draw import draw
@@ -163,7 +163,9 @@ def test_only_parts_that_a_source_shapes_or_turns_are_computed_and_all_once(tmp_
         *("influence coefficients of lower", "influence coefficients of upper"),  # warm, and bent
         *("influence coefficients of upper at F + 1 σ", "influence coefficients of upper at F − 1 σ"),
     ]
-    assert "stiffness to first order in F (1 more, which make 0.0% of how samples turn the sheets, are left out)" in lines
+    assert (
+        "stiffness to first order in F (1 more, which make 0.0% of how samples turn the sheets, are left out)" in lines
+    )
     assert set(found["upper"].slopes) == {"F"} and not found["lower"].slopes
     again: list[str] = []
     assert coefficients(assembly, tmp_path, again.append)[1] == {"lower": True, "upper": True}
@@ -243,7 +245,9 @@ def test_a_check_tells_the_sets_of_coefficients_before_and_after(tmp_path):
         return next(line for line in output.splitlines() if "to first order" in line)
 
     each = "; each sample is set up by itself, which takes many times as long"
-    assert told() == f"• stiffness to first order in up to F1, F2: at most 10 further sets of influence coefficients{each}"
+    assert (
+        told() == f"• stiffness to first order in up to F1, F2: at most 10 further sets of influence coefficients{each}"
+    )
     own = assemble(mic.load_scene(scene), tmp_path)
     coefficients(assembly_of(own), tmp_path)
     known = "• stiffness to first order in F1, F2: 8 further sets of influence coefficients, {} to be computed" + each

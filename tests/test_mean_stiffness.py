@@ -15,6 +15,7 @@ from mic.process.model import ReducedModel
 from mic.process.stiffness import shape_fields
 from verification.comparison import difference, reduced_and_assembly
 
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """Where the cache is, and the models of both stiffnesses with the assembly that they came from."""

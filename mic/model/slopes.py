@@ -9,8 +9,9 @@ and G and the gaps of contacts and welds alike; s is one standard deviation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["Slopes"]
 
 Model = TypeVar("Model", bound="Reduction")
+
+_WHOLE, _BY_PART = ("source", "about", "low", "high", "gap", "weld_gap"), ("changing", "H", "G")
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Slopes:
     weld_gap: np.ndarray
 
     def followed(self, model: Model, deviations: np.ndarray) -> Model:
-        """The reduction that these are of, at a sample's deviations (p,), equation (1); itself where none of them moved.
+        """The reduction that these are of, at a sample's deviations (p,), equation (1); itself where none moved.
 
         Raises
         ------
@@ -91,19 +94,12 @@ class Slopes:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it by names that :meth:`of` knows."""
-        found = {}
-        for name, value in vars(self).items():
-            found |= {f"{name}_{p}": own for p, own in enumerate(value)} if isinstance(value, tuple) else {name: value}
-        return found
+        found = {name: getattr(self, name) for name in _WHOLE}
+        return found | {f"{name}_{p}": own for name in _BY_PART for p, own in enumerate(getattr(self, name))}
 
     @classmethod
-    def of(cls, arrays: dict[str, np.ndarray], parts: int) -> Slopes:
+    def of(cls, arrays: Mapping[str, np.ndarray], parts: int) -> Slopes:
         """What :meth:`arrays` gave, of so many parts."""
-        return cls(
-            **{
-                one.name: arrays[one.name]
-                if one.name in arrays
-                else tuple(arrays[f"{one.name}_{p}"] for p in range(parts))
-                for one in fields(cls)
-            }
-        )
+        own: dict[str, Any] = {name: arrays[name] for name in _WHOLE}
+        own |= {name: tuple(arrays[f"{name}_{p}"] for p in range(parts)) for name in _BY_PART}
+        return cls(**own)

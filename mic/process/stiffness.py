@@ -131,11 +131,11 @@ def coefficients(
     if first and assembly.scene.stiffness == "first-order":
         sigma = {item.name: item.sigma for item in assembly.scene.deviations}
         for part, one in both.items():
-            slopes = {
-                name: _slope(own[part], *(own[end.name] for end in pairs[part]), sigma[name], shapes.along[name][part])
-                for name, pairs in ends.items()
-                if part in pairs
-            }
+            slopes = {}
+            for name, pairs in ends.items():
+                if part in pairs:
+                    plus, minus = (own[end.name] for end in pairs[part])
+                    slopes[name] = _slope(own[part], plus, minus, sigma[name], shapes.along[name][part])
             both[part] = replace(one, slopes=slopes)
     for pairs in ends.values():
         for part, pair in pairs.items():
@@ -152,7 +152,7 @@ def most(assembly: Assembly) -> tuple[list[str], int]:
     assembly : Assembly
     """
     scene, names = assembly.scene, [part.name for part in assembly.parts]
-    joined = [set(item.parts) & set(names) for item in (*scene.zones, *scene.welds)]
+    joined = [{*zone.parts} & {*names} for zone in scene.zones] + [{*weld.parts} for weld in scene.welds]
     sets, found = len(names), []
     for item, source in zip(scene.deviations, sources(scene)):
         control = source.control(assembly.labels, assembly.rows)

@@ -123,8 +123,8 @@ class Scene(Table):
     stiffness: Literal["nominal", "mean", "first-order"] = Field(
         "nominal",
         description="of which shape the parts have their stiffness: of the nominal one; of that which the means of "
-        "the deviations give them, gaps and normals with it, by a second set of influence coefficients for each part; or "
-        "to first order of each sample's own, by two more sets for each source that matters, and work for each sample",
+        "the deviations give them, gaps and normals with it, by a second set of influence coefficients for each part; "
+        "or to first order of each sample's own, by two more sets for each source that matters, and work for each",
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
