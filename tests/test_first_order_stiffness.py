@@ -136,6 +136,29 @@ def test_friction_may_vary_beside_it(cache, built):
     assert np.abs(found - model.evaluate({"F": -6.0}).resolutions["clamp"].force).max() > 1e-4 * np.abs(expected).max()
 
 
+def test_candidates_and_forces_with_limits_are_those_of_the_sample(cache):
+    """As in a model that has the sample's compliance and gaps from the beginning."""
+    table = lap("first-order")
+    table["zones"][0].pop("pairs")
+    table["clamps"] = [clamp | {"force": 2.0} for clamp in table["clamps"]]
+    table["welds"] = [weld | {"gun": 0.5} for weld in table["welds"]]
+    table["deviations"].append(table["deviations"][0] | {"name": "E", "part": "lower", "point": [95, 5, 0]})
+    model, _ = reduced_and_assembly(read(table), cache)
+    sample = np.array([-6.5, 40.0, -3.5])
+    alone = replace(model.changed(sample), slopes=None).evaluate(sample)
+    found = model.process().attempt(np.array([model.deviations({})[0], sample]))
+    assert model.contacts.watched.all() and not found.failed.any()
+    needed = alone.resolutions["weld"].needed[0]
+    assert np.isfinite(needed).all()
+    for mine, own in (
+        (found.measurements[1], alone.measurements[0]),
+        (found.resolutions["weld"].needed[1], needed),
+        (found.resolutions["weld"].force[1], alone.resolutions["weld"].force[0]),
+    ):
+        np.testing.assert_allclose(mine, own, rtol=1e-6, atol=1e-7 * np.abs(own).max())
+    assert np.abs(found.resolutions["weld"].needed[0] / needed - 1).max() > 0.01
+
+
 def test_derivatives_are_those_of_differences(built):
     models, _ = built
     at, step = np.array([-6.0, 40.5]), 1e-3

@@ -378,7 +378,8 @@ class Process:
             limited=False,
             **settings,
         )
-        process._changed_by = self._changed_by  # the model's contacts are changed already
+        # The model's contacts and parts are changed already, or stay as they are.
+        process._changing, process._changed_by = self._changing, self._changed_by
         return process
 
     def attempt(self, deviations: np.ndarray, at: str | None = None) -> Evaluation:
