@@ -3,38 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.deviated import hat, lap, read
 
-import mic
 from fem_reference.full.model import FullModel
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.process.stiffness import shape_fields
-from mic.scene.load import read_table
 from verification.comparison import difference, reduced_and_assembly
-
-LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
-WARM = {"name": "W", "kind": "temperature", "part": "lower", "mean": 40.0, "sigma": 1.0}
-
-
-def lap(stiffness="mean", mean=-5.0, **keys):
-    """The table of a small lap joint whose upper sheet is out of shape in the mean, and the lower one warm."""
-    table = mic.load_scene(LAP).model_dump(mode="json", exclude={"folder"})
-    table["parts"] = [part | {"expansion": 1.2e-5, "size": "coarse"} for part in table["parts"]]
-    table["zones"][0]["pairs"] = 6
-    table["stages"][1:4] = [one | {"path": "increments", "increments": 1} for one in table["stages"][1:4]]
-    force = {"name": "F", "kind": "force", "part": "upper", "point": [65, 20, 1], "mean": mean, "sigma": 0.25 * mean}
-    force["sigma"] = abs(force["sigma"]) or 1.0
-    table |= {"report": {"laws": ["coulomb"]}, "deviations": [force, WARM], "stiffness": stiffness}
-    return table | keys
-
-
-def read(table):
-    return read_table(table, LAP / "scene.toml")
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +36,7 @@ def test_the_mean_sample_is_that_of_full_elements_on_its_own_mesh(built):
 @pytest.mark.fem
 def test_gaps_go_with_the_mean_shape(built):
     """On the hat, whose bends turn; between flat sheets normals turn with the gap and leave it as it was."""
-    folder = LAP.parent / "hat_on_plate"
-    table = mic.load_scene(folder).model_dump(mode="json", exclude={"folder"})
-    table["parts"] = [part | {"size": 12.0} for part in table["parts"]]
-    table["zones"] = [zone | {"pairs": 6} for zone in table["zones"]]
-    for stage in table["stages"]:
-        if stage["kind"] in ("clamp", "weld", "release"):
-            stage |= {"path": "increments", "increments": 1}
-    table |= {"report": {"laws": ["coulomb"]}, "stiffness": "mean"}
-    model, assembly = reduced_and_assembly(read_table(table, folder / "scene.toml"), built[0])
+    model, assembly = reduced_and_assembly(read(hat("mean"), "hat_on_plate"), built[0])
     mean, change = model.deviations({})[0], model.contacts.gap - assembly.contacts.gap
     full = FullModel(assembly, deviated=True).evaluate(mean)
     assert difference(model.evaluate(mean), 0, full).largest < 1e-7
@@ -105,7 +76,7 @@ def test_a_model_of_the_mean_shape_is_saved_and_read_as_it_is(built, tmp_path):
 @pytest.mark.fem
 def test_parts_without_a_mean_shape_have_the_nominal_stiffness(built):
     cache, models = built
-    found, _ = reduced_and_assembly(read(lap(mean=0.0, deviations=[lap(mean=0.0)["deviations"][0]])), cache)
+    found, _ = reduced_and_assembly(read(lap("mean", 0.0, deviations=[lap("mean", 0.0)["deviations"][0]])), cache)
     for H, nominal in zip(found.compliance.H, models["nominal"][0].compliance.H):
         np.testing.assert_array_equal(H, nominal)
 
@@ -131,4 +102,4 @@ def test_a_model_is_not_made_of_nominal_coefficients_where_others_are_asked_for(
 )
 def test_what_the_stiffness_of_the_mean_shape_cannot_be_of_is_refused(keys, said):
     with pytest.raises(SceneError, match=said):
-        read(lap() | keys)
+        read(lap("mean") | keys)

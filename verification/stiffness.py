@@ -6,15 +6,11 @@ fixture prescribes, and what is measured, reads the shape as before.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
 from mic.compliance import provider
-from mic.compliance.blocks import Blocks
 from mic.errors import SceneError
 from mic.model.assembly import Assembly
 from mic.model.deviated import deviated_parts
@@ -64,49 +60,3 @@ class DeviatedStiffness:
         """Largest displacement from nominal that deviations (p,) give any vertex, mm."""
         fields = self._full.shape_fields(deviations)
         return max(float(np.linalg.norm(field[:, :3], axis=1).max()) for field in fields.values())
-
-    def about(self, mean: np.ndarray, step: np.ndarray) -> Callable[[np.ndarray], ReducedModel]:
-        """What gives a sample (p,) the stiffness of the mean shape and its first derivatives with the sources,
-
-            H(a) = H(m) + Σ_i (a_i − m_i) (H(m + s_i e_i) − H(m − s_i e_i)) / 2 s_i,
-
-        and G and the gaps alike. Each H is first put on one support: P H P with P = 1 − G (GᵀG)⁻¹ Gᵀ differs from H by
-        rigid motions alone under forces that balance, and hangs on no choice of pins.
-
-        Parameters
-        ----------
-        mean, step : (p,) array
-            m and s; a source whose step is 0 is left out.
-        """
-        middle = self.at(mean)
-        chosen = np.flatnonzero(step)
-        ends = [
-            tuple(self.at(mean + sign * np.where(np.arange(len(mean)) == i, step, 0.0)) for sign in (1, -1))
-            for i in chosen
-        ]
-
-        def linear(read, share):
-            changes = [x * (read(plus) - read(minus)) for x, (plus, minus) in zip(share, ends)]
-            return read(middle) + sum(changes)
-
-        def at(sample: np.ndarray) -> ReducedModel:
-            share = (sample - mean)[chosen] / (2 * step[chosen])
-            parts = range(len(middle.compliance.H))
-            return replace(
-                middle,
-                compliance=Blocks(
-                    tuple(linear(lambda model, p=p: _unpinned(model, p), share) for p in parts),
-                    tuple(linear(lambda model, p=p: model.compliance.G[p], share) for p in parts),
-                ),
-                contacts=replace(middle.contacts, gap=linear(lambda model: model.contacts.gap, share)),
-                weld_gap=linear(lambda model: model.weld_gap, share),
-            )
-
-        return at
-
-
-def _unpinned(model: ReducedModel, p: int) -> np.ndarray:
-    H, G = model.compliance.H[p], model.compliance.G[p]
-    Q = np.linalg.qr(G / np.linalg.norm(G, axis=0))[0]
-    half = H - Q @ (Q.T @ H)
-    return half - (half @ Q) @ Q.T

@@ -25,8 +25,10 @@ from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
 from mic.model.one_sigma import one_sigma
 from mic.model.overlap import frozen_gaps
+from mic.model.reduction import Reduction
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
+from mic.process.stiffness import listed, most, wanted
 from mic.process.words import opening, sentences
 from mic.results.folder import RunFolder
 from mic.results.forecast import forecast
@@ -377,6 +379,8 @@ def _print_cost(console, assembly, plans):
         f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
         "coefficients"
     )
+    if scene.stiffness != "nominal":
+        console.print(f"• {plain(_stiffness_words(assembly))}", highlight=False, soft_wrap=True)
     resolved = [plan for plan in plans if plan.resolves and len(contacts)]
     if resolved:
         solves = [sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
@@ -395,6 +399,24 @@ def _print_cost(console, assembly, plans):
     console.print(f"• {forecast(assembly, laws, samples, len(os.sched_getaffinity(0)))}")
     fields = "mean and 6σ fields: a few further solves per part and law"
     console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
+
+
+def _stiffness_words(assembly) -> str:
+    """What the stiffness of other shapes takes: where the nominal coefficients are at hand, that, else at most."""
+    if assembly.scene.stiffness == "mean":
+        return "stiffness of the mean shape: a second set of influence coefficients for each part"
+    told = "stiffness to first order in {}: {}; each sample is set up by itself, which takes many times as long"
+    if len(assembly.contacts) <= LOOKED_AT and all(is_cached(part, cache_folder()) for part in assembly.parts):
+        try:
+            shapes = wanted(assembly, Reduction.build(assembly, influence_coefficients(assembly, cache_folder())[0]))
+        except MissingProvider:
+            pass
+        else:
+            further = {part.fingerprint(): part for part in shapes.further(assembly)}
+            todo = sum(not is_cached(part, cache_folder()) for part in further.values())
+            return told.format(shapes, f"{len(further)} further sets of influence coefficients, {todo} to be computed")
+    names, sets = most(assembly)
+    return told.format(f"up to {listed(names)}", f"at most {sets} further sets of influence coefficients")
 
 
 def _print_accuracy(console, assembly, say):

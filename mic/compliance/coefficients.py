@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mic.compliance.thickness import Thicknesses
 
-__all__ = ["InfluenceCoefficients"]
+__all__ = ["InfluenceCoefficients", "Slope"]
+
+
+@dataclass(frozen=True)
+class Slope:
+    """How a part's coefficients go with one of the scene's deviations.
+
+    Attributes
+    ----------
+    step : float
+        By how much the deviation is more, and less, between the two shapes that tell.
+    field : (v, 6) array
+        What a step adds to the shape at the part's vertices, displacements and rotations, mm and rad.
+    H : (n, n) array
+        Derivative of the compliance per unit of the deviation.
+    G : (n, 6) array
+        Likewise of the rigid-body readings.
+    """
+
+    step: float
+    field: np.ndarray
+    H: np.ndarray
+    G: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -34,6 +57,8 @@ class InfluenceCoefficients:
     deviated : ((v, 6) array, InfluenceCoefficients), optional
         A shape at the part's vertices, displacements and rotations, mm and rad, and the coefficients of the part that
         carries it.
+    slopes : mapping of str to Slope, optional
+        About that shape, by the name of the deviation, of those that change the part's coefficients.
 
     Raises
     ------
@@ -47,6 +72,7 @@ class InfluenceCoefficients:
     provenance: dict = field(default_factory=dict)
     thicknesses: Thicknesses | None = None
     deviated: tuple[np.ndarray, InfluenceCoefficients] | None = None
+    slopes: Mapping[str, Slope] | None = None
 
     def __post_init__(self):
         n = len(self.H)

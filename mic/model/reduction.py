@@ -23,6 +23,7 @@ from mic.compliance.thickness import Thicknesses
 from mic.model.assembly import Assembly, Between, Contacts
 from mic.model.characteristics import Characteristics
 from mic.model.shape import shape_readings
+from mic.model.slopes import Slopes
 from mic.model.sources import changed, thicker
 from mic.product import one_thread
 from mic.scene import Scene
@@ -54,6 +55,8 @@ class Reduction:
         Compliance of the parts whose thickness varies, by name.
     position_gap, centres
         As in :class:`mic.model.assembly.Assembly`.
+    slopes : Slopes, optional
+        How compliance and gaps go with the sources, where the stiffness follows each sample's shape.
     """
 
     scene: Scene
@@ -70,6 +73,7 @@ class Reduction:
     thicknesses: Mapping[str, Thicknesses] = field(default_factory=dict)
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
     centres: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    slopes: Slopes | None = None
 
     @classmethod
     @one_thread
@@ -165,6 +169,8 @@ class Reduction:
         ImpossibleSample
         """
         made = changed(self, deviations)
+        if self.slopes is not None:
+            return self.slopes.followed(made, deviations)  # no thickness varies beside them
         more = thicker(self.scene, deviations)
         if not more:
             return made
@@ -190,6 +196,8 @@ class Reduction:
         for name, one in self.thicknesses.items():
             p = [part.name for part in self.scene.parts].index(name)
             arrays |= {f"thicknesses_{p}_{key}": np.asarray(value) for key, value in vars(one).items()}
+        if self.slopes is not None:
+            arrays |= {f"slopes_{name}": array for name, array in self.slopes.arrays().items()}
         header = {
             "scene": json.loads(self.scene.model_dump_json()),
             "labels": self.labels,
@@ -211,6 +219,7 @@ class Reduction:
         header, data = store.load_arrays(Path(path), FORMAT)
         parts = range(len(header["scene"]["parts"]))
         compliance = Blocks(tuple(data[f"H_{p}"] for p in parts), tuple(data[f"G_{p}"] for p in parts))
+        slopes = {name.removeprefix("slopes_"): data[name] for name in data if name.startswith("slopes_")}
         rows = {
             kind: csr_matrix(
                 tuple(data[f"rows_{kind}_{name}"] for name in ("data", "indices", "indptr")),
@@ -238,6 +247,7 @@ class Reduction:
             },
             data["position_gap"],
             data["centres"],
+            Slopes.of(slopes, len(parts)) if slopes else None,
         )
 
 

@@ -21,7 +21,7 @@ from mic.process.evaluation import Evaluation
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
-from mic.process.stiffness import carrying
+from mic.process.stiffness import carrying, following
 from mic.product import one_thread
 from mic.scene import Scene
 
@@ -51,13 +51,17 @@ class ReducedModel(Reduction):
         nominal = super().build(assembly, influence)
         if assembly.scene.stiffness == "nominal":
             return nominal
-        fields, own = {}, {}
+        fields, own, slopes = {}, {}, {}
+        follows = assembly.scene.stiffness == "first-order"
         for part in assembly.parts:
-            deviated = influence[part.name].deviated
-            if deviated is None or len(deviated[1].H) != len(part.functionals):
+            deviated, along = influence[part.name].deviated, influence[part.name].slopes
+            if deviated is None or len(deviated[1].H) != len(part.functionals) or (follows and along is None):
                 raise SceneError('stiffness: what is asked for here knows "nominal" alone; leave the key out for it')
             fields[part.name], own[part.name] = deviated
-        return carrying(nominal, assembly, fields, own, nominal.deviations({})[0])
+            slopes[part.name] = along or {}
+        mean = nominal.deviations({})[0]
+        model = carrying(nominal, assembly, fields, own, mean)
+        return following(model, assembly, fields, slopes, mean) if follows else model
 
     @property
     def joints(self) -> Joints:

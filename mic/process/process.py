@@ -161,15 +161,19 @@ class Process:
         if plans is None:
             check_resting(model, self._plans, [obeyed.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
-        rubs = obeyed.frictional
-        self._changing = [
-            j
+        rubs, slopes = obeyed.frictional, model.slopes
+        #: By the deviations that change contacts or parts, at which values these are as the model has them.
+        changing = {
+            j: 0.0
             for j, source in enumerate(sources(model.scene))
             if source.changes == "compliance" or (source.changes and rubs)
-        ]
-        self._changed_by, self._limited = np.zeros(len(self._changing)), limited
+        }
+        if slopes is not None:
+            changing |= dict(zip(slopes.source.tolist(), slopes.about.tolist()))
+        self._changing = list(changing)
+        self._changed_by, self._limited = np.array(list(changing.values())), limited
         self._varied: dict[bytes, Process] = {}
-        self._thickened = False  # whether its parts are of other thicknesses than the scene's
+        self._own_parts = False  # whether its parts' compliance is one sample's own
         self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
         self._foreseen, self._guessing = model.foreseen if foreseen is None else foreseen, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
@@ -214,6 +218,10 @@ class Process:
         mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
         draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
         draws[0] = 0.0
+        if model.slopes is not None:  # shapes vary, with the stiffness of their mean for all
+            still = ~np.isin(ahead._changing, model.slopes.source)
+            ahead._changing = np.array(ahead._changing)[still].tolist()
+            ahead._changed_by = ahead._changed_by[still]
         draws[:, ahead._changing] = 0.0
         ahead.stages, ahead._guessing = ahead._prepared([Increments(1)] * len(ahead.stages)), True
         ahead.attempt(mean + sigma * draws)
@@ -289,8 +297,8 @@ class Process:
 
     @cached_property
     def _linear(self) -> Linear | None:
-        """What is linear in the process; not worth it where parts are of one sample's thickness."""
-        if self._guessing or self._thickened:
+        """What is linear in the process; not worth it where compliance is one sample's own."""
+        if self._guessing or self._own_parts:
             return None
         return Linear.of(self, len(self.model.scene.deviations))
 
@@ -321,7 +329,7 @@ class Process:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
             model = self.model.changed(deviations)
-            vars(model).update({name: getattr(self.model, name) for name in ("foreseen", "rest")})
+            vars(model).update({name: getattr(self.model, name) for name in ("foreseen", "rest", "characteristics")})
             if model.compliance is self.model.compliance:
                 vars(model)["eliminations"] = self.model.eliminations
             elif self._limited:
@@ -338,7 +346,7 @@ class Process:
                 process = Process(model, self.law, backend=backend, **how)
             except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
-            process._changed_by, process._thickened = amplitudes, how["like"] is None
+            process._changed_by, process._own_parts = amplitudes, how["like"] is None
             vars(process)["_unit_motions"] = self._unit_motions
             if how["like"] is not None:
                 vars(process).update(
@@ -370,7 +378,8 @@ class Process:
             limited=False,
             **settings,
         )
-        process._changed_by = self._changed_by  # the model's contacts are changed already
+        # The model's contacts and parts are changed already, or stay as they are.
+        process._changing, process._changed_by = self._changing, self._changed_by
         return process
 
     def attempt(self, deviations: np.ndarray, at: str | None = None) -> Evaluation:

@@ -11,7 +11,8 @@ moves.
 
 Inputs are called as :mod:`mic.process.inputs` says.
 
-A thickness changes the compliance itself: with respect to it central differences are taken, along the same steps.
+A thickness changes the compliance itself, and so does a shape that the stiffness follows: with respect to these central
+differences are taken, along the same steps.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ ROUNDS, SETTLED, FREE, LOOSE = 20, 1e-11, 1e-9, 1e-6
 #: Values of samples and their derivatives that are carried at once: memory.
 AT_ONCE = 2_000_000
 
-#: Of a sheet's thickness: half the step of differences with respect to it.
-THINNER = 1e-4
+#: Half the step of differences: of a sheet's thickness, and in standard deviations of a shape that stiffness follows.
+THINNER, ASIDE = 1e-4, 1e-2
 
 #: The steps that paths took: by stage and the step's number, the trail (n,) of each sample.
 Steps = Mapping[tuple, np.ndarray]
@@ -74,7 +75,7 @@ class ContactSensitivity:
     force_slope : (n, m, d, p) array
         Derivatives of the forces, N per unit of the inputs.
     slip_slope : (n, m, d - 1, p) array
-        Derivatives of the tangential displacement since the stage before, mm per unit; NaN for a thickness.
+        Derivatives of the tangential displacement since the stage before, mm per unit; NaN for what changes compliance.
     """
 
     force: np.ndarray
@@ -100,8 +101,9 @@ class Sensitivities:
         Their derivatives, mm per unit of the inputs.
     sides : (n, k, p, 2) array
         Of samples at a change of state (``reach`` at most :data:`AT_CHANGE`), derivatives to either side of it, towards
-        smaller values of the input and towards larger; NaN where there is no solution to be followed there, and for
-        places in sheets. Of others, and along inputs that do not lead to the change, the derivatives themselves.
+        smaller values of the input and towards larger; NaN where there is no solution to be followed there, for places
+        in sheets, and for shapes that the stiffness follows. Of others, and along inputs that do not lead to the
+        change, the derivatives themselves.
     contacts : dict of str to ContactSensitivity
         By stage.
     reach : (n,) array
@@ -110,7 +112,7 @@ class Sensitivities:
         does.
     reach_along : (n, p) array
         Likewise along each input alone; infinite for those without standard deviation, NaN along a thickness, which the
-        reach of all inputs together leaves out.
+        reach of all inputs together leaves out. Of shapes that the stiffness follows, as if it did not.
     where : (n,) object array of str
         Which contact changes its state there.
     failed : (n,) bool array
@@ -207,15 +209,37 @@ def sensitivities(
         _refuse_resting(process)
     own = inputs if isinstance(inputs, Mapping) else known_inputs(model)
     sigma = np.array([own[name] for name in names])
-    thick = {names.index(one.name): j for j, one in enumerate(model.scene.deviations)
-             if one.kind == "thickness" and one.name in names}  # fmt: skip
-    reaching = np.where(np.isin(np.arange(len(names)), list(thick)), 0.0, sigma)
+    steps_of = _differenced(model, names)
+    thick = [i for i, (j, _) in steps_of.items() if model.scene.deviations[j].kind == "thickness"]
+    reaching = np.where(np.isin(np.arange(len(names)), thick), 0.0, sigma)
     found = _carried(process, deviations, names, reaching, steps)
-    if not thick:
+    if not steps_of:
         return found
-    found = replace(found, sigma=sigma, jacobian=found.jacobian.copy(), reach_along=found.reach_along.copy())
-    for i, j in thick.items():
-        _difference(process, deviations, found, i, j)
+    found = replace(
+        found,
+        sigma=sigma,
+        **{name: getattr(found, name).copy() for name in ("jacobian", "sides", "reach_along")},
+    )
+    for i, (j, step) in steps_of.items():
+        _difference(process, deviations, found, i, j, step)
+        if i in thick:
+            found.reach_along[:, i] = np.nan
+        else:
+            there = (found.reach <= AT_CHANGE) & (found.reach_along[:, i] <= BESIDE)
+            found.sides[:, :, i] = np.where(there[:, None], np.nan, found.jacobian[:, :, i])[..., None]
+    return found
+
+
+def _differenced(model, names: Sequence[str]) -> dict[int, tuple[int, float]]:
+    """Of the inputs that change the compliance, by their numbers, the number of the deviation and half the step."""
+    follows = [] if model.slopes is None else model.slopes.source.tolist()
+    found = {}
+    for j, one in enumerate(model.scene.deviations):
+        if one.name in names and one.kind == "thickness":
+            thickness = next(part.sheet[0] for part in model.scene.parts if part.name == one.part)
+            found[names.index(one.name)] = j, THINNER * thickness
+        elif one.name in names and j in follows:
+            found[names.index(one.name)] = j, ASIDE * one.sigma
     return found
 
 
@@ -235,22 +259,19 @@ def _carried(process, deviations, names, sigma, steps) -> Sensitivities:
     return Sensitivities.join(pieces)
 
 
-def _difference(process, deviations: np.ndarray, found: Sensitivities, i: int, j: int) -> None:
-    """Put the derivatives with respect to a thickness, input i and deviation j, into those that were found: central
-    differences along the same steps, for the compliance itself changes with it."""
-    step = np.zeros(deviations.shape[1])
-    step[j] = THINNER * next(part.sheet[0] for part in process.model.scene.parts
-                             if part.name == process.model.scene.deviations[j].part)  # fmt: skip
+def _difference(process, deviations: np.ndarray, found: Sensitivities, i: int, j: int, half: float) -> None:
+    """Put the derivatives with respect to what changes the compliance, input i and deviation j, into those that were
+    found: central differences along the same steps."""
+    step = np.where(np.arange(deviations.shape[1]) == j, half, 0.0)
     low, high = (
         _carried(process, deviations + way * step, found.inputs[i : i + 1], np.zeros(1), found.steps)
         for way in (-1.0, 1.0)
     )
-    found.jacobian[:, :, i] = (high.measurements - low.measurements) / (2 * step[j])
+    found.jacobian[:, :, i] = (high.measurements - low.measurements) / (2 * half)
     found.jacobian[found.failed, :, i] = np.nan
-    found.reach_along[:, i] = np.nan
     for stage, own in found.contacts.items():
         slope = high.contacts[stage].force - low.contacts[stage].force
-        own.force_slope[..., i] = slope / (2 * step[j])
+        own.force_slope[..., i] = slope / (2 * half)
         own.slip_slope[..., i] = np.nan
 
 

@@ -115,9 +115,11 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
         If a step leaves a part free to move.
     """
 
+    every = vstack(list(model.rows.values()), format="csr")
+    first = dict(zip(model.rows, np.cumsum([0, *(rows.shape[0] for rows in model.rows.values())])))
+
     def rows_of(rows):
-        none = csr_matrix((0, model.compliance.size))
-        return vstack([none, *(model.rows[kind][i] for kind, i in rows)], format="csr")
+        return every[np.array([first[kind] + i for kind, i in rows], dtype=int)]
 
     output = vstack([*(model.rows[kind] for kind in OUTPUTS), model.rest.rows], format="csr")
     contact_rows = model.rows["contact"].shape[0]

@@ -120,10 +120,11 @@ class Scene(Table):
         description="shell element, of those that the installed provider of compliance knows: `dkt-opt-curved`, the "
         "production shell, `dkt-opt`, the same on flat triangles, `p2-cr`, the independent check, …",
     )
-    stiffness: Literal["nominal", "mean"] = Field(
+    stiffness: Literal["nominal", "mean", "first-order"] = Field(
         "nominal",
-        description="of which shape the parts have their stiffness: of the nominal one, or of that which the means of "
-        "the deviations give them, gaps and normals with it; a second set of influence coefficients for each part",
+        description="of which shape the parts have their stiffness: of the nominal one; of that which the means of "
+        "the deviations give them, gaps and normals with it, by a second set of influence coefficients for each part; "
+        "or to first order of each sample's own, by two more sets for each source that matters, and work for each",
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []

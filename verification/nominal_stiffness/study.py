@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from mpi4py import MPI
 
 from fem_reference.full.model import ContactFailure, FullModel
+from mic.process.model import ReducedModel
+from mic.process.stiffness import coefficients
 from mic.sampling.draw import draw
 from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
@@ -112,11 +116,23 @@ def compare(built, nominal, size) -> dict:
     }
 
 
-def systematic(built, size, samples) -> list[dict]:
+def followed(assembly, stiffness, mean, sigma, cache) -> ReducedModel:
+    """What production makes of deviations with these means (p,) and standard deviations (p,) and this ``stiffness``."""
+    items = [
+        item.model_copy(update={"mean": float(m), "sigma": float(s)})
+        for item, m, s in zip(assembly.scene.deviations, mean, sigma)
+    ]
+    scene = assembly.scene.model_copy(update={"deviations": items, "stiffness": stiffness})
+    own = replace(assembly, scene=scene)
+    return ReducedModel.build(own, coefficients(own, cache, comm=MPI.COMM_SELF)[0])
+
+
+def systematic(built, size, samples, cache) -> list[dict]:
     """Errors of three stiffnesses against that of each sample's own shape, where shapes are off in the mean.
 
     The shapes of the scene's mean are scaled until the largest displacement is `size` mm. The samples' shapes scatter
-    about it as the scene has it, scaled to a root mean square of :data:`SPREAD` of that; nothing else deviates.
+    about it as the scene has it, scaled to a root mean square of :data:`SPREAD` of that; nothing else deviates. The
+    stiffnesses are those of scenes that say so, with these means and standard deviations.
     """
     model, assembly = built
     stiffness = DeviatedStiffness(assembly, model)
@@ -125,11 +141,10 @@ def systematic(built, size, samples) -> list[dict]:
     about = np.where(shaping, draw(scene, scene.monte_carlo.seed, 0, samples) - mean, 0.0)
     mean *= size / stiffness.largest(mean)
     about *= SPREAD * size / np.sqrt(np.mean([stiffness.largest(one) ** 2 for one in about]))
-    step = about.std(axis=0)
-    middle, along = stiffness.at(mean), stiffness.about(mean, step)
+    middle, along = (followed(assembly, word, mean, about.std(axis=0), cache) for word in ("mean", "first-order"))
     found: dict[str, list] = {"own": [], "nominal": [], "mean": [], "first order": []}
     for sample in mean + about:
-        for name, one in zip(found, (stiffness.at(sample), model, middle, along(sample))):
+        for name, one in zip(found, (stiffness.at(sample), model, middle, along)):
             found[name].append(_judged(one, assembly, sample))
     truth = {what: np.array([one[what] for one in found["own"]]) for what in JUDGED}
     rows = []
@@ -175,7 +190,7 @@ def run(context):
         for size in (MEANS[-1:] if context.quick else MEANS)
     ]
     samples = QUICK_SAMPLES if context.quick else SAMPLES
-    found = context.team.map(lambda item: systematic(built[item[0]], item[1], samples), offsets)
+    found = context.team.map(lambda item: systematic(built[item[0]], item[1], samples, context.cache), offsets)
     means = pd.DataFrame([{"assembly": name} | row for (name, _), own in zip(offsets, found) for row in own])
     sizes = QUICK_DEVIATIONS if context.quick else DEVIATIONS
     nominal = {name: FullModel(assembly, comm=MPI.COMM_SELF) for name, (_, assembly) in built.items()}
