@@ -69,7 +69,9 @@ def test_run_check_report(command, cache, tmp_path):
     assert summary["laws"]["coulomb"]["path"]["repeated"] == 12 and zone["six_sigma_rms_slip_path"] is not None
     assert (folder / "report.html").stat().st_size > 10_000
     (folder / "report.html").unlink()
-    again = CliRunner().invoke(app, ["run", str(LAP), "--samples", "20"], env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
+    again = CliRunner().invoke(
+        app, ["run", str(LAP), "--samples", "20"], env={"MIC_CACHE": str(cache), "COLUMNS": "200"}
+    )
     assert again.exit_code == 0 and "reused" in again.output
     assert (folder / "report.html").is_file()
     record = json.loads((folder / "run.json").read_text())

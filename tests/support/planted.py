@@ -1,4 +1,4 @@
-"""``mic`` with an error planted in one process, or with none: ``python -m support.planted RANK WHAT ARGUMENTS-OF-MIC …``.
+"""``mic``, with an error planted in one process or with none: ``python -m support.planted RANK WHAT ARGUMENTS …``.
 
 Its pages have no pictures: to draw them takes as long as all else that a run of few samples does.
 """
