@@ -332,8 +332,11 @@ class Surface:
     def _centred_near(self, x, radius):
         """The triangles whose centroids lie within a radius (n,) of each x (n, 3): owner and triangle, some points at a
         time, as on meshes finer than the sheets are thick there are thousands for each."""
-        count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
-        for rows in np.split(np.arange(len(x)), np.flatnonzero(np.diff(count // TOGETHER)) + 1):
+        pieces = [np.arange(len(x))]
+        if len(x) * len(self.triangles) > TOGETHER:  # else all of them are few enough, whatever the radius
+            count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
+            pieces = np.split(pieces[0], np.flatnonzero(np.diff(count // TOGETHER)) + 1)
+        for rows in pieces:
             owner, triangle = _listed(self._tree.query_ball_point(x[rows], radius[rows]))
             yield rows[owner], triangle
 
