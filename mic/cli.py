@@ -6,6 +6,7 @@ so in one line too.
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -18,11 +19,13 @@ from mic.errors import MicError, Stopped
 __all__ = ["main"]
 
 AGAIN = 0.01  # s after which a stop that was lost is raised again
+GARBAGE = 20_000  # objects that are new, after which it is looked for; Python's own is 700
 
 
 def main() -> NoReturn:
     """One clear line for what a user can mend, a traceback for what only we can."""
     _on_signals(_leave_at_once)
+    gc.set_threshold(GARBAGE, *gc.get_threshold()[1:])  # modules stay: to search them was a tenth of a short command
     from mic import options  # slow to import, and stopped as any other moment is
     from mic.console import sentence
     from mic.sampling.ranks import communicator, leave, others_silent

@@ -1,5 +1,6 @@
 """Fixtures shared by the tests: scenes that are cheap enough to run everywhere, with finite elements or without."""
 
+import gc
 import importlib.util
 import os
 import re
@@ -9,6 +10,8 @@ import pytest
 
 import mic
 from verification.scenes import few
+
+gc.set_threshold(20_000, *gc.get_threshold()[1:])  # with all test modules in memory, garbage took a tenth of the time
 
 ROOT = Path(__file__).resolve().parents[1]
 FINITE_ELEMENTS = importlib.util.find_spec("dolfinx") is not None
@@ -31,6 +34,12 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if not FINITE_ELEMENTS and item.get_closest_marker("fem"):
             item.add_marker(pytest.mark.skip(reason="needs finite elements (dolfinx) or gmsh"))
+
+
+def pytest_collection_finish():
+    """Modules and tests stay: whoever looks for garbage need not look at them."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

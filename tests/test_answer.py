@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from mic.options import app
 from mic.report.answer import answer
-from mic.report.page import write_report
 from mic.report.style import change
 from mic.results.budget import error_budget, whole_yield
 from mic.results.outcome import read_outcome
@@ -153,13 +152,13 @@ def test_studies_of_a_results_folder_stay_in_it_and_in_its_page(copied):
         assert done.exit_code == 0, done.output
         frame = table.read(copied, "")
         assert len(frame) and (frame["law"] == "coulomb").all() and table.place in done.output.replace("\n", "")
-    page = write_report(copied).read_text()
+    again = CliRunner().invoke(app, ["report", str(copied)])
+    assert again.exit_code == 0 and "driven by" in again.output and CONTRIBUTORS.read(copied, "") is not None
+    page = (copied / "report.html").read_text()
     for anchor in ("answer-table", "budget-table", "contributors-table", "friction-table", "contributors"):
         assert f'id="{anchor}"' in page
     assert "Friction hardly matters here" in page and "nearly linear" in page
     assert page.index('id="answer"') < page.index('id="validity"')
-    again = CliRunner().invoke(app, ["report", str(copied)])
-    assert again.exit_code == 0 and "driven by" in again.output and CONTRIBUTORS.read(copied, "") is not None
 
 
 def test_a_folder_whose_model_is_another_s_is_refused(copied, hat_model):

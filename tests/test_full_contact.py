@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.processes import ROOT, on_processes
+from support.shared import solved
 
 import mic
 from fem_reference.full import equilibrium
@@ -189,50 +190,18 @@ def test_newton_converges_quadratically(scene, cache, monkeypatch):
     assert min(ratios) > 1.7, f"observed orders {ratios}"
 
 
-RANKS = """
-import sys
-from pathlib import Path
-import numpy as np
-from mpi4py import MPI
-import mic
-from fem_reference.full.model import FullModel
-from mic.model.assembly import assemble
-from mic.sampling.draw import draw
-from verification.scenes import few
-
-scene = few(mic.load_scene(sys.argv[1]))
-scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
-pairs = 4 if sys.argv[4] == "increments" else 2  # a followed path has hundreds of solves with four
-scene = scene.model_copy(update={"zones": [zone.model_copy(update={"pairs": pairs}) for zone in scene.zones]})
-scene = scene.model_copy(update={"welds": [weld.model_copy(update={"fused": False}) for weld in scene.welds]})
-steps = {"path": "increments", "increments": 2 if sys.argv[4] == "increments" else 1}
-asked = ("clamp", "release") if sys.argv[4] == "increments" else ("release",)  # one stage is followed then
-stages = [stage.model_copy(update=steps) if stage.kind in asked else stage for stage in scene.stages]
-scene = scene.model_copy(update={"stages": stages})
-assembly = assemble(scene, Path(sys.argv[2]) / str(MPI.COMM_WORLD.rank))
-full = FullModel(assembly, path_tolerance=2e-1).evaluate(draw(scene, 5, 0, 1)[0])
-values = [full.measurements, *full.field("release").values()]
-values += [a for r in full.resolutions.values() for a in (r.force, r.displacement, r.reaction, r.trace.slip)]
-assert all(np.array_equal(a, b) for a, b in zip(values, MPI.COMM_WORLD.bcast(values)))
-if MPI.COMM_WORLD.rank == 0:
-    np.savez(sys.argv[3], *values)
-"""
-
-
-def on_ranks(processes, folder, path):
-    done = on_processes(processes, "-c", RANKS, ROOT / "meshes" / "lap_joint", folder, folder / "result.npz", path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    with np.load(folder / "result.npz") as data:
-        return [data[name] for name in data.files]
-
-
 # A followed path is dozens of Newton solves: a tight one, or three processes on two cores, would take minutes.
 @pytest.mark.parametrize("processes, path", [(2, "followed"), (3, "increments")])
 @pytest.mark.slow
 def test_equal_on_any_number_of_processes(processes, path, tmp_path):
-    (tmp_path / "serial").mkdir()
-    serial = on_ranks(1, tmp_path / "serial", path)
-    for ours, theirs in zip(on_ranks(processes, tmp_path, path), serial):
+    lap, result = ROOT / "meshes" / "lap_joint", tmp_path / "result.npz"
+    done = on_processes(processes, "-m", "support.shared", lap, tmp_path / "ours", result, path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with np.load(result) as data:
+        found = [data[name] for name in data.files]
+    serial = solved(lap, tmp_path / "theirs", path)
+    assert len(found) == len(serial)
+    for ours, theirs in zip(found, serial):
         assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
         assert np.abs(theirs).max() > 0
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import re
 import runpy
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import mic
 from mic.model.assembly import assemble
 from mic.model.shape import datum_rows
+from mic.options import app
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "meshes" / "hat_on_plate"
@@ -88,23 +87,18 @@ def test_what_was_planted_is_found(model):
 
 @pytest.mark.fem
 @pytest.mark.slow
-def test_the_commands_of_the_page_run(cache, tmp_path):
+def test_the_commands_of_the_page_run(cache, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MIC_CACHE", str(cache))
     commands = re.findall(r"```sh\n(.*?)```", SECTION, re.S)[0].strip().splitlines()
     assert len(commands) == 3
     said = ""
     for command in commands:
         words = command.split()
         assert words[0] == ".venv/bin/mic"
-        done = subprocess.run(
-            [sys.executable, "-m", "mic.cli", *words[1:]],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            env=os.environ | {"MIC_CACHE": str(cache), "COLUMNS": "200", "PYTHONPATH": str(ROOT)},
-            timeout=600,
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        said += " ".join(done.stdout.split())
+        done = CliRunner().invoke(app, words[1:], env={"COLUMNS": "200"})
+        assert done.exit_code == 0, f"{command}: {done.output}{done.exception}"
+        said += " ".join(done.output.split())
     assert "12 pieces at 156 points" in said and "The scene is valid" in said
     outcome = mic.read_run(tmp_path / "results" / "hat-measured")
     assert outcome.record["samples"] == 50 and not outcome.failed["coulomb"]

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from functools import cache
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ SHAPES = {
 }
 
 
-def proposed(case, folder):
+def propose(case, folder):
     """The scene's folder and the proposal of a case."""
     sheets, _, _, keys = SHAPES[case]
     files = []
@@ -114,13 +115,23 @@ def proposed(case, folder):
     return write_scene(files, folder / "scene", {None: 1.0})
 
 
+@pytest.fixture(scope="module")
+def proposed(tmp_path_factory):
+    """The scene's folder and the proposal of a case, made once; what is assembled of it is kept in ``kept`` beside."""
+    return cache(lambda case: propose(case, tmp_path_factory.mktemp("proposed")))
+
+
+def kept(folder):
+    return folder.parent / "kept"
+
+
 @pytest.mark.parametrize("case", SHAPES)
 @pytest.mark.slow
-def test_a_proposal_is_a_scene_that_holds_its_parts_well(tmp_path, case):
+def test_a_proposal_is_a_scene_that_holds_its_parts_well(proposed, case):
     """It loads, stands on its meshes, has the zones that there are, and no motion of a part is nearly free."""
     _, zones, welded, _ = SHAPES[case]
-    folder, proposal = proposed(case, tmp_path)
-    assembly = assemble(load_scene(folder), tmp_path / "cache")
+    folder, proposal = proposed(case)
+    assembly = assemble(load_scene(folder), kept(folder))
     scene = assembly.scene
     assert [str(one) for one in judge(scene, assembly) if "it meets nothing" not in str(one)] == []
     assert len(scene.zones) == zones
@@ -144,10 +155,10 @@ def test_a_proposal_is_a_scene_that_holds_its_parts_well(tmp_path, case):
 @pytest.mark.fem
 @pytest.mark.slow
 @pytest.mark.parametrize("case", SHAPES)
-def test_a_proposal_runs_as_it_is_and_says_something(tmp_path, case):
+def test_a_proposal_runs_as_it_is_and_says_something(proposed, case):
     """No sample fails, and every key characteristic varies, by less than the part is large."""
-    folder, proposal = proposed(case, tmp_path)
-    model = mic.reduce(load_scene(folder), tmp_path / "cache")
+    folder, proposal = proposed(case)
+    model = mic.reduce(load_scene(folder), kept(folder))
     found = model.evaluate(draw(model.scene, 1, 0, 4))
     for stage, resolution in found.resolutions.items():
         assert (resolution.residual < 1e-8).all(), f"{stage}: {resolution.residual}"
@@ -177,17 +188,17 @@ def test_what_the_drawing_does_not_tell_is_called_a_guess(tmp_path):
     assert "guess" in proposal.sentences[0]
 
 
-def test_sheets_drawn_into_each_other_say_how_deep(tmp_path):
-    folder, _ = proposed("drawn into each other", tmp_path)
+def test_sheets_drawn_into_each_other_say_how_deep(proposed):
+    folder, _ = proposed("drawn into each other")
     text = (folder / "scene.toml").read_text()
     assert "0.40 mm into each other" in text
     assert load_scene(folder).zones[0].nominal_overlap == pytest.approx(0.45)
 
 
-def test_a_flat_sheet_is_held_by_three_two_and_one(tmp_path):
+def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
     """Three across the sheet, two across its length, far apart, one along it."""
-    folder, _ = proposed("in metres", tmp_path)
-    own = [one for one in assemble(load_scene(folder), tmp_path / "cache").scene.locators if one.part == "a"]
+    folder, _ = proposed("in metres")
+    own = [one for one in assemble(load_scene(folder), kept(folder)).scene.locators if one.part == "a"]
     assert [one.name for one in own][:6] == [f"a-{label}" for label in ("A1", "A2", "A3", "B1", "B2", "C1")]
     assert np.abs([one.direction for one in own[:6]]) == pytest.approx(
         np.array([[0, 0, 1]] * 3 + [[0, 1, 0]] * 2 + [[1, 0, 0]])
@@ -196,10 +207,10 @@ def test_a_flat_sheet_is_held_by_three_two_and_one(tmp_path):
     assert all(one.stage == "clamp" and np.abs(one.direction) == pytest.approx([0, 0, 1]) for one in own[6:])
 
 
-def test_pins_go_through_holes(tmp_path):
+def test_pins_go_through_holes(proposed):
     """One both ways, the other across the line between them; they read the rims."""
-    folder, _ = proposed("holes", tmp_path)
-    scene = assemble(load_scene(folder), tmp_path / "cache").scene
+    folder, _ = proposed("holes")
+    scene = assemble(load_scene(folder), kept(folder)).scene
     pins = [one for one in scene.locators if one.hole is not None]
     assert [one.name for one in pins] == ["drilled-B1", "drilled-C1", "drilled-B2"] or len(pins) == 3
     assert {one.part for one in pins} == {"drilled"}
@@ -208,22 +219,22 @@ def test_pins_go_through_holes(tmp_path):
     assert len(across) == 2
 
 
-def test_sets_of_one_deck_are_parts_with_what_the_deck_tells(tmp_path):
-    folder, _ = proposed("three in one deck", tmp_path)
+def test_sets_of_one_deck_are_parts_with_what_the_deck_tells(proposed):
+    folder, _ = proposed("three in one deck")
     written = tomllib.loads((folder / "scene.toml").read_text())["parts"]
     assert [(part["set"], part["thickness"]) for part in written] == [("BASE", 0.8), ("HAT", 1.2), ("CAP", 1.0)]
 
 
-def test_metres_are_said_and_stated(tmp_path):
-    folder, proposal = proposed("in metres", tmp_path)
+def test_metres_are_said_and_stated(proposed):
+    folder, proposal = proposed("in metres")
     scene = load_scene(folder)
     assert "plainly metres" in proposal.sentences[0]
     assert [(part.unit, part.thickness, part.young) for part in scene.parts] == [("m", 1.0, 210e3)] * 2
     assert scene.measurements[0].point != (0, 0, 0) and np.abs(scene.measurements[0].point).max() > 10
 
 
-def test_a_part_that_touches_nothing_is_told_in_one_sentence_and_stays_held(tmp_path):
-    folder, proposal = proposed("one that touches nothing", tmp_path)
+def test_a_part_that_touches_nothing_is_told_in_one_sentence_and_stays_held(proposed):
+    folder, proposal = proposed("one that touches nothing")
     assert [sentence for sentence in proposal.sentences if "far" in sentence] == [
         "far lies on no other part, the nearest is b, 170 mm away: it stands by itself"
     ]
@@ -232,9 +243,9 @@ def test_a_part_that_touches_nothing_is_told_in_one_sentence_and_stays_held(tmp_
 
 
 @pytest.mark.parametrize("case", ["hat on a plate", "three in one deck"])
-def test_every_key_is_explained_where_it_first_stands(tmp_path, case):
+def test_every_key_is_explained_where_it_first_stands(proposed, case):
     """A comment on its line or on the line above, by table and key."""
-    folder, _ = proposed(case, tmp_path)
+    folder, _ = proposed(case)
     seen, table, before, head = set(), "", "", False
     for line in (folder / "scene.toml").read_text().splitlines():
         if line.startswith("["):
@@ -271,7 +282,7 @@ def test_a_part_in_pieces_that_nothing_names_is_refused(tmp_path):
 
 
 def test_a_scene_that_stands_there_is_left_alone(tmp_path):
-    folder, _ = proposed("one part alone", tmp_path)
+    folder, _ = propose("one part alone", tmp_path)
     (folder / "scene.toml").write_text("mine")
     with pytest.raises(mic.RunError, match="left alone"):
         write_scene([tmp_path / "hat.inp"], folder, {None: 1.0})
@@ -388,15 +399,14 @@ def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_no
 
 
 @pytest.mark.slow
-def test_a_large_lap_begins_with_fewer_pairs(tmp_path):
+def test_a_large_lap_begins_with_fewer_pairs(tmp_path, proposed):
     """Left to itself, a candidate an element, the zone would have twice as many; a small lap is left to itself."""
     sheets = [grid(300, 240, 6), grid(300, 240, 6.5, z=1.0)]
     files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
     folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
     (zone,) = load_scene(folder).zones
     assert 600 < 300 * 240 / zone.spacing**2 < 900 < 300 * 240 / 6.5**2
-    (tmp_path / "small").mkdir()
-    folder, _ = proposed("hat on a plate", tmp_path / "small")
+    folder, _ = proposed("hat on a plate")
     assert load_scene(folder).zones[0].spacing is None
 
 

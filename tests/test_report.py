@@ -123,6 +123,13 @@ def page(lap_scene, cache, folder):
     return _results(scene, cache, folder, samples=40)
 
 
+@pytest.fixture(scope="module")
+def every_picture(page, folder):
+    """All that are drawn of the page's run, by name."""
+    outcome = read_outcome(folder)
+    return draw_all(outcome, read_context(outcome))
+
+
 @pytest.fixture
 def drawn(monkeypatch):
     """The pictures, by name, that pages show in this test, which is about their words: drawing takes seconds."""
@@ -232,14 +239,12 @@ def test_pictures_of_samples_stand_in_their_sections(page):
 
 @pytest.mark.slow
 @pytest.mark.fem
-def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder, monkeypatch):
-    outcome = read_outcome(folder)
-    drawn = draw_all(outcome, read_context(outcome))
-    assert list(drawn) == [entry.name for entry in PICTURES]
-    for name, picture in drawn.items():
+def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder, every_picture, monkeypatch):
+    assert list(every_picture) == [entry.name for entry in PICTURES]
+    for name, picture in every_picture.items():
         assert page.loads.count(picture.uri) == 1, name
-    monkeypatch.setattr("mic.report.shown.draw_all", lambda *_: drawn)
-    assert pictures(outcome) == [*drawn.values()]
+    monkeypatch.setattr("mic.report.shown.draw_all", lambda *_: every_picture)
+    assert pictures(read_outcome(folder)) == [*every_picture.values()]
 
 
 def test_pictures_of_what_functions_return_are_those_of_the_page(page, folder):
@@ -381,12 +386,12 @@ def test_drawing_a_page_solves_nothing_and_needs_and_changes_nothing_else(page, 
 
 
 @pytest.mark.slow
-def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_page(folder, page, tmp_path, monkeypatch):
+def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_page(
+    folder, every_picture, tmp_path, monkeypatch
+):
     monkeypatch.setattr(sharing, "second_core", lambda: True)  # whatever this machine has
     early = tmp_path / "early"
     shutil.copytree(folder, early)
-    whole = read_outcome(folder)
-    expected = draw_all(whole, read_context(whole))
     for name in ("fields", "tables"):
         shutil.rmtree(early / name)
     (early / "tables").mkdir()
@@ -398,8 +403,8 @@ def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_pa
         found = ahead.pictures()
     finally:
         ahead.end()
-    assert {name for name, picture in found.items() if picture} == set(AHEAD) & set(expected)
-    assert all(picture == expected[name] for name, picture in found.items() if picture)
+    assert {name for name, picture in found.items() if picture} == set(AHEAD) & set(every_picture)
+    assert all(picture == every_picture[name] for name, picture in found.items() if picture)
 
 
 def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
@@ -413,12 +418,14 @@ def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
 
 
 @pytest.mark.slow
-def test_published_figures_stand_beside_those_of_their_zones(folder, page, tmp_path):
+def test_published_figures_stand_beside_those_of_their_zones(folder, page, drawn, tmp_path):
     """The paper's figures come from a file beside the scene; nothing about them is in the program."""
     copy = shutil.copytree(folder, tmp_path / "copy")
     (copy / PUBLISHED).write_text(
         (WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap"), encoding="utf-8"
     )
+    outcome = read_outcome(copy)
+    drawn["slip-force"] = draw("slip-force", outcome, read_context(outcome))  # a measured range is published, too
     found = _Page(write_report(copy))
     assert "0.9582" in found.words and "0.2529" not in found.words  # CZ3 is no zone of this scene
     assert "another, proprietary geometry" in found.words and "0.9582" not in page.words

@@ -34,7 +34,6 @@ from mic.contact.columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled
-from mic.contact.native.tangent import walks
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, ON_CONE, OPEN, STICK
 from mic.contact.trail import Trail
@@ -279,6 +278,8 @@ class _Walk:
         state, first = np.zeros((n, m), dtype=np.int64), np.zeros(n, dtype=np.int64)
         if not m:  # nothing touches anywhere
             return f, F, state, np.ones(n, dtype=bool)
+        from mic.contact.native.tangent import walks  # compiles, or reads the cache, when it is imported
+
         followed = np.array([one.order == 2 for one in trail])
         edges = np.concatenate([[0], np.cumsum([len(one.ends) for one in trail])]).astype(np.int64)
         ends = np.concatenate([one.ends for one in trail]).astype(float)

@@ -272,7 +272,7 @@ class Surface:
         )
         chosen = np.arange(len(owner))
         if normal is not None:
-            turned = 1 - np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal[owner]))
+            turned = 1 - np.abs(_dot(self.normals[triangle], normal[owner]))
             chosen = chosen[_least(turned, owner, EQUAL)]
         away = np.linalg.norm(self._centroids[triangle[chosen]] - x[owner[chosen]], axis=1)
         chosen = chosen[_least(away, owner[chosen], self.tie)]
@@ -332,14 +332,17 @@ class Surface:
     def _centred_near(self, x, radius):
         """The triangles whose centroids lie within a radius (n,) of each x (n, 3): owner and triangle, some points at a
         time, as on meshes finer than the sheets are thick there are thousands for each."""
-        count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
-        for rows in np.split(np.arange(len(x)), np.flatnonzero(np.diff(count // TOGETHER)) + 1):
+        pieces = [np.arange(len(x))]
+        if len(x) * len(self.triangles) > TOGETHER:  # else all of them are few enough, whatever the radius
+            count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
+            pieces = np.split(pieces[0], np.flatnonzero(np.diff(count // TOGETHER)) + 1)
+        for rows in pieces:
             owner, triangle = _listed(self._tree.query_ball_point(x[rows], radius[rows]))
             yield rows[owner], triangle
 
     def _nearest_of(self, x, normal, cosine, side, bound, owner, triangle):
         """Those of the owners' triangles that hold their closest points, as :meth:`_closest` returns them."""
-        away = np.linalg.norm(self._centroids[triangle] - x[owner], axis=1)
+        away = _length(self._centroids[triangle] - x[owner])
         near = away <= bound[owner] + self.reach[triangle] * (1 + 1e-9) + self.tie
         owner, triangle = owner[near], triangle[near]
         if normal is not None:
@@ -348,14 +351,14 @@ class Surface:
         barycentric = closest_barycentric(self.corners[triangle], x[owner])
         foot = np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
         if side is not None:
-            along = np.einsum("ij,ij->i", foot - x[owner], normal[owner])
+            along = _dot(foot - x[owner], normal[owner])
             ahead = side[owner] * along > self.tie
             owner, triangle, barycentric, foot = (of[ahead] for of in (owner, triangle, barycentric, foot))
         closest = _least(((foot - x[owner]) ** 2).sum(1), owner, self.tie**2)
         return owner[closest], triangle[closest], barycentric[closest], foot[closest]
 
     def _aligned(self, triangle, normal, cosine):
-        return ~(np.abs(np.einsum("ij,ij->i", self.normals[triangle], normal)) < cosine - EQUAL)  # NaN passes
+        return ~(np.abs(_dot(self.normals[triangle], normal)) < cosine - EQUAL)  # NaN passes
 
     def _near(self, x, normal, cosine, reach) -> np.ndarray:
         """(n,) upper bounds of each point's distance to the triangles that pass the filter: that to the one whose
@@ -575,12 +578,22 @@ def _subtriangles(n: int) -> np.ndarray:
     return np.stack([1 - first - second, first, second], axis=2)
 
 
+def _dot(a, b):
+    """(n,) inner products of the rows of two (n, 3) arrays: a third of the time of ``einsum``, whose sums these are."""
+    return a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2] + a[:, 1] * b[:, 1]
+
+
+def _length(a):
+    """(n,) lengths of the rows of an (n, 3) array: half the time of ``norm``."""
+    return np.sqrt(a[:, 0] ** 2 + a[:, 1] ** 2 + a[:, 2] ** 2)
+
+
 def closest_barycentric(corners, x):
     """(q, 3) barycentric coordinates of the point of each triangle (q, 3, 3) closest to x (q, 3)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac, ax = b - a, c - a, x - a
-    d00, d01, d11 = (np.einsum("ij,ij->i", p, q) for p, q in ((ab, ab), (ab, ac), (ac, ac)))
-    d20, d21 = np.einsum("ij,ij->i", ax, ab), np.einsum("ij,ij->i", ax, ac)
+    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
+    d20, d21 = _dot(ax, ab), _dot(ax, ac)
     denominator = d00 * d11 - d01**2
     v = (d11 * d20 - d01 * d21) / denominator
     w = (d00 * d21 - d01 * d20) / denominator
@@ -591,11 +604,11 @@ def closest_barycentric(corners, x):
         options, distances = [], []
         for i, j in ((0, 1), (1, 2), (2, 0)):
             edge = corner[:, j] - corner[:, i]
-            s = np.clip(np.einsum("ij,ij->i", point - corner[:, i], edge) / np.einsum("ij,ij->i", edge, edge), 0, 1)
+            s = np.clip(_dot(point - corner[:, i], edge) / _dot(edge, edge), 0, 1)
             option = np.zeros((len(outside), 3))
             option[:, i], option[:, j] = 1 - s, s
             options.append(option)
-            distances.append(np.linalg.norm(corner[:, i] + s[:, None] * edge - point, axis=1))
+            distances.append(_length(corner[:, i] + s[:, None] * edge - point))
         nearest = np.argmin(distances, axis=0)
         result[outside] = np.stack(options)[nearest, np.arange(len(outside))]
     return result

@@ -1,4 +1,7 @@
-"""``mic`` with an error planted in one process: ``python -m support.planted RANK WHAT ARGUMENTS-OF-MIC …``."""
+"""``mic``, with an error planted in one process or with none: ``python -m support.planted RANK WHAT ARGUMENTS …``.
+
+Its pages have no pictures: to draw them takes as long as all else that a run of few samples does.
+"""
 
 import os
 import signal
@@ -33,7 +36,25 @@ def refuse(*arguments):
     raise RunError("planted sentence")
 
 
+def undrawn():
+    """Pages are written without pictures, and none is begun beforehand."""
+    from mic.commands import run
+    from mic.report import page
+
+    run.Ahead = Undrawn
+    page.draw_all = lambda *_: {}
+
+
+class Undrawn:
+    def __init__(self, outcome):
+        pass
+
+    def end(self):
+        pass
+
+
 PLANTS = {
+    "nothing": lambda: None,
     "bug": lambda: second_block(lambda: fail(RuntimeError("planted bug"))),
     "sentence": lambda: second_block(lambda: fail(RunError("planted sentence"))),
     "interrupt": lambda: second_block(lambda: os.kill(os.getpid(), signal.SIGINT)),
@@ -45,6 +66,9 @@ PLANTS = {
 if __name__ == "__main__":
     rank, what = sys.argv[1], sys.argv[2]
     sys.argv[:] = ["mic", *sys.argv[3:]]
-    if rank == os.environ.get("OMPI_COMM_WORLD_RANK", "0"):
+    own = os.environ.get("OMPI_COMM_WORLD_RANK", "0")
+    if own == "0":  # the one that draws
+        undrawn()
+    if own == rank:
         PLANTS[what]()
     cli.main()
