@@ -13,7 +13,7 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.compliance.blocks import Blocks
 from mic.sampling.draw import draw
-from verification import budget
+from verification import budget, budget_page, own_scene
 from verification.budget import (
     REFINED,
     SHARES,
@@ -195,6 +195,18 @@ def test_sentences_tell_the_farthest_and_the_dominating_and_what_is_not_known():
     assert rows.at["mesh", "most of a tolerance, %"] == pytest.approx(4.3) and "order (not in the sum)" in rows.index
 
 
+def test_what_mends_a_source_is_told_and_after_samples_of_the_next():
+    assert set(budget_page.REMEDIES) == {*budget.EVERY, budget.SAMPLING} - {budget.NODES}
+    both = [
+        Item(budget.STIFFNESS, "so", 1.0, table(0.0, 0.0, 0.02, 0.01)),
+        Item(budget.SAMPLING, "so", 0.0, table(0.0, 0.0, 0.0, 0.2)),
+    ]
+    told = budget_sentences("S", by_quantity(figures(), both), both)["dominating"]
+    assert told.index("draw more samples") < told.index('`stiffness = "first-order"`')
+    told = budget_sentences("S", by_quantity(figures(), both[:1]), both[:1])["dominating"]
+    assert 'by `stiffness = "first-order"`' in told and told.endswith("more samples would not.")
+
+
 def test_bounds_have_no_sign():
     found = bounded(pd.Series({"M": -0.2}), pd.Series({"M": 0.3}))
     assert found.loc["M"].tolist() == [0.0, 0.2, 0.0, 0.3]
@@ -228,6 +240,17 @@ def test_a_reduced_model_of_the_deviated_shape_finds_what_full_finite_elements_f
     own = DeviatedStiffness(assembly, model).at(sample)
     assert difference(own.evaluate(sample, "coulomb"), 0, full).largest < 1e-7
     assert difference(model.evaluate(sample, "coulomb"), 0, full).largest > 1e-2
+
+
+@pytest.mark.fem
+def test_pairs_and_meshes_are_refined_on_the_path_that_production_follows(cache, tmp_path, monkeypatch):
+    """Though the full solves take one increment a step."""
+    seen = []
+    monkeypatch.setattr(own_scene, "estimate", lambda case, *rest: seen.append(case) or [])
+    verify_scene(lap(), tmp_path, cache, 1, False, Team(), lambda line: None)
+    (case,) = seen
+    for one in (case.assembly, case.model):
+        assert [(stage.path, stage.increments) for stage in one.scene.stages] == [(None, None)] * 5
 
 
 @pytest.mark.slow

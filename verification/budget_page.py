@@ -9,13 +9,23 @@ import numpy as np
 import pandas as pd
 
 from mic.results.outcome import Outcome
-from verification.budget import FIGURES, SAMPLING, Item, total
+from verification.budget import FIGURES, ORDER, SAMPLING, STIFFNESS, Item, total
 from verification.plots import STYLE, plt
 
 __all__ = ["budget_figure", "budget_rows", "budget_sentences", "by_quantity", "items_of", "printed", "quantity_rows"]
 
 WORDS = {"mean": "mean", "six_sigma": "6σ"}
 MICRO = 1e3  # µm in a mm
+#: What a user can do about a source, keys of the scene in quotes.
+REMEDIES = {
+    "law": "ask for `coulomb` in `report.laws`",
+    "path": "follow it closer, by a smaller `path.tolerance` or more `increments`",
+    ORDER: "state the order in which things close, by `order` in the stages",
+    "pairs": "leave `pairs` and `points` out of the zones, and give them a smaller `spacing_factor`",
+    "mesh and element": "refine the meshes",
+    STIFFNESS: 'let stiffness follow the shapes, by `stiffness = "first-order"` where it does not',
+    SAMPLING: "draw more samples",
+}
 
 
 def printed(outcome: Outcome, law: str) -> pd.DataFrame:
@@ -130,7 +140,7 @@ def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> dict
     first = table.loc[_worst(table)]
     found["dominating"] = (
         f"{scene}: the source that may leave most is {first['dominating'] or 'not known'}, in the "
-        f"{WORDS[first['figure']]} of {_name(first.name)}; {_without_samples(items, first)}"
+        f"{WORDS[first['figure']]} of {_name(first.name)}. {_what_mends(items, first)}"
     )
     unknown = [item.source for item in items if item.table is None]
     if unknown:
@@ -138,12 +148,18 @@ def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> dict
     return found
 
 
-def _without_samples(items: list[Item], first: pd.Series) -> str:
-    """Which of the others leaves most, where it is the number of samples that does."""
-    if first["dominating"] != SAMPLING:
-        return "more samples would not mend it."
+def _what_mends(items: list[Item], first: pd.Series) -> str:
+    """What to do about the source that leaves most, and after samples about the next."""
+    source = first["dominating"]
+    if source not in REMEDIES:
+        return "No key of the scene mends it." if source else "Nothing is known that would mend it."
+    told = f"What mends it: {REMEDIES[source]}"
+    if source != SAMPLING:
+        return f"{told}; more samples would not."
     other = _dominating([item for item in items if item.source != SAMPLING], str(first.name), first["figure"])
-    return f"more samples mend it, and leave {other}." if other else "more samples mend it."
+    if other not in REMEDIES:
+        return f"{told}."
+    return f"{told}, which leaves {other}; then {REMEDIES[other]}."
 
 
 def _farthest(table: pd.DataFrame, figure: str, whole: str) -> str:
