@@ -101,7 +101,7 @@ def turned(table):
     return table.assign(mean=-table["mean"], six_sigma=-table["six_sigma"])
 
 
-# What better samples have left of the source's error: half a mesh at orders 1.4 to 3, a share of the distance at 1 to 2.
+# What better samples have left of an error: half a mesh at orders 1.4 to 3, a share of the distance at 1 to 2.
 LEFT = [("mesh", 2.0**-p) for p in (1.4, 2, 3)] + [(share, share**p) for share in SHARES for p in (1, 1.5, 2)] + \
     [("path", left) for left in (0.05, 1 / 6, 0.25)] + [("increments", 1 / 4), ("law", 0.0)]  # fmt: skip
 

@@ -109,8 +109,8 @@ REFINED = {
 
 
 def nearer(share: float) -> Refined:
-    """Of pairs at a share of their distance. Sums over patches are of second order; where pressure begins is known to the
-    distance of the pairs, of first."""
+    """Of pairs at a share of their distance. Sums over patches are of second order; where pressure begins is known to
+    the distance of the pairs, of first."""
     first, second = 1 / (1 - share), 1 / (1 - share**2)
     why = f"between first and second order: times {second:.3g} to {first:.3g}"
     return Refined((first + second) / 2, (first - second) / 2, why)

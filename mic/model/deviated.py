@@ -48,7 +48,8 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
 def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndarray:
     """(r,) change of the distance between the two mid-surfaces along each row of a kind, nominal to deviated, mm.
 
-    Of a pair with a rigid fixture, which no row reads, it is that of the part from where the fixture stands, d·(x − x_f).
+    Of a pair with a rigid fixture, which no row reads, it is that of the part from where the fixture stands,
+    d·(x − x_f).
 
     Parameters
     ----------

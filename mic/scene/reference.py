@@ -39,8 +39,8 @@ and numbered. A table of `[[welds]]` with `points = [[x, y, z], …]` stands for
 `NAME-2`, ….
 """
 SETTING = """`setting` fills in what the scene leaves open, and only that: the element size of parts with a `geometry`
-(its named size), how closely the `path` of friction is followed, the `spacing_factor` of zones that give neither `pairs`,
-`spacing` nor `points`, `samples`.
+(its named size), how closely the `path` of friction is followed, the `spacing_factor` of zones that give neither
+`pairs`, `spacing` nor `points`, `samples`.
 
 | `setting` | `size` | `tolerance` of the path | `spacing_factor` | `samples` |
 | --- | --- | --- | --- | --- |
@@ -63,8 +63,8 @@ def reference() -> str:
         several = "list" in str(field.annotation)
         tables.append(_table(f"[[{key}]]" if several else f"[{key}]", kinds))
     rows = "\n".join(
-        f'| `"{name}"` | `"{gives["size"]}"` | {gives["tolerance"]:g} | {gives["spacing_factor"]:g} | {gives["samples"]} |'
-        for name, gives in SETTINGS.items()
+        f'| `"{name}"` | `"{one["size"]}"` | {one["tolerance"]:g} | {one["spacing_factor"]:g} | {one["samples"]} |'
+        for name, one in SETTINGS.items()
     )
     top = "## Top level\n\n" + _keys(plain)
     return "\n".join([OPENING, top, SETTING.format(rows=rows), *tables]).rstrip() + "\n"

@@ -50,8 +50,8 @@ class Convergence:
 
 
 def denser(assembly: Assembly, share: float = DENSER) -> Scene:
-    """The scene of an assembly with its pairs at a share of their distance, under clamps as well; points it states turn to
-    candidates."""
+    """The scene of an assembly with its pairs at a share of their distance, under clamps as well; points that it states
+    turn to candidates."""
     zones = []
     for i, zone in enumerate(assembly.scene.zones):
         if zone.pairs:
