@@ -202,6 +202,6 @@ STUDY = Study(
         ),
     ),
     seconds=(170, 90),
-    memory=3.0,
+    memory=1.7,
     run=run,
 )

@@ -190,6 +190,6 @@ STUDY = Study(
         ),
     ),
     seconds=(1200, 60),
-    memory=4.8,
+    memory=6.6,
     run=run,
 )

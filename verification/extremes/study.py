@@ -348,6 +348,6 @@ STUDY = Study(
         ),
     ),
     seconds=(310, 30),
-    memory=4.8,
+    memory=4.9,
     run=run,
 )

@@ -247,5 +247,6 @@ STUDY = Study(
         ),
     ),
     seconds=(11, 8),
+    memory=1.6,
     run=run,
 )

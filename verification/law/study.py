@@ -358,6 +358,6 @@ STUDY = Study(
         ),
     ),
     seconds=(40, 120),
-    memory=1.8,
+    memory=1.6,
     run=run,
 )

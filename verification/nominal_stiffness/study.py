@@ -350,6 +350,6 @@ STUDY = Study(
         ),
     ),
     seconds=(206, 22),
-    memory=2.8,
+    memory=2.3,
     run=run,
 )

@@ -251,6 +251,6 @@ STUDY = Study(
         ),
     ),
     seconds=(112, 90),
-    memory=1.2,
+    memory=1.0,
     run=run,
 )

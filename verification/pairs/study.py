@@ -192,5 +192,6 @@ STUDY = Study(
         ),
     ),
     seconds=(280, 5),
+    memory=1.8,
     run=run,
 )

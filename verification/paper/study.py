@@ -354,5 +354,6 @@ STUDY = Study(
         ),
     ),
     seconds=(250, 60),
+    memory=1.4,
     run=run,
 )

@@ -250,5 +250,6 @@ STUDY = Study(
         ),
     ),
     seconds=(25, 30),
+    memory=1.1,
     run=run,
 )

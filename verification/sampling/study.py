@@ -201,5 +201,6 @@ STUDY = Study(
         ),
     ),
     seconds=(240, 70),
+    memory=1.3,
     run=run,
 )

@@ -125,6 +125,6 @@ STUDY = Study(
         ),
     ),
     seconds=(372, 25),
-    memory=2.8,
+    memory=2.7,
     run=run,
 )

@@ -502,5 +502,6 @@ STUDY = Study(
         ),
     ),
     seconds=(650, 60),
+    memory=4.2,
     run=run,
 )
