@@ -7,11 +7,13 @@ from scipy.sparse import vstack
 from support.strips import clamped, contact_law, strip, vertex_rows
 
 import mic
-from fem_reference.full import coulomb
+from fem_reference.full import condensation, coulomb
 from fem_reference.full.condensation import Condensation
 from fem_reference.full.coulomb import contact_forces
 from fem_reference.full.equilibrium import Parts
 from fem_reference.full.model import FullModel
+from fem_reference.shell.factorisation import OutOfMemory
+from fem_reference.shell.mumps import MumpsFailure
 from mic import examples
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
@@ -119,6 +121,17 @@ def test_rows_are_solved_for_once_and_steps_form_their_own_compliance(held):
     assert np.abs(second.compliance() - asked).max() > 0.1 * np.abs(asked).max()
     assert np.array_equal(first.compliance(), asked)
     assert base.solved == solved > 0
+
+
+def test_held_parts_for_which_memory_runs_out_say_what_to_change(held, monkeypatch):
+    K, base, _, _ = held
+
+    def full(*_, **__):
+        raise MumpsFailure(-9, 0)
+
+    monkeypatch.setattr(condensation, "PetscFactors", full)
+    with pytest.raises(OutOfMemory, match="coarser mesh or more memory"):
+        condensation.HeldParts(K, base.D)
 
 
 def test_a_sample_whose_slips_turn_back_has_a_solution(cache):

@@ -22,7 +22,7 @@ import weakref
 import numpy as np
 from scipy.sparse import bmat, csr_matrix, diags, vstack
 
-from fem_reference.shell.factorisation import PetscFactors
+from fem_reference.shell.factorisation import PetscFactors, failure
 from fem_reference.shell.mumps import MumpsFailure
 
 __all__ = ["Condensation", "HeldParts"]
@@ -47,7 +47,7 @@ class HeldParts:
 
     Raises
     ------
-    ArithmeticError
+    FactorisationError
         If it cannot be factorised.
     """
 
@@ -58,7 +58,7 @@ class HeldParts:
         try:
             self._factors = PetscFactors(system, definite=False)
         except MumpsFailure as problem:
-            raise ArithmeticError("the held parts cannot be factorised") from problem
+            raise failure(problem) from problem
         self._response: dict[tuple, np.ndarray] = {}  # (N,) of unit forces on a row
         self._place: dict[tuple, int] = {}  # of a row in `_read`
         self.formed: tuple = (None, None)  # the step whose compliance is kept, and that

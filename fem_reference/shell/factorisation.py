@@ -30,6 +30,7 @@ __all__ = [
     "NoSchurComplement",
     "OutOfMemory",
     "PetscFactors",
+    "failure",
     "upper_triangle",
 ]
 
@@ -108,7 +109,7 @@ class Factorisation:
                 raise NoSchurComplement(f"no Schur complements: {problem}") from problem
             self._factors = PetscFactors((K + triu(K, 1).T).tocsr())
         except MumpsFailure as problem:
-            raise _failure(problem) from problem
+            raise failure(problem) from problem
         if self._factors.negative_pivots:
             raise FactorisationError(
                 "the stiffness is not positive definite: the part holds a mechanism, is too thin for its size, or has "
@@ -217,7 +218,7 @@ class _Factors:
         try:
             self._mumps.run(_SOLUTION)
         except MumpsFailure as problem:
-            raise _failure(problem) from problem
+            raise failure(problem) from problem
         finally:
             self._mumps.take_back("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr")
         return solution[:m]
@@ -321,7 +322,7 @@ def _petsc_matrix(matrix: csr_matrix) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF)
 
 
-def _failure(problem: MumpsFailure) -> FactorisationError:
+def failure(problem: MumpsFailure) -> FactorisationError:
     """The error that MUMPS's status stands for."""
     kind = FactorisationError
     if problem.status in (-10, -40):
