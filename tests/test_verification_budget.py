@@ -253,6 +253,21 @@ def test_pairs_and_meshes_are_refined_on_the_path_that_production_follows(cache,
         assert [(stage.path, stage.increments) for stage in one.scene.stages] == [(None, None)] * 5
 
 
+@pytest.mark.fem
+def test_a_mesh_is_refined_with_the_stiffness_that_the_scene_asks_for(cache):
+    """On finer meshes means differ by what elements leave, and not by what stiffness does, many times as much."""
+    found = {}
+    for stiffness in ("nominal", "first-order"):
+        model, assembly = reduced_and_assembly(
+            going(lap(), "one-step").model_copy(update={"stiffness": stiffness}), cache
+        )
+        case = budget.Case(assembly, model, "coulomb", cache, samples=4)
+        found[stiffness] = case.production, budget.SOURCES["mesh and element"](case)[1]["mean"]
+    moved = (found["first-order"][0] - found["nominal"][0]).mean().abs()["measurement:M1"]
+    left = {name: abs(mean["measurement:M1"]) for name, (_, mean) in found.items()}
+    assert 0 < left["first-order"] < 2 * left["nominal"] < moved
+
+
 @pytest.mark.slow
 def test_what_is_told_of_a_mesh_holds_on_one_a_quarter_as_large(cache):
     found = study.mesh_coverage(lap(), cache)

@@ -31,7 +31,6 @@ import numpy as np
 import pandas as pd
 from mpi4py import MPI
 
-from mic.compliance.cache import influence_coefficients
 from mic.contact.laws import LAWS
 from mic.contact.path import Increments
 from mic.errors import MicError, SceneError
@@ -39,6 +38,7 @@ from mic.model.accuracy import on_halved_meshes
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
+from mic.process.stiffness import coefficients
 from mic.results.paired import jackknife, mean_change, six_sigma_change
 from mic.results.path_study import tighter
 from mic.sampling.draw import draw
@@ -355,7 +355,7 @@ def _every_node(case: Case) -> tuple[str, pd.DataFrame]:
     pairs = len(assembly.contacts)
     if pairs > MOST:
         raise SceneError(f"{pairs} nodes of the zones face the other sheet, of which {MOST} are solved at most")
-    model = ReducedModel.build(assembly, influence_coefficients(assembly, case.cache, comm=MPI.COMM_SELF)[0])
+    model = ReducedModel.build(assembly, coefficients(assembly, case.cache, comm=MPI.COMM_SELF)[0])
     few = case.deviations[:FEW]
     dear = values(model, model.process(case.law).attempt(few)).filter(like="measurement:")
     return (
@@ -369,7 +369,7 @@ def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
     finer = on_halved_meshes(case.assembly)
     if all(part.superelement is not None for part in finer.parts):
         return "superelements have no mesh", case.none()
-    model = ReducedModel.build(finer, influence_coefficients(finer, case.cache, comm=MPI.COMM_SELF)[0])
+    model = ReducedModel.build(finer, coefficients(finer, case.cache, comm=MPI.COMM_SELF)[0])
     before, after = (sum(len(p.surface.points) for p in one.parts) for one in (case.assembly, finer))
     return (
         f"the same {case.samples} samples on meshes of half the size, {after} nodes in place of {before}, pairs at the "
