@@ -15,7 +15,8 @@ between two pairs demands,
     max(one element, min(4 t, 1.5 r)),        t the thinner sheet, r the smallest clamp's radius;
 
 in a zone with bends of radius R no farther than max(0.85 elements, 1.3 √(R t)): what a force does to a bent sheet
-dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass.
+dies away over some √(R t), and a facet of the bend that no candidate reads is one through which sheets pass. The zone's
+`spacing_factor` scales all these distances, that under clamps as well.
 
 They stand where thin sheets press, and nowhere else so much: along the *edges* and folds of both bodies and the rims of
 round rests, each reading a length of the edge; at the *corners* of their borders, where folds end on these, and where
