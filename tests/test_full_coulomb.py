@@ -1,5 +1,7 @@
 """Contact forces on a condensed system, and that system itself, against what is known otherwise."""
 
+from unittest.mock import MagicMock
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -12,8 +14,7 @@ from fem_reference.full.condensation import Condensation
 from fem_reference.full.coulomb import contact_forces
 from fem_reference.full.equilibrium import Parts
 from fem_reference.full.model import FullModel
-from fem_reference.shell.factorisation import OutOfMemory
-from fem_reference.shell.mumps import MumpsFailure
+from fem_reference.shell import factorisation
 from mic import examples
 from mic.model.assembly import assemble
 from mic.sampling.draw import draw
@@ -123,15 +124,16 @@ def test_rows_are_solved_for_once_and_steps_form_their_own_compliance(held):
     assert base.solved == solved > 0
 
 
-def test_held_parts_for_which_memory_runs_out_say_what_to_change(held, monkeypatch):
+def test_where_memory_runs_out_it_is_said_what_to_change(held, monkeypatch):
+    """Of held parts, and of a part where MUMPS cannot be called but through PETSc."""
     K, base, _, _ = held
-
-    def full(*_, **__):
-        raise MumpsFailure(-9, 0)
-
-    monkeypatch.setattr(condensation, "PetscFactors", full)
-    with pytest.raises(OutOfMemory, match="coarser mesh or more memory"):
-        condensation.HeldParts(K, base.D)
+    petsc = MagicMock(IntType=np.int32)
+    petsc.PC().create().getFactorMatrix().getMumpsInfog.return_value = -9
+    monkeypatch.setattr(factorisation, "PETSc", petsc)
+    monkeypatch.setattr(factorisation, "Instance", MagicMock(side_effect=factorisation.Unavailable))
+    for factorise in (lambda: condensation.HeldParts(K, base.D), lambda: factorisation.Factorisation(K)):
+        with pytest.raises(factorisation.OutOfMemory, match="coarser mesh or more memory"):
+            factorise()
 
 
 def test_a_sample_whose_slips_turn_back_has_a_solution(cache):

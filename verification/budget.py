@@ -29,7 +29,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from mpi4py import MPI
 
 from mic.contact.laws import LAWS
 from mic.contact.path import Increments
@@ -38,13 +37,12 @@ from mic.model.accuracy import on_halved_meshes
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
-from mic.process.stiffness import coefficients
 from mic.results.paired import jackknife, mean_change, six_sigma_change
 from mic.results.path_study import tighter
 from mic.sampling.draw import draw
 from mic.studies.density import denser
 from mic.studies.order import orders
-from verification.comparison import reduced_and_assembly, zone_slip
+from verification.comparison import reduced_and_assembly, reduced_model, zone_slip
 from verification.stiffness import DeviatedStiffness
 from verification.study import Team
 from verification.two_level import two_level
@@ -189,9 +187,9 @@ class Case:
         """What production makes of them."""
         return self.of(self.model)
 
-    def beside(self, better: pd.DataFrame, source: str) -> pd.DataFrame:
+    def beside(self, better: pd.DataFrame, refined: Refined) -> pd.DataFrame:
         """Errors of production, from its samples done better."""
-        return paired(self.production, better, REFINED[source], self.six_sigma)
+        return paired(self.production, better, refined, self.six_sigma)
 
     def none(self) -> pd.DataFrame:
         """A source that is not there."""
@@ -312,7 +310,7 @@ def _law(case: Case) -> tuple[str, pd.DataFrame]:
         return "the scene asks for Coulomb's law", case.none()
     return (
         f"the same {case.samples} samples under Coulomb's law in place of {case.law}",
-        case.beside(case.of(case.model, law="coulomb"), "law"),
+        case.beside(case.of(case.model, law="coulomb"), REFINED["law"]),
     )
 
 
@@ -343,7 +341,7 @@ def _pairs(case: Case) -> tuple[str, pd.DataFrame]:
     return (
         f"the same {case.samples} samples with {len(assembly.contacts)} pairs in place of "
         f"{len(case.assembly.contacts)}, at {share:g} of the distance; {refined.why}",
-        paired(case.production, case.of(model), refined, case.six_sigma),
+        case.beside(case.of(model), refined),
     )
 
 
@@ -355,7 +353,7 @@ def _every_node(case: Case) -> tuple[str, pd.DataFrame]:
     pairs = len(assembly.contacts)
     if pairs > MOST:
         raise SceneError(f"{pairs} nodes of the zones face the other sheet, of which {MOST} are solved at most")
-    model = ReducedModel.build(assembly, coefficients(assembly, case.cache, comm=MPI.COMM_SELF)[0])
+    model = reduced_model(assembly, case.cache)
     few = case.deviations[:FEW]
     dear = values(model, model.process(case.law).attempt(few)).filter(like="measurement:")
     return (
@@ -369,12 +367,12 @@ def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
     finer = on_halved_meshes(case.assembly)
     if all(part.superelement is not None for part in finer.parts):
         return "superelements have no mesh", case.none()
-    model = ReducedModel.build(finer, coefficients(finer, case.cache, comm=MPI.COMM_SELF)[0])
+    model = reduced_model(finer, case.cache)
     before, after = (sum(len(p.surface.points) for p in one.parts) for one in (case.assembly, finer))
     return (
         f"the same {case.samples} samples on meshes of half the size, {after} nodes in place of {before}, pairs at the "
         f"same points; {REFINED['mesh'].why}. What the element's own theory leaves out is not seen",
-        case.beside(case.of(model), "mesh"),
+        case.beside(case.of(model), REFINED["mesh"]),
     )
 
 
@@ -385,7 +383,7 @@ def _order(case: Case) -> tuple[str, pd.DataFrame]:
     most = None
     for other in others[1:]:
         again = case.of(replace(case.model, scene=other.scene))
-        change = case.beside(again, "law")[list(FIGURES)].abs()
+        change = case.beside(again, REFINED["law"])[list(FIGURES)].abs()
         most = change if most is None else most.combine(change, np.fmax)
     return (
         f"the most that {len(others) - 1} other orders change on the same {case.samples} samples",

@@ -15,14 +15,19 @@ from mic.process.model import ReducedModel
 from mic.process.stiffness import coefficients
 from mic.scene import Scene
 
-__all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "relative", "zone_slip"]
+__all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "reduced_model", "relative", "zone_slip"]
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
     """The reduced model of a scene and the assembly that it came from, made by the production path on this process
     alone."""
     assembly = assemble(scene, cache)
-    return ReducedModel.build(assembly, coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]), assembly
+    return reduced_model(assembly, cache), assembly
+
+
+def reduced_model(assembly: Assembly, cache: Path) -> ReducedModel:
+    """The reduced model of an assembly, made on this process alone, with the stiffness that its scene asks for."""
+    return ReducedModel.build(assembly, coefficients(assembly, cache, comm=MPI.COMM_SELF)[0])
 
 
 @dataclass(frozen=True)

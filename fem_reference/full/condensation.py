@@ -22,8 +22,7 @@ import weakref
 import numpy as np
 from scipy.sparse import bmat, csr_matrix, diags, vstack
 
-from fem_reference.shell.factorisation import PetscFactors, failure
-from fem_reference.shell.mumps import MumpsFailure
+from fem_reference.shell.factorisation import PetscFactors
 
 __all__ = ["Condensation", "HeldParts"]
 
@@ -55,10 +54,7 @@ class HeldParts:
         self._K, self.D = K, D.tocsr()
         self.N, self.d = K.shape[0], D.shape[0]
         system = bmat([[K, -D.T], [-D, None]], format="csr") + diags(np.zeros(self.N + self.d), format="csr")
-        try:
-            self._factors = PetscFactors(system, definite=False)
-        except MumpsFailure as problem:
-            raise failure(problem) from problem
+        self._factors = PetscFactors(system, definite=False)
         self._response: dict[tuple, np.ndarray] = {}  # (N,) of unit forces on a row
         self._place: dict[tuple, int] = {}  # of a row in `_read`
         self.formed: tuple = (None, None)  # the step whose compliance is kept, and that

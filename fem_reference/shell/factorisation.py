@@ -30,7 +30,6 @@ __all__ = [
     "NoSchurComplement",
     "OutOfMemory",
     "PetscFactors",
-    "failure",
     "upper_triangle",
 ]
 
@@ -109,7 +108,7 @@ class Factorisation:
                 raise NoSchurComplement(f"no Schur complements: {problem}") from problem
             self._factors = PetscFactors((K + triu(K, 1).T).tocsr())
         except MumpsFailure as problem:
-            raise failure(problem) from problem
+            raise _failure(problem) from problem
         if self._factors.negative_pivots:
             raise FactorisationError(
                 "the stiffness is not positive definite: the part holds a mechanism, is too thin for its size, or has "
@@ -218,7 +217,7 @@ class _Factors:
         try:
             self._mumps.run(_SOLUTION)
         except MumpsFailure as problem:
-            raise failure(problem) from problem
+            raise _failure(problem) from problem
         finally:
             self._mumps.take_back("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr")
         return solution[:m]
@@ -263,7 +262,7 @@ class PetscFactors:
 
     Raises
     ------
-    MumpsFailure
+    FactorisationError
         If it cannot be factorised.
     """
 
@@ -282,7 +281,7 @@ class PetscFactors:
         self._pc.setUp()
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
-            raise MumpsFailure(status, self._factor.getMumpsInfog(2))
+            raise _failure(MumpsFailure(status, self._factor.getMumpsInfog(2)))
         self.negative_pivots = self._factor.getMumpsInfog(_INFOG_NEGATIVE_PIVOTS)
         self.memory = float(self._factor.getMumpsInfog(_INFOG_MEMORY))
 
@@ -322,7 +321,7 @@ def _petsc_matrix(matrix: csr_matrix) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF)
 
 
-def failure(problem: MumpsFailure) -> FactorisationError:
+def _failure(problem: MumpsFailure) -> FactorisationError:
     """The error that MUMPS's status stands for."""
     kind = FactorisationError
     if problem.status in (-10, -40):

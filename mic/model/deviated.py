@@ -62,13 +62,14 @@ def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndar
     """
     rows = assembly.rows[kind]
     turns = abs(rows) @ np.concatenate([part.functionals.rotation for part in parts]) > 0
-    standing, direction = (
-        [rows @ np.concatenate([of(part) for part in version]) for version in (assembly.parts, parts)]
-        for of in (_position, _direction)
-    )
-    found = standing[1] - standing[0]
+
+    def change(of):
+        before, after = (rows @ np.concatenate([of(part) for part in version]) for version in (assembly.parts, parts))
+        return after - before
+
+    found = change(_position)
     if kind == "contact":  # a fixture is all that a row's directions, turned, do not cancel for
-        turned = (direction[1] - direction[0]).reshape(len(assembly.contacts), -1, 3)
+        turned = change(_direction).reshape(len(assembly.contacts), -1, 3)
         found -= np.einsum("kdi,ki->kd", turned, _standing(assembly)).ravel()
     return np.where(turns, read, found)
 

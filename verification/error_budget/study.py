@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from mpi4py import MPI
 
 from mic import examples
 from mic.model.accuracy import on_halved_meshes
-from mic.process.model import ReducedModel
-from mic.process.stiffness import coefficients
 from mic.scene import load_scene
 from verification.budget import FIGURES, REFINED, SAMPLING, Case, paired
 from verification.budget_page import budget_figure, budget_rows, by_quantity, items_of
-from verification.comparison import reduced_and_assembly
+from verification.comparison import reduced_and_assembly, reduced_model
 from verification.own_scene import verify_scene
 from verification.study import Acceptance, Finding, Study
 
@@ -39,7 +36,7 @@ def mesh_coverage(scene, cache) -> pd.DataFrame:
     found, finer = [], assembly
     for _ in range(2):
         finer = on_halved_meshes(finer)
-        found.append(case.of(ReducedModel.build(finer, coefficients(finer, cache, comm=MPI.COMM_SELF)[0])))
+        found.append(case.of(reduced_model(finer, cache)))
     told, true = paired(case.production, found[0], REFINED["mesh"]), paired(case.production, found[1], REFINED["law"])
     rows = [
         {

@@ -10,9 +10,8 @@ from mpi4py import MPI
 
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.process.model import ReducedModel
-from mic.process.stiffness import coefficients
 from mic.sampling.draw import draw
-from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
+from verification.comparison import difference, reduced_and_assembly, reduced_model, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import going, shipped
 from verification.stiffness import DeviatedStiffness
@@ -123,8 +122,7 @@ def followed(assembly, stiffness, mean, sigma, cache) -> ReducedModel:
         for item, m, s in zip(assembly.scene.deviations, mean, sigma)
     ]
     scene = assembly.scene.model_copy(update={"deviations": items, "stiffness": stiffness})
-    own = replace(assembly, scene=scene)
-    return ReducedModel.build(own, coefficients(own, cache, comm=MPI.COMM_SELF)[0])
+    return reduced_model(replace(assembly, scene=scene), cache)
 
 
 def systematic(built, size, samples, cache) -> list[dict]:

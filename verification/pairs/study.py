@@ -6,16 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from mpi4py import MPI
 
-from mic.compliance.cache import influence_coefficients
 from mic.examples import folder
 from mic.model.assembly import assemble
 from mic.model.nuggets import nuggets
-from mic.process.model import ReducedModel
 from mic.results.paired import six_sigma_change
 from mic.sampling.draw import draw
 from mic.scene import Scene, load_scene
+from verification.comparison import reduced_model
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
 
@@ -52,7 +50,7 @@ class Outcome:
 def outcome(scene: Scene, cache, samples: int, every_node: bool, alter=lambda model: model) -> Outcome:
     """Samples of a scene, with its own pairs or one at every node; `alter` may change the model first."""
     assembly = assemble(scene, cache, every_node=every_node)
-    model = alter(ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0]))
+    model = alter(reduced_model(assembly, cache))
     found = model.evaluate(draw(model.scene, SEED, 0, samples))
     contacts = model.contacts
     beyond = nuggets(scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], BEYOND) < 0

@@ -13,14 +13,13 @@ from pathlib import Path
 from runpy import run_path
 
 import numpy as np
-from mpi4py import MPI
 
-from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
 from mic.model.nuggets import nuggets
 from mic.process.model import ReducedModel
 from mic.process.plan import StagePlan, plan_assembly
 from mic.scene import Scene, load_scene
+from verification.comparison import reduced_and_assembly
 from verification.pairs.study import BEYOND
 
 __all__ = ["FINEST", "FOLDER", "LEVELS", "TOLERANCES", "Case", "Quantity", "cases"]
@@ -79,8 +78,7 @@ class Case:
 
     def model(self, scene: Scene, cache: Path) -> ReducedModel:
         """The reduced model of the case's scene."""
-        assembly = assemble(scene, cache)
-        return ReducedModel.build(assembly, influence_coefficients(assembly, cache, comm=MPI.COMM_SELF)[0])
+        return reduced_and_assembly(scene, cache)[0]
 
     def plans(self, cache: Path) -> list[StagePlan]:
         """What each stage does, step by step."""
