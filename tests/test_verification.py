@@ -193,17 +193,40 @@ def test_who_is_longer_than_its_share_is_shared_and_the_longest_come_first():
     made = [Study(seconds=(s, q), name=f"{s}", **common) for s, q in ((1, 10), (5, 1), (3, 1), (2, 1))]
 
     def names(*options, of=made):
-        shared, whole = runs.apart(of, *options)
-        return [study.name for study in shared], [[study.name for study in taken] for taken in whole]
+        return tuple([study.name for study in some] for some in runs.apart(of, *options))
 
-    assert names(False, 1) == names(False, 2) == ([], [["5"], ["3"], ["2"], ["1"]])
+    assert names(False, 1) == names(False, 2) == ([], ["5", "3", "2", "1"])
     assert names(False, 3) == (["5", "3", "2", "1"], [])  # each is more than a third of what is left
-    assert names(True, 2) == names(True, 3) == (["1"], [["5"], ["3"], ["2"]])
+    assert names(True, 2) == names(True, 3) == (["1"], ["5", "3", "2"])
     assert names(False, 2, of=made[:1]) == (["1"], [])
-    large = [replace(study, memory=4.0) if study.name in "12" else study for study in made]
-    assert names(False, 2, of=large) == ([], [["5"], ["3"], ["1", "2"]])  # never at a time
-    assert names(True, 2, of=large) == ([], [["1", "2"], ["5"], ["3"]])
-    assert names(False, 2, of=[large[0], large[3]]) == (["1", "2"], [])
+    large = [replace(study, memory=4.5) if study.name == "1" else study for study in made]
+    assert names(True, 2, of=large) == ([], ["1", "5", "3", "2"])  # twice 4.5 GB
+    assert names(True, 2, of=large[:1]) == (["1"], [])  # or nobody would do it
+
+
+TURNS = """
+import sys, time
+from pathlib import Path
+from verification.run import team
+workers, sizes = team(), [5.0, 4.0, 2.0, 9.0, 1.0, 2.0, 3.0]
+for i in workers.taken(sizes, 8.0):
+    begun = time.time()
+    time.sleep(0.3)
+    Path(sys.argv[1], f"{i}.txt").write_text(f"{workers.rank} {begun} {time.time()} {sizes[i]}")
+"""
+
+
+def test_no_more_is_taken_at_a_time_than_there_is_room_for(tmp_path):
+    (tmp_path / "turns.py").write_text(TURNS)
+    done = on_processes(2, tmp_path / "turns.py", tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = [[float(word) for word in path.read_text().split()] for path in sorted(tmp_path.glob("[0-9].txt"))]
+    assert len(rows) == 7 and {row[0] for row in rows} == {0.0, 1.0}
+    beside = [[one[3] for one in rows if one is not row and one[1] < row[2] and row[1] < one[2]] for row in rows]
+    for row, others in zip(rows, beside):
+        assert row[3] + max(others, default=0.0) <= 8.0 or not others
+    assert not beside[3], "9 has room beside nothing"
+    assert 2.0 in beside[0], "the first that fits beside 5 is taken, and not waited for 4"
 
 
 def test_what_a_study_takes_is_told(tmp_path):
@@ -301,14 +324,16 @@ def test_first_page_tells_the_error_budget(tmp_path):
     figure, (axis,) = panels(1)
     axis.barh([0], [1])
     names = ("mean", "six-sigma", "cpk", "slip", "force", "coverage")
-    found = [Finding(name, 0.05, f"told of {name}", figure if name == "mean" else None) for name in names]
+    notes = {name: f"told of {name}" for name in names} | {"cpk": "told of cpk, mended by `order` < all"}
+    found = [Finding(name, 0.05, notes[name], figure if name == "mean" else None) for name in names]
     limits = tuple(Acceptance(name, "Small.", 0.1) for name in names)
     common = {"claim": "c", "reference": "r", "seconds": (1, 1)}
     budget = Study(5, "Error budget", acceptance=limits, run=lambda context: found, name="error_budget", **common)
     runs.run([cheap_studies(tmp_path)[0], budget], tmp_path / "out", False, Team(), lambda line: None)
     page = write_report(tmp_path / "out").read_text()
     first = first_page(page)
-    assert all(f"<li>told of {name}</li>" in first for name in names[:-1]) and "told of coverage" not in first
+    written = notes | {"cpk": "told of cpk, mended by <code>order</code> &lt; all"}
+    assert all(f"<li>{written[name]}</li>" in first for name in names[:-1]) and "told of coverage" not in first
     assert first.count("<img") == 1 and "Figure 1." in first and "Figure 1." not in page[len(first) :]
     numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", page)]
     assert sorted(numbers) == list(range(1, len(numbers) + 1))

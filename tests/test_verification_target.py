@@ -53,16 +53,49 @@ def test_errors_are_of_what_leads_its_kind():
     found = shares([item("path", 0.003, 0.001), item("pairs", -0.01, 0.0)], SIX)
     assert found.loc["path", ["error", "unsure"]].tolist() == pytest.approx([0.003, 0.001])
     assert found.loc["all", ["error", "unsure"]].tolist() == pytest.approx([0.007, 0.001])  # errors have signs
-    kept = Tried("draft", found, 1.0, 0.1)  # what is unsure counts as well
+    kept = Tried("draft", found, 1.0, 0.1, 30)  # what is unsure counts as well
     assert kept.most == pytest.approx(0.008) and not kept.keeps(0.0075) and kept.keeps(0.0081)
     unknown = shares([item("path", 0.003, 0.001), Item("pairs", "no room", 0.0, None)], SIX)
-    assert np.isnan(unknown.at["all", "error"]) and not Tried("draft", unknown, 1.0, 0.1).keeps(0.5)
+    assert np.isnan(unknown.at["all", "error"]) and not Tried("draft", unknown, 1.0, 0.1, 30).keeps(0.5)
 
 
-def tried(setting, mesh):
-    """A setting that leaves so much by its mesh, and next to nothing by path and pairs."""
-    items = [item("path", 1e-4, 0.0), item("pairs", 1e-4, 0.0), item("mesh and element", mesh, mesh / 10)]
-    return Tried(setting, shares(items, SIX), preparation=10.0, each=0.01)
+def tried(setting, mesh, half=None, samples=30):
+    """A setting that leaves so much by its mesh, a tenth of it unsure, and next to nothing by path and pairs."""
+    half = mesh / 10 if half is None else half
+    items = [item("path", 1e-4, 0.0), item("pairs", 1e-4, 0.0), item("mesh and element", mesh, half)]
+    return Tried(setting, shares(items, SIX), preparation=10.0, each=0.01, samples=samples)
+
+
+def test_samples_are_added_where_they_would_decide_and_nowhere_else():
+    assert tried("draft", 0.015).further(0.02) == 0  # kept
+    assert tried("draft", 0.03, 0.005).further(0.02) == 0  # surely above
+    assert tried("draft", 0.0098, 0.02).further(0.02) == 120  # twice what is unsure to spare: four times as many
+    assert tried("draft", 0.0298, 0.011).further(0.02) == 60  # nearly decided: no fewer than as many again
+    assert tried("draft", 0.0198, 0.02).further(0.02) == target.MOST
+    assert tried("draft", 0.0198, 0.02, target.MOST).further(0.02) == 0
+    assert tried("draft", 0.0098, 0.079).further(0.02) == target.MOST  # a quarter of that is left by sixteen times
+    assert tried("draft", 0.0098, 0.081).further(0.02) == 0  # and this would not show it of anything
+    unknown = shares([Item("pairs", "no room", 0.0, None)], SIX)
+    assert Tried("draft", unknown, 1.0, 0.1, 30).further(0.02) == 0
+
+
+def test_a_setting_is_tried_on_more_samples_until_it_is_decided(monkeypatch, tmp_path):
+    """Errors of the mesh that scatter, as long as they are known by 30 samples alone, about half the target."""
+    cases = []
+
+    def estimate(case, *_):
+        cases.append(case)
+        half = 0.02 * (30 / case.samples) ** 0.5
+        return [item("path", 0.0, 0.0), item("pairs", 0.0, 0.0), item("mesh and element", 0.01, half)]
+
+    monkeypatch.setattr(target, "estimate", estimate)
+    monkeypatch.setattr(target, "leading", lambda six_sigma: SIX.index[:1])
+    monkeypatch.setattr(target, "shares", lambda items, six_sigma: shares(items, SIX))
+    lines = []
+    found = choose(mic.load_scene(LAP), 0.02, tmp_path, tmp_path, target.Team(), lines.append)
+    assert [case.samples for case in cases] == [30, 120] and [one.samples for one in found] == [120]
+    assert all(len(case.production) == case.samples for case in cases)
+    assert "not decided; 120 samples next" in lines[0] and "by 120 samples" in lines[-1]
 
 
 def test_the_cheapest_setting_that_keeps_the_target_is_chosen(monkeypatch, tmp_path):
@@ -78,8 +111,10 @@ def test_advice_says_the_setting_its_samples_and_cost_or_what_it_would_take():
     said = advice([tried("draft", 0.015)], 0.02)
     assert 'setting = "draft"' in said and "4803 samples" in said and "58 CPU s" in said
     assert enough(0.062) == pytest.approx(500, rel=0.01)
-    said = advice([tried("reference", 0.04)], 0.02)  # a third of the target for each source: 0.044 / 0.00667, root
-    assert "not by a setting" in said and "elements of 0.39 of their size" in said and "candidates" not in said
+    said = advice([tried("reference", 0.04)], 0.02)  # a third of the target for each source: 0.04 / 0.00667, root
+    assert "not by a setting" in said and "elements of 0.41 of their size" in said and "candidates" not in said
+    said = advice([tried("reference", 0.0058, 0.028, 480)], 0.02)  # twice what is unsure to spare
+    assert "0.006 ± 0.028" in said and "may keep it, but some 1920 samples would have to tell" in said
 
 
 def test_the_lap_joint_is_known_to_five_per_cent_by_a_draft(tmp_path):

@@ -51,6 +51,7 @@ __all__ = [
     "EVERY",
     "FIGURES",
     "REFINED",
+    "SAMPLES",
     "SAMPLING",
     "SHARES",
     "SOURCES",

@@ -178,11 +178,8 @@ def verify_scene(
             f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples "
             + ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
         )
-        full_model = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF)
         key = hashlib.sha256(json.dumps([_model_key(model), deviated, truth, seed]).encode()).hexdigest()[:16]
-        full = team.map(
-            lambda choice: _full(full_model, scene, seed, truth, choice.sample, folder / "full", key, say), chosen
-        )
+        full = _full_solves(assembly, deviated, truth, chosen, folder / "full", key, team, say)
         items = []
         if sources:
             tell("error budget: " + ", ".join(sources) + " …")
@@ -191,6 +188,7 @@ def verify_scene(
             followed = (dataclasses.replace(one, scene=asked) for one in (assembly, model))
             case = Case(*followed, law, cache, figures["six_sigma"])
             items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
+            model = dataclasses.replace(model)  # without what it has prepared, which takes room and is done with
             mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
             items += estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
@@ -312,6 +310,13 @@ def _model_key(model):
     for array in (*model.compliance.H, *model.compliance.G, model.shape, model.contacts.gap, model.contacts.frame):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
+
+
+def _full_solves(assembly, deviated, law, chosen, folder, key, team, say) -> list[dict]:
+    """Of chosen samples; what they hold is free again once they are done."""
+    full_model, scene = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF), assembly.scene
+    seed = scene.monte_carlo.seed
+    return team.map(lambda choice: _full(full_model, scene, seed, law, choice.sample, folder, key, say), chosen)
 
 
 def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jinja2
 import pandas as pd
+from markupsafe import Markup, escape
 
 from verification.limitations import limitations
 from verification.pdf import browser, write_pdf
@@ -81,8 +82,13 @@ def environment() -> jinja2.Environment:
     found = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    found.filters["number"] = number
+    found.filters |= {"number": number, "keys": keys}
     return found
+
+
+def keys(text: str) -> Markup:
+    """A sentence with what stands between backticks, keys of a scene, set as such."""
+    return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _fill_in(results: list[dict]) -> None:

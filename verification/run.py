@@ -28,7 +28,7 @@ __all__ = ["apart", "read_results", "run", "team", "write_summary"]
 
 JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
-LARGE = 3.5  # GB: two such studies at a time might need more than 8
+ROOM = 8.0  # GB that all processes may hold at a time
 
 
 def team() -> Team:
@@ -39,9 +39,10 @@ def team() -> Team:
 def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -> None:
     """Run studies, those already finished left out.
 
-    Each process takes whole studies, the longest first, whoever is idle the next; a study that is longer than a
-    process's share of what is left is shared out over all of them before. One that fails is stored as not measured, is
-    run again by the next call, and keeps none of the others from being run.
+    Each process takes whole studies, whoever is idle the longest of those for which there is room beside what the
+    others hold; a study that is longer than a process's share of what is left is shared out over all of them before.
+    One that fails is stored as not measured, is run again by the next call, and keeps none of the others from being
+    run.
 
     Parameters
     ----------
@@ -93,40 +94,33 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
 
     for study in shared:
         take(study, team)
-    for i in team.taken(len(whole)):
-        for study in whole[i]:
-            with alone():
-                take(study, Team())
+    for i in team.taken([study.memory for study in whole], ROOM):
+        with alone():
+            take(whole[i], Team())
     every = [cost for own in team.of_each(costs) for cost in own]
     if first and every:
         wall, cpu = meter.read().wall, sum(cost.cpu for cost in every)
         say(
-            f"{len(shared) + sum(map(len, whole))} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
+            f"{len(shared) + len(whole)} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
             f"{cpu / wall:.2f} at a time; at most {together(every):.1f} GB together"
         )
 
 
-def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[list[Study]]]:
-    """Studies that several processes share, and those that each takes whole, one after the other; the longest first.
+def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[Study]]:
+    """Studies that several processes share, and those that each takes whole; the longest first.
 
-    What is longer than a process's share of what is left would keep the others waiting. Studies that need much memory
-    are taken whole, by one process, and so never two of them at a time, unless there are no others.
+    What is longer than a process's share of what is left would keep the others waiting. It is taken whole all the same
+    where several processes at it might need more than :data:`ROOM`, unless there is nothing else to do.
     """
-    large = [study for study in studies if study.memory > LARGE]
-    queue = [[study] for study in studies if study.memory <= LARGE] + [large] * bool(large)
-
-    def seconds(taken: list[Study]) -> float:
-        return sum(study.seconds[quick] for study in taken)
-
-    queue.sort(key=lambda taken: -seconds(taken))
+    queue = sorted(studies, key=lambda study: -study.seconds[quick])
     shared = []
-    for taken in list(queue):
-        if taken is large and len(queue) > 1:
+    for study in list(queue):
+        if study.memory * size > ROOM and len(queue) > 1:
             continue
-        if seconds(taken) * size <= sum(map(seconds, queue)) * (1 + 1e-9):
+        if study.seconds[quick] * size <= sum(one.seconds[quick] for one in queue) * (1 + 1e-9):
             break
-        queue.remove(taken)
-        shared.extend(taken)
+        queue.remove(study)
+        shared.append(study)
     return shared, queue
 
 

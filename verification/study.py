@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import importlib
 import math
+import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -25,6 +26,7 @@ from verification.cost import give_back
 __all__ = ["Acceptance", "Context", "Finding", "ItemFailed", "Judged", "Study", "Team", "studies"]
 
 FOLDER = Path(__file__).parent
+PAUSE = 0.5  # s, after which a rank without room looks again
 MUCH = 1.0  # GB: a process that holds more gives back what was freed before it begins with an item
 
 
@@ -146,7 +148,7 @@ class Team:
         if self.size == 1:
             return [worked(item) for item in items]
         own, failed = [], ""
-        for i in self.taken(len(items)):
+        for i in self.taken(np.zeros(len(items))):
             if failed:
                 continue  # so that nobody begins with what is left
             try:
@@ -160,29 +162,47 @@ class Team:
         found = dict(pair for share, _ in shares for pair in share)
         return [found[i] for i in range(len(items))]
 
-    def taken(self, count: int) -> Iterator[int]:
-        """Numbers below a count that this rank takes, one after the other, from a counter that all ranks advance.
+    def taken(self, sizes: Sequence[float], room: float = math.inf) -> Iterator[int]:
+        """Numbers of the items that this rank takes, one after the other: the first that nobody has and for which there
+        is room beside those that the other ranks are at, or any where they are at none.
 
         Every rank must call it, and take until nothing is left: it then waits for the others.
+
+        Parameters
+        ----------
+        sizes : sequence of float
+            What each item takes of the room.
+        room : float
         """
         if self.size == 1:
-            yield from range(count)
+            yield from range(len(sizes))
             return
         from mpi4py import MPI  # only among several ranks: importing it starts MPI
 
-        number = np.zeros(1, dtype=np.int64)
-        window = MPI.Win.Allocate(number.nbytes if self.rank == 0 else 0, number.nbytes, comm=self.comm)
+        # By rank what it holds, and by item whether somebody has it.
+        state = np.zeros(self.size + len(sizes))
+        window = MPI.Win.Allocate(state.nbytes if self.rank == 0 else 0, state.itemsize, comm=self.comm)
         if self.rank == 0:
-            np.frombuffer(window.tomemory(), dtype=number.dtype)[:] = 0
+            np.frombuffer(window.tomemory(), dtype=state.dtype)[:] = 0
         self.wait()
-        window.Lock_all()
         while True:
-            window.Fetch_and_op([np.ones_like(number), MPI.INT64_T], [number, MPI.INT64_T], 0)
+            window.Lock(0, MPI.LOCK_EXCLUSIVE)
+            window.Get(state, 0)
             window.Flush(0)
-            if number[0] >= count:
+            held, known = state[: self.size], state[self.size :]
+            held[self.rank] = 0.0
+            left = np.flatnonzero(known == 0)
+            fitting = [i for i in left if not held.any() or held.sum() + sizes[i] <= room]
+            if fitting:
+                held[self.rank], known[fitting[0]] = sizes[fitting[0]], 1.0
+            window.Put(state, 0)
+            window.Unlock(0)
+            if fitting:
+                yield int(fitting[0])
+            elif len(left):
+                time.sleep(PAUSE)
+            else:
                 break
-            yield int(number[0])
-        window.Unlock_all()
         self.wait()
         window.Free()
 

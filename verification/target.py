@@ -4,7 +4,9 @@ Settings are tried from the cheapest on, each on samples of the scene itself: it
 its path and candidates for contact, whatever it states of these, and what path, pairs and mesh leave is estimated as
 for an error budget (:mod:`verification.budget`). A setting keeps a target where their sum and what is unsure of it
 stay below, for every key characteristic and every zone's slip that varies by at least a tenth of the most variable of
-its kind. What no setting changes (the law, the stiffness of the nominal shape) is not counted.
+its kind; it does not where one of these is sure to be above. Where the samples leave it open, more are taken, as many
+as would decide it if what is unsure falls by their root (Stein's second stage), :data:`MOST` at most, and none where as
+many would show nothing. What no setting changes (the law, the stiffness of the nominal shape) is not counted.
 """
 
 from __future__ import annotations
@@ -22,15 +24,17 @@ from scipy.stats import norm
 from mic.errors import MicError, SceneError
 from mic.results.folder import versions
 from mic.results.statistics import LEVEL
+from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene
 from mic.scene.process import FollowedPath
-from verification.budget import Case, Item, estimate, total
+from verification.budget import SAMPLES, Case, Item, estimate, total
 from verification.comparison import reduced_and_assembly
 from verification.study import Team
 
 __all__ = ["Tried", "advice", "as_set", "choose", "enough", "leading", "share_of", "shares", "table"]
 
 LEADING = 0.1  # of the 6σ of the most variable quantity of a kind: what varies less is not judged
+MOST = 480  # samples that a setting is tried on
 SOURCES = ("path", "pairs", "mesh and element")
 ALL = "all"
 #: By which power of its knob an error falls, at least: elements are of second order, sums over pairs of first where
@@ -52,15 +56,19 @@ class Tried:
     setting : str
     errors : DataFrame
         By source, and ``all`` for their sum: ``error`` and ``unsure``, shares of a 6σ, of the ``quantity`` for which
-        both together are largest. NaN where a source could not be estimated.
+        both together are largest; ``least``, what the error of some quantity is at least; ``largest``, the largest
+        error alone. NaN where a source could not be estimated.
     preparation, each : float
         CPU seconds from nothing to the reduced model, and for a sample.
+    samples : int
+        It was tried on.
     """
 
     setting: str
     errors: pd.DataFrame
     preparation: float
     each: float
+    samples: int
 
     @property
     def most(self) -> float:
@@ -70,6 +78,17 @@ class Tried:
     def keeps(self, target: float) -> bool:
         """Whether all sources together stay below a target, as far as they are known."""
         return self.most <= target
+
+    def further(self, target: float) -> int:
+        """How many samples would decide whether it keeps a target; 0 where these do, or where not even :data:`MOST`
+        would show it of an error of nothing."""
+        row = self.errors.loc[ALL]
+        if not np.isfinite(self.most) or self.most <= target or row["least"] > target or self.samples >= MOST:
+            return 0
+        if row["unsure"] * math.sqrt(self.samples / MOST) > target:
+            return 0
+        root = row["unsure"] / max(abs(target - row["error"]), 1e-9 * target)
+        return int(min(MOST, max(2 * self.samples, math.ceil(self.samples * min(root, MOST) ** 2))))
 
 
 def share_of(text: str) -> float:
@@ -118,7 +137,7 @@ def shares(items: list[Item], six_sigma: pd.Series) -> pd.DataFrame:
     rows = {}
     for source, table in tables.items():
         if table is None:
-            rows[source] = {"error": np.nan, "unsure": np.nan, "quantity": ""}
+            rows[source] = {"error": np.nan, "unsure": np.nan, "quantity": "", "least": np.nan, "largest": np.nan}
             continue
         own = table.loc[names, ["six_sigma", "six_sigma_half"]].abs().div(six_sigma[names], axis=0)
         worst = own.sum(axis=1, skipna=False).fillna(np.inf).idxmax()
@@ -126,6 +145,8 @@ def shares(items: list[Item], six_sigma: pd.Series) -> pd.DataFrame:
             "error": own.at[worst, "six_sigma"],
             "unsure": own.at[worst, "six_sigma_half"],
             "quantity": worst,
+            "least": (own["six_sigma"] - own["six_sigma_half"]).max(),
+            "largest": own["six_sigma"].max(),
         }
     return pd.DataFrame.from_dict(rows, orient="index")
 
@@ -155,41 +176,45 @@ def choose(scene: Scene, target: float, folder: Path, cache: Path, team: Team, s
     SceneError
         If nothing of the scene varies, or not even the first setting fits it.
     """
-    law, found = scene.report.laws[0], []
+    found: list[Tried] = []
     for setting in SETTINGS:
         try:
-            found.append(attempt(as_set(scene, setting), setting, law, folder, cache, team, say))
+            found.append(attempt(as_set(scene, setting), setting, target, folder, cache, team, say))
         except MicError as problem:  # a geometry without that named size, candidates that its elements have no room for
             if not found:
                 raise
             if team.rank == 0:
                 say(f"{setting}: not tried: {problem}")
             break
-        if team.rank == 0:
-            say(f"{setting}: 6σ to {found[-1].most:.2g}")
         if found[-1].keeps(target):
             break
     return found
 
 
-def attempt(scene, setting, law, folder, cache, team, say) -> Tried:
+def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
     start = time.process_time()
     model, assembly = reduced_and_assembly(scene, cache)
-    prepared = time.process_time()
-    case = Case(assembly, model, law, cache)
-    model.process(law).attempt(case.deviations[:1])  # compiled before the clock goes on
-    compiled = time.process_time()
-    six_sigma = 6 * case.production.std(ddof=1)
-    each = (time.process_time() - compiled) / case.samples
-    if not len(leading(six_sigma)):
-        raise SceneError(
-            f"scene {scene.name!r}: nothing varies that a target could be for; add [[deviations]] with a sigma, "
-            "and [[measurements]] or contact zones with friction"
-        )
+    prepared = time.process_time() - start
+    law, samples = scene.report.laws[0], SAMPLES
+    model.process(law).attempt(draw(scene, scene.monte_carlo.seed, 0, 1))  # compiled before the clock goes on
     mark = hashlib.sha256(f"{scene.model_dump_json()} {assembly.scene.folder} {versions()}".encode()).hexdigest()[:16]
-    items = estimate(case, folder, mark, team, SOURCES, say)
-    found = Tried(setting, shares(items, six_sigma), prepared - start, each)
-    return team.from_first(found)  # times differ from rank to rank
+    while samples:
+        case, start = Case(assembly, model, law, cache, samples=samples), time.process_time()
+        six_sigma = 6 * case.production.std(ddof=1)
+        each = (time.process_time() - start) / samples
+        if not len(leading(six_sigma)):
+            raise SceneError(
+                f"scene {scene.name!r}: nothing varies that a target could be for; add [[deviations]] with a sigma, "
+                "and [[measurements]] or contact zones with friction"
+            )
+        items = estimate(case, folder, mark, team, SOURCES, say)
+        tried = Tried(setting, shares(items, six_sigma), prepared, each, samples)
+        tried = team.from_first(tried)  # times differ from rank to rank
+        samples = tried.further(target)
+        if team.rank == 0:
+            more = f", not decided; {samples} samples next" if samples else ""
+            say(f"{setting}: 6σ to {tried.most:.2g} by {tried.samples} samples{more}")
+    return tried
 
 
 def enough(target: float) -> int:
@@ -212,17 +237,19 @@ def advice(found: list[Tried], target: float) -> str:
     unknown = [source for source in SOURCES if not np.isfinite(last.errors.at[source, "error"])]
     if unknown:
         return f"6σ to {target:.2g}: not known, since {', '.join(unknown)} could not be estimated at {last.setting}."
-    bound = last.errors.loc[list(SOURCES), ["error", "unsure"]].sum(axis=1)
-    part = target / len(SOURCES)
-    wanted = [
-        KNOBS[source].format((part / bound[source]) ** (1 / ORDERS[source]))
-        for source in SOURCES
-        if bound[source] > part
-    ] or ["more samples than these, to be sure of it"]
-    return (
-        f"6σ to {target:.2g}: not by a setting. By {last.setting} path, pairs and mesh may leave {last.most:.2g}; it "
-        f"would take about {', '.join(wanted)}. {cost}"
+    row, part = last.errors.loc[ALL], target / len(SOURCES)
+    told = (
+        f"6σ to {target:.2g}: not by a setting. By {last.setting} path, pairs and mesh leave {row['error']:.2g} ± "
+        f"{row['unsure']:.2g} of it ({row['quantity']}), as {last.samples} samples tell;"
     )
+    left = last.errors.loc[list(SOURCES), "largest"]
+    wanted = [
+        KNOBS[source].format((part / left[source]) ** (1 / ORDERS[source])) for source in SOURCES if left[source] > part
+    ]
+    if wanted:
+        return f"{told} it would take about {', '.join(wanted)}. {cost}"
+    more = math.ceil(last.samples * (row["unsure"] / (target - row["error"])) ** 2)
+    return f"{told} it may keep it, but some {more} samples would have to tell. {cost}"
 
 
 def table(found: list[Tried]) -> pd.DataFrame:
@@ -231,7 +258,11 @@ def table(found: list[Tried]) -> pd.DataFrame:
         [
             one.errors.rename_axis("source")
             .reset_index()
-            .assign(setting=one.setting, **{"preparation, CPU s": one.preparation, "sample, CPU s": one.each})
+            .assign(
+                setting=one.setting,
+                samples=one.samples,
+                **{"preparation, CPU s": one.preparation, "sample, CPU s": one.each},
+            )
             for one in found
         ],
         ignore_index=True,

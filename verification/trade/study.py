@@ -104,7 +104,7 @@ def truth(size: float, factor: float, samples: int) -> Truth:
     return Truth(knobs, coarser, samples)
 
 
-TRUTHS = {"lap_joint": truth(0.625, 0.5, 100), "bracket": truth(1.0, 0.5, 60)}
+TRUTHS = {"lap_joint": truth(0.625, 0.5, 100), "bracket": truth(1.0, 0.5, 120)}
 QUICK = {"lap_joint": truth(0.625, 0.5, 24)}
 #: What the standard setting's knobs are turned to, one at a time.
 TURNED = {
