@@ -343,6 +343,21 @@ def test_columns_that_threads_ask_for_at_once_are_each_its_own():
     np.testing.assert_array_equal(again.take(orders[0]), S.T[orders[0]])
 
 
+def test_columns_that_are_passed_on_are_kept_where_they_go_and_found_once():
+    S, asked = np.random.default_rng(0).standard_normal((6, 6)), []
+
+    def find(numbers):
+        asked.extend(numbers)
+        return S.T[numbers]
+
+    columns = Columns(find, S.shape)
+    doubled = Columns(lambda numbers: 2 * columns.passed(numbers), S.shape)
+    columns.take(np.array([2]))
+    for _ in range(2):
+        np.testing.assert_array_equal(doubled.take(np.array([4, 2, 0])), 2 * S.T[[4, 2, 0]])
+    assert (columns.found, doubled.found, sorted(asked)) == (1, 3, [0, 2, 4])
+
+
 def crowd(monkeypatch):
     """So few candidates and contacts are many from here on."""
     monkeypatch.setattr("mic.contact.watched.CROWD", 10)

@@ -73,8 +73,8 @@ def test_samples_are_added_where_they_would_decide_and_nowhere_else():
     assert tried("draft", 0.0298, 0.011).further(0.02) == 60  # nearly decided: no fewer than as many again
     assert tried("draft", 0.0198, 0.02).further(0.02) == target.MOST
     assert tried("draft", 0.0198, 0.02, target.MOST).further(0.02) == 0
-    assert tried("draft", 0.0098, 0.079).further(0.02) == target.MOST  # a quarter of that is left by sixteen times
-    assert tried("draft", 0.0098, 0.081).further(0.02) == 0  # and this would not show it of anything
+    assert tried("draft", 0.0098, 0.039).further(0.02) == target.MOST  # half of that is left by four times as many
+    assert tried("draft", 0.0098, 0.041).further(0.02) == 0  # and this would not show it of anything
     unknown = shares([Item("pairs", "no room", 0.0, None)], SIX)
     assert Tried("draft", unknown, 1.0, 0.1, 30).further(0.02) == 0
 

@@ -34,7 +34,7 @@ from verification.study import Team
 __all__ = ["Tried", "advice", "as_set", "choose", "enough", "leading", "share_of", "shares", "table"]
 
 LEADING = 0.1  # of the 6σ of the most variable quantity of a kind: what varies less is not judged
-MOST = 480  # samples that a setting is tried on
+MOST = 120  # samples that a setting is tried on
 SOURCES = ("path", "pairs", "mesh and element")
 ALL = "all"
 #: By which power of its knob an error falls, at least: elements are of second order, sums over pairs of first where

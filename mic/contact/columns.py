@@ -77,6 +77,16 @@ class Columns:
         columns[~own], columns[own] = self._given[at[~own]], self._own[at[own] - len(self._given)]
         return columns
 
+    def passed(self, numbers: np.ndarray) -> np.ndarray:
+        """As :meth:`take`, to who keeps them: those that had to be found are not kept here, too."""
+        known = self._at[numbers] >= 0
+        columns = np.empty((len(numbers), self.shape[0]))
+        columns[known] = self.take(numbers[known])
+        if not known.all():
+            with self._finding:
+                columns[~known] = self._find(numbers[~known])
+        return columns
+
     def block(self, numbers: np.ndarray) -> np.ndarray:
         """(k, k) rows and columns with these numbers of a matrix that is symmetric but for rounding; without it."""
         from mic.contact.native.kernels import symmetric  # compiles, or reads the cache, when it is imported

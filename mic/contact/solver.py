@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import cholesky
 
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
@@ -406,8 +407,9 @@ def _checked_compliance(S, dimension, semidefinite):
         raise ValueError("S must be positive semidefinite; it has a negative diagonal entry")
     if semidefinite:
         return np.ascontiguousarray(S)
-    largest = np.abs(S).max(initial=0.0)
-    asymmetry = np.abs(S - S.T).max(initial=0.0)
+    # Of thousands of contacts S is most of what the process holds: as few arrays of its size as may be at a time.
+    largest = max(S.max(initial=0.0), -S.min(initial=0.0))
+    asymmetry = (S - S.T).max(initial=0.0)  # what is added to one of two is taken from the other
     if asymmetry > ASYMMETRY_REFUSED * largest:
         raise ValueError(
             f"S must be symmetric; it differs from its transpose by {asymmetry / largest:.1e} of its largest entry, "
@@ -417,8 +419,9 @@ def _checked_compliance(S, dimension, semidefinite):
         warnings.warn(
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
-    S = np.ascontiguousarray(0.5 * S + 0.5 * S.T)
-    if largest > 0.0 and not _semidefinite(S / largest):
+    half = 0.5 * S
+    S = half + half.T
+    if largest > 0.0 and not _semidefinite(np.divide(S, largest, out=half)):
         raise ValueError(
             f"S must be positive semidefinite; it has an eigenvalue below -{INDEFINITE:g} of its largest entry, so "
             "that some forces would do work for nothing; check the signs of its rows"
@@ -427,8 +430,10 @@ def _checked_compliance(S, dimension, semidefinite):
 
 
 def _semidefinite(S) -> bool:
+    """Whether no eigenvalue lies below -:data:`INDEFINITE`; S is overwritten."""
+    S[np.diag_indices(len(S))] += INDEFINITE
     try:
-        np.linalg.cholesky(S + INDEFINITE * np.eye(len(S)))
+        cholesky(S.T, overwrite_a=True, check_finite=False)
     except np.linalg.LinAlgError:
         return False
     return True

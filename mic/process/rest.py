@@ -261,4 +261,4 @@ class Rest:
 
 def _softened(S: Columns, c: float, G: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """(k, d m + s) columns of ``S + c G Gᵀ``."""
-    return S.take(numbers) + c * product(G[numbers], G.T)
+    return S.passed(numbers) + c * product(G[numbers], G.T)

@@ -64,7 +64,7 @@ class Stops:
         place = np.concatenate([np.arange(self.rows), stop])
         found = np.zeros((len(numbers), self.dimension * self.total))
         driven = np.isin(numbers, place)
-        found[np.ix_(driven, place)] = S.take(np.searchsorted(place, numbers[driven]))
+        found[np.ix_(driven, place)] = S.passed(np.searchsorted(place, numbers[driven]))
         idle = numbers[~driven]
         found[~driven, idle] = own[self.rows + (idle - self.rows) // self.dimension]
         return found
