@@ -17,7 +17,10 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mic.blas import choose_kernels
 from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError, StorageError
+
+choose_kernels()  # before anything here imports numpy
 
 if TYPE_CHECKING:
     from mic.judgement import Warned
