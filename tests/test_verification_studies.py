@@ -301,6 +301,8 @@ def test_the_trade_finds_the_worst_figure_of_each_kind_and_what_the_truth_leaves
     assert found["worst of key characteristics"] == "measurement:M2"
     assert found["error of 6σ, slips"] == pytest.approx(0.02)
     assert found["error of 6σ"] == pytest.approx(0.04)
+    first = trade.errors(own[:20], exact)  # of the first samples against the same
+    assert first["error of 6σ"] == pytest.approx(0.04) and first["±, slips"] > 0
     lines = pd.DataFrame([{"scene": "lap_joint", "knob": "truth", "value": "but path"} | found])
     left = trade.own_error(lines, trade.QUICK).iloc[0]
     assert left["left of key characteristics"] == pytest.approx(0.04 / 5)
