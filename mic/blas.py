@@ -50,9 +50,9 @@ def _taken() -> str:
     child = os.fork()
     if child == 0:
         try:
-            name = ctypes.CDLL(LIBRARY).openblas_get_corename
-            name.restype = ctypes.c_char_p
-            os.write(its, name())
+            corename = ctypes.CDLL(LIBRARY).openblas_get_corename
+            corename.restype = ctypes.c_char_p
+            os.write(its, corename())
         finally:
             os._exit(0)
     os.close(its)
