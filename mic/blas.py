@@ -5,6 +5,7 @@ speed (release 0.3.21 of Debian 12 to Intel's of 2023). They are chosen here, be
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 import sys
 from pathlib import Path
@@ -19,19 +20,30 @@ KERNELS = {
     "SKYLAKEX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"},
     "HASWELL": {"avx2", "fma"},
 }
+LOG = logging.getLogger(__name__)
 
 
 def choose_kernels() -> None:
     """Have OpenBLAS take kernels that suit the processor, where it would take its oldest by itself.
 
-    Nothing is done where the user has chosen, where numpy has loaded the library already, and where it knows the
-    processor: which kernels it takes decides the last bits of sums.
+    Nothing is done where the user has chosen, and where the library knows the processor: which kernels it takes decides
+    the last bits of sums. Where numpy has loaded it already, it is too late, and said.
     """
-    if NAME in os.environ or "numpy" in sys.modules:
+    if NAME in os.environ:
         return
     able = _abilities()
     suiting = next((name for name, needed in KERNELS.items() if needed <= able), None)
-    if suiting and _taken() == OLDEST:
+    if suiting is None:
+        return
+    if "numpy" in sys.modules:
+        if _loaded() == OLDEST:
+            LOG.warning(
+                "OpenBLAS does not know this processor, and computes at a fraction of its speed: "
+                "import mic before numpy, or set %s=%s beforehand",
+                NAME,
+                suiting,
+            )
+    elif _taken() == OLDEST:
         os.environ[NAME] = suiting
 
 
@@ -50,9 +62,7 @@ def _taken() -> str:
     child = os.fork()
     if child == 0:
         try:
-            corename = ctypes.CDLL(LIBRARY).openblas_get_corename
-            corename.restype = ctypes.c_char_p
-            os.write(its, corename())
+            os.write(its, _corename(ctypes.CDLL(LIBRARY)))
         finally:
             os._exit(0)
     os.close(its)
@@ -60,3 +70,18 @@ def _taken() -> str:
         name = told.read()
     os.waitpid(child, 0)
     return name
+
+
+def _loaded() -> str:
+    """The kernels that it has taken in this process; nothing if another library is loaded."""
+    try:
+        return _corename(ctypes.CDLL(LIBRARY, mode=os.RTLD_NOLOAD)).decode()
+    except OSError:
+        return ""
+
+
+def _corename(library: ctypes.CDLL) -> bytes:
+    name = library.openblas_get_corename
+    name.restype = ctypes.c_char_p
+    found: bytes = name()
+    return found

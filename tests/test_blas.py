@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -34,15 +35,24 @@ def test_kernels_are_chosen_where_the_library_does_not_know_the_processor(monkey
     assert os.environ.get(blas.NAME) == chosen
 
 
-def test_what_the_user_chose_or_numpy_has_loaded_stays(monkeypatch):
+def test_what_the_user_chose_stays(monkeypatch):
     monkeypatch.setattr(blas, "_taken", lambda: pytest.fail("nobody needs to know"))
-    monkeypatch.delenv(blas.NAME, raising=False)
-    blas.choose_kernels()  # these tests have numpy
-    assert blas.NAME not in os.environ
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
     monkeypatch.setenv(blas.NAME, "NEHALEM")
     blas.choose_kernels()
     assert os.environ[blas.NAME] == "NEHALEM"
+
+
+@pytest.mark.parametrize("loaded, said", [("Prescott", "OPENBLAS_CORETYPE=HASWELL"), ("Haswell", ""), ("", "")])
+def test_where_numpy_came_first_it_is_said(monkeypatch, caplog, loaded, said):
+    """These tests have numpy."""
+    monkeypatch.setattr(blas, "_abilities", lambda: AVX2)
+    monkeypatch.setattr(blas, "_loaded", lambda: loaded)
+    monkeypatch.setattr(blas, "_taken", lambda: pytest.fail("it is too late"))
+    monkeypatch.setenv(blas.NAME, "")
+    monkeypatch.delenv(blas.NAME)
+    blas.choose_kernels()
+    assert blas.NAME not in os.environ and said in caplog.text and bool(caplog.text) == bool(said)
 
 
 def test_a_process_that_imports_mic_first_has_kernels_for_its_processor():
@@ -52,6 +62,7 @@ def test_a_process_that_imports_mic_first_has_kernels_for_its_processor():
     )
     own = {key: value for key, value in os.environ.items() if key != blas.NAME}
     told = subprocess.run([sys.executable, "-c", program], env=own, capture_output=True, text=True, check=True).stdout
-    with open("/proc/cpuinfo") as file:
-        new = "avx2" in file.read()
+    new = "avx2" in Path("/proc/cpuinfo").read_text()
     assert "openblas" in told and not (new and "Prescott" in told)
+    late = subprocess.run([sys.executable, "-c", f"import numpy\n{program}"], env=own, capture_output=True, text=True)
+    assert (blas.NAME in late.stderr) == (new and "Prescott" in late.stdout)
