@@ -326,25 +326,10 @@ class ContactSolver:
         known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
         return measure(self._sliding, rows, *known)
 
-    def _start(self, b, force):
-        """The force to start from: where there is none yet though nothing overlaps, that with which each contact alone
-        would answer.
-
-        Contacts that slip open under the associated law, so that forces are needed where no contact overlaps. Methods
-        weigh their error by the forces and by the overlaps: with neither of them, no force at all would pass for a
-        solution.
-        """
-        if self.dimension != 3 or not self.law.frictional or force.any() or (b[::3] < 0.0).any():
-            return force
-        mu = self.law.coefficient(self._parameters, np.zeros(self.contacts))
-        alone = self.law.complementary(b.reshape(-1, 3), mu) * -self._stiffness[:, None]
-        return self.law.projection(alone, mu).ravel()
-
     def _persist(self, sample, b, force, counts, rung):
         """Work on one sample that did not converge, improving its force, counts and rung in place."""
-        start = self._start(b[sample], force[sample].copy())
         best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
-        for candidate, *more, name in self.backend.attempts(b[sample], start):
+        for candidate, *more, name in self.backend.attempts(b[sample], force[sample].copy()):
             counts[:, sample] += more
             residual = self._measure(b[[sample]], candidate[None])[0].residual[0]
             if residual < best:
