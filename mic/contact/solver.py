@@ -405,7 +405,7 @@ def _checked_compliance(S, dimension, semidefinite):
             f"S differs from its transpose by {asymmetry / largest:.1e} of its largest entry; symmetrised", stacklevel=3
         )
     half = 0.5 * S
-    S = half + half.T
+    S = np.ascontiguousarray(half + half.T)
     if largest > 0.0 and not _semidefinite(np.divide(S, largest, out=half)):
         raise ValueError(
             f"S must be positive semidefinite; it has an eigenvalue below -{INDEFINITE:g} of its largest entry, so "
