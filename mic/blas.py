@@ -31,23 +31,23 @@ def choose_kernels() -> None:
     """
     if NAME in os.environ:
         return
-    able = _abilities()
+    able = abilities()
     suiting = next((name for name, needed in KERNELS.items() if needed <= able), None)
     if suiting is None:
         return
     if "numpy" in sys.modules:
-        if _loaded() == OLDEST:
+        if loaded() == OLDEST:
             LOG.warning(
                 "OpenBLAS does not know this processor, and computes at a fraction of its speed: "
                 "import mic before numpy, or set %s=%s beforehand",
                 NAME,
                 suiting,
             )
-    elif _taken() == OLDEST:
+    elif taken() == OLDEST:
         os.environ[NAME] = suiting
 
 
-def _abilities() -> set[str]:
+def abilities() -> set[str]:
     """Of the processor, in Linux's words."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -56,7 +56,7 @@ def _abilities() -> set[str]:
     return next((set(line.split()) for line in lines if line.startswith("flags")), set())
 
 
-def _taken() -> str:
+def taken() -> str:
     """The kernels that OpenBLAS takes by itself; a child asks it, since it decides once in a process."""
     mine, its = os.pipe()
     child = os.fork()
@@ -72,7 +72,7 @@ def _taken() -> str:
     return name
 
 
-def _loaded() -> str:
+def loaded() -> str:
     """The kernels that it has taken in this process; nothing if another library is loaded."""
     try:
         return _corename(ctypes.CDLL(LIBRARY, mode=os.RTLD_NOLOAD)).decode()

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky
 
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
@@ -416,6 +415,8 @@ def _checked_compliance(S, dimension, semidefinite):
 
 def _semidefinite(S) -> bool:
     """Whether no eigenvalue lies below -:data:`INDEFINITE`; S is overwritten."""
+    from scipy.linalg import cholesky  # which whoever asks for help need not wait for
+
     S[np.diag_indices(len(S))] += INDEFINITE
     try:
         cholesky(S.T, overwrite_a=True, check_finite=False)
