@@ -187,6 +187,6 @@ STUDY = Study(
         ),
     ),
     seconds=(1200, 60),
-    memory=5.8,
+    memory=6.0,
     run=run,
 )

@@ -351,6 +351,6 @@ STUDY = Study(
         ),
     ),
     seconds=(310, 30),
-    memory=3.9,
+    memory=4.4,
     run=run,
 )

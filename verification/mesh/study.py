@@ -318,6 +318,6 @@ STUDY = Study(
         ),
     ),
     seconds=(430, 110),
-    memory=2.9,
+    memory=3.4,
     run=run,
 )

@@ -504,6 +504,6 @@ STUDY = Study(
         ),
     ),
     seconds=(900, 60),
-    memory=4.1,
+    memory=4.6,
     run=run,
 )
