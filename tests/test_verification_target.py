@@ -117,6 +117,12 @@ def test_advice_says_the_setting_its_samples_and_cost_or_what_it_would_take():
     assert "0.006 ± 0.028" in said and "may keep it, but some 1920 samples would have to tell" in said
 
 
+def test_a_source_of_which_it_is_not_known_how_unsure_it_is_is_named():
+    unknown = tried("reference", 0.004, np.nan)
+    assert "not known, since mesh and element" in advice([unknown], 0.02)
+    assert not unknown.keeps(0.5) and unknown.further(0.02) == 0
+
+
 def test_the_lap_joint_is_known_to_five_per_cent_by_a_draft(tmp_path):
     """Against the trade's own truth it is off by 1 %."""
     found = CliRunner().invoke(app, ["scene", str(LAP), "--to", "5%", "--out", str(tmp_path)])

@@ -73,7 +73,8 @@ def run(
 
     Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run.
     One that fails is told as not measured, and the others are run. Under `mpirun -n N` each process takes whole
-    studies, the longest first; one that is longer than its share of them, or alone, is shared out over all.
+    studies, the longest first for which there is memory; one that is longer than its share of them, or alone, is shared
+    out over all.
     """
     workers = team()
     if pdf:

@@ -133,7 +133,11 @@ def shares(items: list[Item], six_sigma: pd.Series) -> pd.DataFrame:
     """What each source and their sum leave of the leading quantities' 6σ, as :class:`Tried` has it."""
     names = leading(six_sigma)
     tables = {item.source: item.table for item in items}
-    tables[ALL] = None if any(table is None for table in tables.values()) else total(items)
+    if any(table is None for table in tables.values()):
+        tables[ALL] = None
+    else:  # the sum of an error budget passes over what is not known; here nothing is known then
+        unknown = [table.loc[names].isna() for table in tables.values()]
+        tables[ALL] = total(items).loc[names].mask(np.logical_or.reduce(unknown))
     rows = {}
     for source, table in tables.items():
         if table is None:
@@ -208,8 +212,8 @@ def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
                 "and [[measurements]] or contact zones with friction"
             )
         items = estimate(case, folder, mark, team, SOURCES, say)
-        tried = Tried(setting, shares(items, six_sigma), prepared, each, samples)
-        tried = team.from_first(tried)  # times differ from rank to rank
+        # From the first, since times differ from rank to rank.
+        tried = team.from_first(Tried(setting, shares(items, six_sigma), prepared, each, samples))
         samples = tried.further(target)
         if team.rank == 0:
             more = f", not decided; {samples} samples next" if samples else ""
@@ -234,7 +238,9 @@ def advice(found: list[Tried], target: float) -> str:
             f"6σ to {target:.2g}: {given}: path, pairs and mesh leave {row['error']:.2g} ± {row['unsure']:.2g} of it "
             f"({row['quantity']}). {cost}"
         )
-    unknown = [source for source in SOURCES if not np.isfinite(last.errors.at[source, "error"])]
+    unknown = [
+        source for source in SOURCES if not np.isfinite(last.errors.loc[source, ["error", "unsure"]].sum(skipna=False))
+    ]
     if unknown:
         return f"6σ to {target:.2g}: not known, since {', '.join(unknown)} could not be estimated at {last.setting}."
     row, part = last.errors.loc[ALL], target / len(SOURCES)
