@@ -42,7 +42,7 @@ def coarse():
 
 
 def test_published_values_are_found():
-    assert coarse() <= {"punch-friction"}  # 1.3 % off what was published, on any mesh
+    assert not coarse()
 
 
 def test_what_friction_changes_below_the_punch_hangs_on_no_mesh():
@@ -54,7 +54,7 @@ def test_what_friction_changes_below_the_punch_hangs_on_no_mesh():
 PLANTED = {
     "friction halved": (
         lambda pairs, mu: (pairs, mu / 2),
-        {"shoe", "shoe-force", "plate", "cattaneo"},
+        {"shoe", "shoe-force", "plate", "cattaneo", "punch-friction"},
     ),
     "compliance a tenth too large": (
         lambda pairs, mu: (replace(pairs, S=1.1 * pairs.S), mu),
@@ -79,6 +79,11 @@ def test_limits_catch(error, monkeypatch):
     right = cases.followed
     monkeypatch.setattr(cases, "followed", lambda pairs, mu, *rest, **more: right(*change(pairs, mu), *rest, **more))
     assert caught <= coarse()
+
+
+def test_normals_of_the_punch_are_those_of_the_deformed_face(monkeypatch):
+    monkeypatch.setattr(cases, "TURNS", 1)  # as drawn
+    assert coarse() == {"punch-friction"}
 
 
 def test_errors_are_shares_and_tell_what_the_mesh_leaves():

@@ -168,7 +168,7 @@ class Pairs:
         return ContactSolver(S.reshape(3 * m, 3 * m), mu, semidefinite=True)
 
 
-def followed(pairs: Pairs, mu: float, legs, steered=None) -> tuple[np.ndarray, np.ndarray]:
+def followed(pairs: Pairs, mu: float, legs, steered=None, tolerance: float = PATH) -> tuple[np.ndarray, np.ndarray]:
     """Go through loads one after the other.
 
     Parameters
@@ -179,6 +179,8 @@ def followed(pairs: Pairs, mu: float, legs, steered=None) -> tuple[np.ndarray, n
         What loads add to b at the end of each leg, mm.
     steered : (q, s) array
         Steered loads at the end of each leg, N.
+    tolerance : float
+        Of the path with friction, as :class:`mic.contact.path.Followed` has it.
 
     Returns
     -------
@@ -195,7 +197,7 @@ def followed(pairs: Pairs, mu: float, legs, steered=None) -> tuple[np.ndarray, n
     solver = pairs.solver(mu, soft)
     given = np.zeros((len(legs), s)) if steered is None else np.asarray(steered, dtype=float)
     motion = np.zeros((len(legs), s))
-    path = Followed(tolerance=PATH) if mu else Increments(1)
+    path = Followed(tolerance=tolerance) if mu else Increments(1)
     for _ in range(2 if s else 1):
         b = np.zeros((1, len(legs) + 1, m, 3))
         b[0, 0, :, :2] = pairs.b.reshape(m, 2)

@@ -351,6 +351,6 @@ STUDY = Study(
         ),
     ),
     seconds=(310, 30),
-    memory=4.4,
+    memory=3.4,
     run=run,
 )

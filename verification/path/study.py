@@ -27,8 +27,9 @@ ROUNDING = 1e-6  # mm: errors below are neither estimated nor of use
 STEPS = (8, 16, 32, 64)
 #: A twenty-fifth of what production asks of a step, and less; and a tenth of that, which judges.
 TIGHT, TIGHTER = Followed(tolerance=1e-5, least=0.01), Followed(tolerance=1e-6, least=0.01)
-#: How far a step may err, mm: of the full solve's path, and of the reduced model's, in ever finer ones.
-FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 3e-14)
+#: How far a step may err, mm: of the full solve's path, and of the reduced model's, in ever finer ones. What is less
+#: than the rounding of a place, 1e-16 of some 100 mm, a hundred times over, would cut steps until they are rounding.
+FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 1e-12)
 QUICK_FULL, QUICK_REDUCED = (1e-4, 1e-6), (1e-8, 1e-10)
 STATED = (("increments", 3), ("one-step", None))  # paths that both routes go alike
 SEED = 303

@@ -112,16 +112,52 @@ def plate(divisions: int, friction: float = 1.0) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------------
 
 
-def _face_to_face(lower: Body, upper: Body, below, above, gap, held, loads=(), steered=(), read=()):
-    """Two bodies node by node, the second above the first; with what is `read` of the first, (nodes) along y."""
-    swap = np.arange(2 * len(below)).reshape(-1, 2)[:, ::-1].ravel()
-    own = lower.rows(below)[swap]
-    readings = lower.rows(read)[1::2]
-    a = lower.reduced(sp.vstack([own, readings]).tocsr(), held[0])
-    b = upper.reduced(upper.rows(above)[swap], held[1], loads, steered)
-    n = own.shape[0]
-    pairs = Pairs(a.H[:n, :n] + b.H, np.column_stack([gap, 0 * gap]).ravel(), b.G)
-    return pairs, -a.H[n:, :n]  # the forces act on the first the other way
+FINE = 1e-4  # of the path where what friction changes counts, of what is read a sixtieth: ten times it leaves 1e-3 of that
+TURNS = 4  # of the faces' normals; more change what friction does by less than 1e-4 of it
+
+
+def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction: float, chord: float, **path):
+    """Two bodies that meet node by node, the second pressed onto the first along y.
+
+    Displacements are small, but pairs turn with the faces: what they move along a face that lies at an angle closes or
+    opens it, of a rounded edge by a hundredth of its gap. Normals are those of the first's face as it lies under load,
+    found by repetition; what is open has that of the last pair that is closed.
+
+    Parameters
+    ----------
+    below, above : (n,) arrays
+        Nodes, from the axis outwards.
+    gap : (n,) array
+        Along y, mm.
+    held : two sequences of int
+        Freedoms that do not move.
+    top : (freedoms,) array
+        The load on the second, N.
+    friction : float
+    chord : float
+        Length over which a face's slope is taken, mm: from node to node it would answer to itself.
+    **path
+        Of :func:`verification.plane.followed`.
+
+    Returns
+    -------
+    force, motion : (n,) arrays
+        Normal forces, N, and what the first's nodes move along y, mm.
+    """
+    a = lower.reduced(lower.rows(below), held[0])
+    b = upper.reduced(upper.rows(above), held[1], steered=[top / top.sum()])
+    apart, x, angle = np.column_stack([0 * gap, gap]).ravel(), lower.nodes[below, 0], np.zeros(len(gap))
+    for _ in range(TURNS):
+        along, across = np.cos(angle), np.sin(angle)
+        turn = sp.block_diag([[[-s, c], [c, s]] for s, c in zip(across, along)]).tocsr()  # normal, then tangent
+        pairs = Pairs(turn @ (turn @ (a.H + b.H)).T, turn @ apart, turn @ b.G)
+        force, _ = followed(pairs, friction, [np.zeros(len(pairs.b))], [[top.sum()]], **path)
+        motion = -(a.H @ (turn.T @ force))[1::2]  # the forces act on the first the other way
+        last = np.flatnonzero(force[::2] > 0)[-1]
+        left, right = np.maximum(x - chord / 2, x[0]), np.minimum(x + chord / 2, x[-1])
+        slope = (np.interp(right, x, motion) - np.interp(left, x, motion)) / (right - left)
+        angle = np.arctan(np.append(slope[:last], np.full(len(x) - last, slope[last])))
+    return force[::2], motion
 
 
 def _axis(body: Body) -> np.ndarray:
@@ -170,16 +206,13 @@ class Roller:
         above = cylinder.along(lambda x, y: (x < reach[-1] + 1e-9) & (y < R / 2) & (abs(_round(x, R) - y) < h**2 / R))
         above = above[np.isin(np.round(cylinder.nodes[above, 0], 6), np.round(block.nodes[below, 0], 6))]
         top = np.zeros(2 * len(cylinder.nodes))
-        top[2 * np.argmax(cylinder.nodes[:, 1]) + 1] = 1.0
+        top[2 * np.argmax(cylinder.nodes[:, 1]) + 1] = -self.load
         fixed = block.along(lambda x, y: abs(y + 200.0) < 1e-9)
         held = [*_axis(block), *(2 * fixed), *(2 * fixed + 1)], _axis(cylinder)
-        pairs, read = _face_to_face(
-            block, cylinder, below, above, _round(block.nodes[below, 0], R), held, steered=[top], read=below[:1]
-        )
-        force, _ = followed(pairs, friction, [np.zeros(len(pairs.b))], [[-self.load]])
-        x, f = block.nodes[below, 0], force[::2]
+        x = block.nodes[below, 0]
+        f, motion = _squeezed(block, cylinder, below, above, _round(x, R), held, top, friction, 0.5)
         a = 2 * np.sqrt((f * x**2).sum() / f.sum())
-        return float((read @ force)[0]), a, 2 * 2 * self.load / (np.pi * a)
+        return float(motion[0]), a, 2 * 2 * self.load / (np.pi * a)
 
 
 def _round(x, R):
@@ -216,12 +249,15 @@ class Punch:
         mm.
     least : float
         Share of the size at the contact's end.
+    chord : float
+        Length over which a face's slope is taken, mm: a seventh of what touches of the rounded edge.
     """
 
     size: float
     end: float = 40.4
     width: float = 7.0
     least: float = 1 / 256
+    chord: float = 0.06
 
     def _spacing(self, x):
         return self.size * np.clip(abs(x - self.end) / self.width, self.least, 1.0)
@@ -245,15 +281,13 @@ class Punch:
         above = punch.along(
             lambda x, y: (y < 5.0) & (x < reach[-1] + 1e-9) & (abs(np.interp(x, reach, curve) - y) < 1e-9)
         )
-        top = punch.pressed(punch.along(lambda x, y: abs(y - 100.0) < 1e-9), (0.0, 1.0))
-        area = top.sum()
+        top = punch.pressed(punch.along(lambda x, y: abs(y - 100.0) < 1e-9), (0.0, -100.0))
         fixed = cylinder.along(lambda x, y: abs(y + 200.0) < 1e-9)
         held = [*_axis(cylinder), *(2 * fixed), *(2 * fixed + 1)], _axis(punch)
         x = cylinder.nodes[below, 0]
         gap = np.where(x > flat, fillet - np.sqrt(np.maximum(fillet**2 - (x - flat) ** 2, 0)), 0.0)
-        pairs, read = _face_to_face(cylinder, punch, below, above, gap, held, steered=[top / area], read=below[:1])
-        force, _ = followed(pairs, friction, [np.zeros(len(pairs.b))], [[-100.0 * area]])
-        return float((read @ force)[0])
+        known = cylinder, punch, below, above, gap, held, top, friction, self.chord
+        return float(_squeezed(*known, tolerance=FINE)[1][0])
 
 
 # --- Cattaneo and Mindlin: two cylinders, pressed and sheared

@@ -504,6 +504,6 @@ STUDY = Study(
         ),
     ),
     seconds=(900, 60),
-    memory=4.6,
+    memory=4.5,
     run=run,
 )

@@ -95,11 +95,9 @@ class ScaledProblem:
         smallest, largest = eigenvalues[0], eigenvalues[-1]
         rho = np.sqrt(max(smallest, 1e-6 * largest) * largest)
         invertible = SPLITTING["invertible"] * smallest > largest
-        return (
-            np.ascontiguousarray(inv(self.W)) if invertible else np.empty((0, 0)),
-            np.ascontiguousarray(inv(self.W + rho * np.eye(len(self.W)))),
-            rho,
-        )
+        shifted = self.W.copy()
+        shifted[np.diag_indices(len(shifted))] += rho
+        return _inverse(self.W.copy()) if invertible else np.empty((0, 0)), _inverse(shifted), rho
 
     def error(self, q: np.ndarray, y: np.ndarray) -> float:
         """The certificate of one scaled force, :func:`mic.contact.certificate.certify`."""
@@ -127,6 +125,11 @@ class ScaledProblem:
         """The same contacts with ``W + α I``."""
         W = self.W + alpha * np.eye(len(self.W))
         return replace(self, W=W, factors=None if self.factors is None else local_factors(W))
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """In its place: of thousands of contacts one more array of its size would be most of what the process holds."""
+    return inv(matrix.T, overwrite_a=True, check_finite=False).T  # LAPACK takes columns
 
 
 def inverse_root(diagonal: np.ndarray) -> np.ndarray:
