@@ -351,6 +351,6 @@ STUDY = Study(
         ),
     ),
     seconds=(310, 30),
-    memory=3.4,
+    memory=3.8,
     run=run,
 )

@@ -310,8 +310,8 @@ STUDY = Study(
         Acceptance(
             "growth",
             (
-                "Smaller deviations leave smaller differences, at first order or better: lowest observed order of those "
-                "of key characteristics, in mm, up to there."
+                "Smaller deviations leave smaller differences, at first order or better: lowest observed order of "
+                "those of key characteristics, in mm, up to there."
             ),
             0.8,
             bound="at least",

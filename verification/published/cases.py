@@ -112,7 +112,8 @@ def plate(divisions: int, friction: float = 1.0) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------------
 
 
-FINE = 1e-4  # of the path where what friction changes counts, of what is read a sixtieth: ten times it leaves 1e-3 of that
+#: Of the path where what friction changes counts, a sixtieth of what is read: ten times it leaves 1e-3 of that.
+FINE = 1e-4
 TURNS = 4  # of the faces' normals; more change what friction does by less than 1e-4 of it
 
 

@@ -27,7 +27,7 @@ __all__ = ["FINEST", "FOLDER", "LEVELS", "TOLERANCES", "Case", "Quantity", "case
 FOLDER = Path(__file__).parent / "cases"
 LEVELS = ("coarse", "medium", "fine")  # each 1.5 times finer than the one before
 FINEST = "finest"  # and once more: a judge of the three
-#: Of the path: what tells its error, and what the values are computed with. Scenes ask for 2.5e-4 by default, with which
+#: Of the path: what tells its error, and what the values are computed with. Scenes ask for 2.5e-4 by default: with that
 #: single works are off by a few thousandths, and come out otherwise as soon as the last digit of anything differs.
 TOLERANCES = (2.5e-6, 2.5e-7)
 

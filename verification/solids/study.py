@@ -276,7 +276,7 @@ STUDY = Study(
         ),
     ),
     seconds=(330, 100),
-    memory=4.5,
+    memory=4.0,
     run=run,
     missing=lambda: "" if available() else "ccx is not installed: apt-get install calculix-ccx",
 )
