@@ -1,6 +1,6 @@
 """A case's values with their uncertainty, from meshes of three sizes and paths of two tolerances.
 
-    U = max(index, half the range of the three values, least) + |v(2.5e-6) − v(2.5e-7)|
+    U = max(index, half the range of the three values, least) + |v(1e-5) − v(1e-6)|
 
 The index is that of :func:`verification.mesh.study.converge`: Celik's procedure, with the observed order where values
 are monotone and three times the last difference where they are not. Half the range holds where two meshes agree by
