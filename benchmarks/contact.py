@@ -8,7 +8,8 @@ Everything runs in this one process, single-threaded first, timed by the process
 all cores, by the wall's.  At the end stand the bars, with what commit bf8188e reached.  Residuals are the
 scale-free certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the
 associated law; preparation that is done once per S is not timed for anybody.  Peers that are not installed are skipped
-by name.
+by name; below the table stands which releases were measured.  Another build of Siconos is taken where PYTHONPATH names
+its folder.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from __future__ import annotations
 import argparse
 import csv
 import os
+import subprocess
 import time
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import numpy as np
@@ -324,8 +327,25 @@ def bars(rows, slope):
     return table
 
 
+def releases() -> str:
+    """Of the peers, by their own word; and Debian's where a package of it is measured, whose Siconos 4.4.0 calls itself
+    4.5.0."""
+    told = []
+    for name in ("siconos", "cvxpy", "ecos", "clarabel", "scs"):
+        try:
+            found = distribution(name)
+        except PackageNotFoundError:
+            told.append(f"{name} not installed")
+            continue
+        told.append(f"{name} {found.version}")
+        if Path(str(found.locate_file(""))) == Path("/usr/lib/python3/dist-packages"):
+            asked = ["dpkg-query", "-W", "-f", "${Version}", f"python3-{name}"]
+            told[-1] += f" (Debian's {subprocess.run(asked, capture_output=True, text=True).stdout})"
+    return ", ".join(told)
+
+
 def show(rows, console):
-    table = Table(title="Contact solvers, milliseconds per sample")
+    table = Table(title="Contact solvers, milliseconds per sample", caption=releases())
     for column in COLUMNS:
         table.add_column(column.replace("_", " "), justify="left" if column in ("case", "solver", "law") else "right")
     for row in rows:
