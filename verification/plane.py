@@ -26,7 +26,7 @@ from fem_reference.shell import compat
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
 
-__all__ = ["Body", "Pairs", "Reduced", "followed", "graded", "rectangle"]
+__all__ = ["PATH", "Body", "Pairs", "Reduced", "followed", "graded", "rectangle"]
 
 PATH = 1e-3  # of the follower; a tenth of it moves no figure of the study by more than 2e-5
 SOFT = 1e-4  # stiffness of the spring that stands in for a load, over that of the contacts

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from verification.plane import Body, Pairs, followed, graded, rectangle
+from verification.plane import PATH, Body, Pairs, followed, graded, rectangle
 
 __all__ = ["Punch", "Roller", "cattaneo", "plate", "shoe"]
 
@@ -117,7 +117,7 @@ FINE = 1e-4
 TURNS = 4  # of the faces' normals; more change what friction does by less than 1e-4 of it
 
 
-def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction: float, chord: float, **path):
+def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction, chord, tolerance=PATH):
     """Two bodies that meet node by node, the second pressed onto the first along y.
 
     Displacements are small, but pairs turn with the faces: what they move along a face that lies at an angle closes or
@@ -137,8 +137,8 @@ def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction: 
     friction : float
     chord : float
         Length over which a face's slope is taken, mm: from node to node it would answer to itself.
-    **path
-        Of :func:`verification.plane.followed`.
+    tolerance : float
+        As :func:`verification.plane.followed` has it.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction: 
         along, across = np.cos(angle), np.sin(angle)
         turn = sp.block_diag([[[-s, c], [c, s]] for s, c in zip(across, along)]).tocsr()  # normal, then tangent
         pairs = Pairs(turn @ (turn @ (a.H + b.H)).T, turn @ apart, turn @ b.G)
-        force, _ = followed(pairs, friction, [np.zeros(len(pairs.b))], [[top.sum()]], **path)
+        force, _ = followed(pairs, friction, [np.zeros(len(pairs.b))], [[top.sum()]], tolerance)
         motion = -(a.H @ (turn.T @ force))[1::2]  # the forces act on the first the other way
         last = np.flatnonzero(force[::2] > 0)[-1]
         left, right = np.maximum(x - chord / 2, x[0]), np.minimum(x + chord / 2, x[-1])
@@ -287,8 +287,8 @@ class Punch:
         held = [*_axis(cylinder), *(2 * fixed), *(2 * fixed + 1)], _axis(punch)
         x = cylinder.nodes[below, 0]
         gap = np.where(x > flat, fillet - np.sqrt(np.maximum(fillet**2 - (x - flat) ** 2, 0)), 0.0)
-        known = cylinder, punch, below, above, gap, held, top, friction, self.chord
-        return float(_squeezed(*known, tolerance=FINE)[1][0])
+        _, motion = _squeezed(cylinder, punch, below, above, gap, held, top, friction, self.chord, FINE)
+        return float(motion[0])
 
 
 # --- Cattaneo and Mindlin: two cylinders, pressed and sheared
