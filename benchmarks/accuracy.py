@@ -16,7 +16,7 @@ from support.curved import CROWN, curved_assembly, held_compliance, mesh_of
 
 from mic import cache_folder
 from mic.compliance.cache import influence_coefficients
-from mic.model.accuracy import estimate_accuracy
+from mic.model.mesh_accuracy import estimate_accuracy
 from mic.process.model import ReducedModel
 
 #: Height over x and y, mm

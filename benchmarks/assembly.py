@@ -23,7 +23,7 @@ from rich.table import Table
 
 import mic
 from mic.process.stage import PreparedStage
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.scenes import going
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -18,7 +18,7 @@ import numpy as np
 
 import mic
 from mic.process.model import ReducedModel
-from mic.sampling.normal import from_normal
+from mic.statistics.normal_space import from_normal
 from mic.studies.explanation import posterior, with_friction
 
 

@@ -26,15 +26,15 @@ from rich.table import Table
 
 import mic
 from mic.compliance.cache import influence_coefficients
+from mic.execution.monte_carlo import blocks
 from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.report.page import write_report
-from mic.results.folder import Block, RunFolder, versions
-from mic.results.identity import identity, inputs
+from mic.results.run_folder import Block, RunFolder, versions
+from mic.results.run_identity import identity, inputs
 from mic.runs import conclude, sample_into, write_evaluation
-from mic.sampling.draw import draw
-from mic.sampling.montecarlo import blocks
+from mic.statistics.draw import draw
 
 LAW = "coulomb"
 DISTINCT = 5000  # samples that are evaluated, and repeated

@@ -22,7 +22,7 @@ import mic
 from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.scenes import going
 
 ROOT = Path(__file__).resolve().parents[1]

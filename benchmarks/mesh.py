@@ -20,7 +20,7 @@ from mic import cache_folder
 from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.mesh.study import same_points
 from verification.path.study import slips
 from verification.scenes import going, shipped

@@ -16,9 +16,9 @@ import numpy as np
 import mic
 from mic import examples
 from mic.studies.optimisation.design import Space
+from mic.studies.optimisation.evaluations import Spent, Trials
 from mic.studies.optimisation.optimum import judged, optimise
 from mic.studies.optimisation.search import random_design
-from mic.studies.optimisation.trials import Spent, Trials
 
 
 def by_chance(trials: Trials, stream: np.random.Generator):

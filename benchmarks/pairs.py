@@ -30,8 +30,8 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.contact import ContactSolver, laws
 from mic.contact.friction import Friction
-from mic.contact.watched import WatchedSolver
-from mic.product import one_thread
+from mic.contact.working_set import WatchedSolver
+from mic.system.matrix_product import one_thread
 
 CASES = ["2,102", "2,300", "2,1002", "20,1000"]
 BEFORE = {(2, 102): 0.42, (2, 300): 16.6, (2, 1002): 1707.0, (5, 3000): 582.0}  # ms a sample, by parts and pairs

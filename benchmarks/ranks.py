@@ -26,8 +26,8 @@ from rich.console import Console
 from rich.table import Table
 
 import mic
-from mic.sampling.montecarlo import BLOCK
-from mic.sampling.ranks import communicator, leave
+from mic.execution.monte_carlo import BLOCK
+from mic.execution.ranks import communicator, leave
 
 ROOT = Path(__file__).resolve().parents[1]
 LAW = "coulomb"

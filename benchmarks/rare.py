@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import mic
-from mic.results.statistics import share
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
+from mic.statistics.estimates import share
 from mic.studies.rare import rare
 
 HERE = Path(__file__).resolve().parents[1]

@@ -111,7 +111,7 @@ def starts(environment: dict[str, str], scene: Path) -> Table:
 def spent(arguments: argparse.Namespace) -> dict[str, float]:
     """Seconds of processor time of each phase of one run."""
     from mic import cache_folder, load_scene, runs
-    from mic.commands.call import requested
+    from mic.commands.invocation import requested
     from mic.commands.run import Drawing
     from mic.report.page import write_report
     from verification.scenes import going

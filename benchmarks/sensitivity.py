@@ -24,8 +24,8 @@ from rich.table import Table
 
 import mic
 from mic.process.sensitivity import known_inputs, sensitivities
-from mic.product import one_thread
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
+from mic.system.matrix_product import one_thread
 from verification.scenes import few, folder
 
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")

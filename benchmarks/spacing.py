@@ -30,7 +30,7 @@ from mic.errors import SceneError
 from mic.model.assembly import assemble
 from mic.model.nuggets import nuggets
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = [ROOT / "meshes" / name for name in ("lap_joint", "hat_on_plate", "wheelhouse/watched.toml")]

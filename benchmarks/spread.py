@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import mic
-from mic.results.regression import Regression
-from mic.results.slope_regression import by_slopes
-from mic.sampling.draw import draw
+from mic.statistics.derivative_regression import by_slopes
+from mic.statistics.draw import draw
+from mic.statistics.regression import Regression
 from mic.studies.adjustment import adjustments, extended
 
 HERE = Path(__file__).resolve().parents[1]

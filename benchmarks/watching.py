@@ -25,7 +25,7 @@ from rich.table import Table
 
 import mic
 from mic.process.process import Process
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.scenes import going
 
 ROOT = Path(__file__).resolve().parents[1]

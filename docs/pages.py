@@ -60,7 +60,7 @@ def api() -> dict[str, str]:
 
 def functions() -> dict[str, str]:
     """Each command, the function of the same name, what it returns, and what is drawn of that."""
-    mic, shown = importlib.import_module("mic"), importlib.import_module("mic.report.shown").SHOWN
+    mic, shown = importlib.import_module("mic"), importlib.import_module("mic.report.study_pictures").SHOWN
     drawn = {one.command: one for one in shown}
     commands = importlib.import_module("mic.options").app.registered_commands
     lines = [

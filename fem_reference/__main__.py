@@ -13,7 +13,7 @@ from mpi4py import MPI
 import mic
 from fem_reference.full.model import LAWS, ContactFailure, FullModel
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 
 def main() -> int:

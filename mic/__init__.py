@@ -7,7 +7,7 @@
 
 Each command is a function of the same name here, from a scene or model to tables and figures as data:
 ``mic.explain(model, measured, gauge)`` is ``mic explain``. ``mic report`` is :func:`mic.report.write_report`; pictures
-of what the functions return are drawn by ``mic.report.pictures`` (:mod:`mic.report.shown`).
+of what the functions return are drawn by ``mic.report.pictures`` (:mod:`mic.report.study_pictures`).
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mic.blas import choose_kernels
 from mic.errors import FormatError, MicError, MissingProvider, RunError, SceneError, StorageError
+from mic.system import renamed_modules
+from mic.system.blas import choose_kernels
 
 choose_kernels()  # before anything here imports numpy
+renamed_modules.install()
 
 if TYPE_CHECKING:
-    from mic.judgement import Warned
+    from mic.plausibility import Warned
     from mic.process.model import ReducedModel
-    from mic.proposal import write_scene as init
     from mic.runs import read_run, run
     from mic.scene import Scene, load_scene
     from mic.studies.comparison import compare
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from mic.studies.rare import rare
     from mic.studies.remedy import remedies as remedy
     from mic.studies.sensitivity import effects as sensitivity
+    from mic.wizard import write_scene as init
 
 __all__ = [
     "FormatError",
@@ -128,7 +130,7 @@ def check(scene: Scene, cache: Path | None = None) -> tuple[Warned, ...]:
 
     Returns
     -------
-    tuple of mic.judgement.Warned
+    tuple of mic.plausibility.Warned
         In the order of the rules; none where nothing is unusual.
 
     Raises
@@ -136,8 +138,8 @@ def check(scene: Scene, cache: Path | None = None) -> tuple[Warned, ...]:
     SceneError
         If the scene cannot be built, naming the key and the remedy.
     """
-    from mic.judgement import judge
     from mic.model.assembly import assemble
+    from mic.plausibility import judge
     from mic.process.plan import plan_assembly
 
     assembly = assemble(scene, cache or cache_folder(), check=plan_assembly)
@@ -154,7 +156,7 @@ _HOMES = {
     "explain": ("mic.studies.explanation", "explain"),
     "explore": ("mic.studies.exploration", "explore"),
     "friction": ("mic.studies.friction", "friction_effects"),
-    "init": ("mic.proposal", "write_scene"),
+    "init": ("mic.wizard", "write_scene"),
     "load_scene": ("mic.scene", "load_scene"),
     "optimise": ("mic.studies.optimisation", "optimise"),
     "order": ("mic.studies.order", "order"),

@@ -27,8 +27,8 @@ def main() -> NoReturn:
     _on_signals(_leave_at_once)
     gc.set_threshold(GARBAGE, *gc.get_threshold()[1:])  # modules stay: to search them was a tenth of a short command
     from mic import options  # slow to import, and stopped as any other moment is
-    from mic.console import sentence
-    from mic.sampling.ranks import communicator, leave, others_silent
+    from mic.execution.ranks import communicator, leave, others_silent
+    from mic.system.console import sentence
 
     logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
     world, status, words = None, 0, ""

@@ -16,32 +16,32 @@ import pandas as pd
 
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import SceneError
-from mic.geometry.told import mended
-from mic.judgement import judge, readable, refuse, suspect
-from mic.model.accuracy import estimate_accuracy
+from mic.execution.monte_carlo import blocks, monte_carlo
+from mic.execution.ranks import communicator, on_first, shared
+from mic.geometry.mesh_summary import mended
 from mic.model.assembly import Assembly, assemble
+from mic.model.mesh_accuracy import estimate_accuracy
 from mic.model.overlap import frozen_gaps
+from mic.plausibility import judge, readable, refuse, suspect
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
-from mic.results.accuracy import write_accuracy
-from mic.results.condensed import Condensed
-from mic.results.digest import BlockSamples
+from mic.results.block_statistics import BlockSamples
+from mic.results.contact_sums import Sums
+from mic.results.cost_estimate import duration, forecast
 from mic.results.fields import write_fields
-from mic.results.folder import Block, RunFolder, keeps, versions
-from mic.results.forecast import duration, forecast
-from mic.results.identity import identity, inputs
-from mic.results.lock import locked
+from mic.results.low_rank_forces import Condensed
+from mic.results.mesh_error import write_accuracy
 from mic.results.outcome import Outcome, Written, read_outcome
+from mic.results.run_folder import Block, RunFolder, keeps, versions
+from mic.results.run_identity import identity, inputs
+from mic.results.sample_tables import tables
 from mic.results.schema import CONTACTS
 from mic.results.summary import write_path_study, write_summary, write_tables
-from mic.results.sums import Sums
-from mic.results.tables import tables
-from mic.sampling.montecarlo import blocks, monte_carlo
-from mic.sampling.ranks import communicator, on_first, shared
 from mic.scene import Scene
-from mic.store import clean
+from mic.system.files import clean
+from mic.system.lock import locked
 
 __all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
 
@@ -86,7 +86,7 @@ def run(
     replace : bool
         Whether results of another run in the folder may be removed.
     strict : bool
-        Whether a scene that :mod:`mic.judgement` warns of is refused.
+        Whether a scene that :mod:`mic.plausibility` warns of is refused.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def sample_into(
 ) -> dict[str, int]:
     """The Monte Carlo of a reduced model into a results folder, without statistics; under MPI a collective call.
 
-    Finished samples of the same run (:mod:`mic.results.identity`) that the folder holds already are kept, also those
+    Finished samples of the same run (:mod:`mic.results.run_identity`) that the folder holds already are kept, also those
     that lie beyond the samples asked for or under other laws; a folder of another run is refused.
 
     Parameters
@@ -318,7 +318,7 @@ def write_evaluation(
 
 @contextmanager
 def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
-    """Hold the lock of a results folder (:mod:`mic.results.lock`); under MPI the first process does, for all.
+    """Hold the lock of a results folder (:mod:`mic.system.lock`); under MPI the first process does, for all.
 
     Raises
     ------

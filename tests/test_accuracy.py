@@ -10,11 +10,11 @@ import mic
 from mic.compliance import provider
 from mic.compliance.cache import influence_coefficients
 from mic.errors import SceneError
-from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.model.mesh_accuracy import estimate_accuracy
 from mic.options import app
 from mic.process.model import ReducedModel
-from mic.results.accuracy import accuracy_table, read_accuracy
+from mic.results.mesh_error import accuracy_table, read_accuracy
 from mic.results.schema import ACCURACY
 
 pytestmark = pytest.mark.fem
@@ -119,7 +119,7 @@ def test_a_part_that_states_an_accuracy_gets_a_mesh_that_reaches_it(tmp_path, ca
 
 def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
     first = curved_assembly(tmp_path, cache, accuracy=0.03)
-    monkeypatch.setattr("mic.model.meshing.estimate_accuracy", lambda *arguments: pytest.fail("estimated again"))
+    monkeypatch.setattr("mic.model.element_sizes.estimate_accuracy", lambda *arguments: pytest.fail("estimated again"))
     again = curved_assembly(tmp_path, cache, accuracy=0.03)
     assert again.sizes == first.sizes and again.parts[0].fingerprint() == first.parts[0].fingerprint()
     with pytest.raises(pytest.fail.Exception):
@@ -136,7 +136,7 @@ FREED = '[[stages]]\nkind = "release"\nkeep = []\n\n[[stages]]\nkind = "measure"
 
 
 def test_a_process_that_cannot_be_is_told_before_a_part_is_solved_for_its_accuracy(tmp_path, cache, monkeypatch):
-    monkeypatch.setattr("mic.model.meshing.estimate_accuracy", lambda *arguments: pytest.fail("solved"))
+    monkeypatch.setattr("mic.model.element_sizes.estimate_accuracy", lambda *arguments: pytest.fail("solved"))
     curved_scene(tmp_path, accuracy=0.01)
     text = (tmp_path / "scene.toml").read_text()
     (tmp_path / "scene.toml").write_text(text.replace('[[stages]]\nkind = "measure"', FREED))

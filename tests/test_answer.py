@@ -10,9 +10,9 @@ from support.runs import fail
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.report.answer import answer
 from mic.report.style import change
-from mic.results.budget import error_budget, whole_yield
+from mic.report.verdict import answer
+from mic.results.error_sources import error_budget, whole_yield
 from mic.results.outcome import read_outcome
 from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, REMEDIES
 from mic.runs import run

@@ -11,7 +11,7 @@ from mic import examples
 from mic.options import app
 from mic.results.schema import COMPARISON, OPTIMA
 from mic.studies.optimisation import BUDGET, FRESH
-from mic.studies.optimisation.words import asked
+from mic.studies.optimisation.description import asked
 
 PLACES = [[float(i), 0.0, 0.0] for i in range(1, 9)]
 WHOLE = {

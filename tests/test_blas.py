@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mic import blas
+from mic.system import blas
 
 AVX2 = {"sse2", "avx2", "fma"}
 AVX512 = AVX2 | {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}

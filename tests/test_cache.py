@@ -7,8 +7,8 @@ import stat
 import numpy as np
 import pytest
 
-from mic.cache import ABSENT, Cache
-from mic.store import Format, save_arrays
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format, save_arrays
 
 THING = Format("thing", 1, ABSENT)
 H = np.arange(6.0).reshape(2, 3)

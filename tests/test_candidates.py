@@ -15,7 +15,7 @@ from mic.errors import SceneError
 from mic.model.assembly import assemble
 from mic.options import app
 from mic.process.model import ReducedModel
-from mic.studies.density import DENSER, denser
+from mic.studies.pair_convergence import DENSER, denser
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 

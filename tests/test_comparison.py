@@ -13,8 +13,8 @@ from mic.errors import RunError, SceneError
 from mic.options import app
 from mic.report.comparison_page import sentences
 from mic.results.field_changes import field_changes
-from mic.results.paired import centred_capability_change, mean_change, share_change, six_sigma_change
 from mic.results.schema import COMPARISON
+from mic.statistics.paired_differences import centred_capability_change, mean_change, share_change, six_sigma_change
 from mic.studies.comparison import compare, scene_differences
 
 MU, LIFT, PULL = 0.3, 0.4, 2.0

@@ -4,8 +4,8 @@ import os
 import subprocess
 import sys
 
-from mic.compiling import WORDS
 from mic.contact.laws import LAWS
+from mic.system.compilation import WORDS
 
 EVALUATE = """
 import sys

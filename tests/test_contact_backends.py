@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mic.contact import Status, solve
-from mic.contact.comparison import compare_laws, summarise
-from mic.contact.problems import compliant, slip_dominated
+from mic.contact.benchmark_problems import compliant, slip_dominated
+from mic.contact.law_comparison import compare_laws, summarise
 
 
 @pytest.fixture(scope="module")

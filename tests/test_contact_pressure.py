@@ -6,12 +6,12 @@ from scipy.optimize import brentq
 
 from mic.contact import ContactSolver, certify, ladder, solve
 from mic.contact.backends import BACKENDS
+from mic.contact.benchmark_problems import compliant, slip_dominated
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, PRESSURE_DEPENDENT
 from mic.contact.laws.pressure_dependent import power, rescaled, table
 from mic.contact.native import patience
 from mic.contact.native.solver import NativeSolver
-from mic.contact.problems import compliant, slip_dominated
 
 POINTS = [(0.5, 0.5), (1.0, 0.4), (2.0, 0.3), (5.0, 0.25)]
 FUNCTIONS = {

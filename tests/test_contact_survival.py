@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, Status, certify, ladder, solve
-from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
-from mic.contact.native import kernels, patience
-from mic.contact.native.solver import NativeSolver
-from mic.contact.problems import (
+from mic.contact.benchmark_problems import (
     arch,
     box_stack,
     brick_wall,
@@ -26,6 +23,9 @@ from mic.contact.problems import (
     slip_dominated,
     sphere_pile,
 )
+from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
+from mic.contact.native import kernels, patience
+from mic.contact.native.solver import NativeSolver
 from mic.contact.states import OPEN, STICK
 
 FRICTION = [0.0, 1e-12, 0.27, 1.0, 5.0, 1e3]

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from mic.contact import ContactSolver, laws
-from mic.contact import watched as watching
-from mic.contact.columns import Columns
+from mic.contact import working_set as watching
+from mic.contact.benchmark_problems import compliant
+from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.native import landing
 from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
-from mic.contact.problems import compliant
 from mic.contact.states import OPEN
-from mic.contact.watched import PENETRATION, Foreseen, WatchedSolver
+from mic.contact.working_set import PENETRATION, Foreseen, WatchedSolver
 
 M, N = 60, 12
 
@@ -98,7 +98,7 @@ def test_what_touches_on_the_way_alone_takes_part(path):
 
 def test_how_many_are_followed_together_changes_nothing(problem, monkeypatch):
     together = followed(watched(problem), problem[2], Followed())
-    monkeypatch.setattr("mic.contact.watched.TOGETHER", 1)
+    monkeypatch.setattr("mic.contact.working_set.TOGETHER", 1)
     alone = followed(watched(problem), problem[2], Followed())
     np.testing.assert_allclose(alone.displacement, together.displacement, atol=1e-9)
     np.testing.assert_allclose(alone.trace.work, together.trace.work, atol=1e-9)
@@ -360,8 +360,8 @@ def test_columns_that_are_passed_on_are_kept_where_they_go_and_found_once():
 
 def crowd(monkeypatch):
     """So few candidates and contacts are many from here on."""
-    monkeypatch.setattr("mic.contact.watched.CROWD", 10)
-    monkeypatch.setattr("mic.contact.watched.MANY", 5)
+    monkeypatch.setattr("mic.contact.working_set.CROWD", 10)
+    monkeypatch.setattr("mic.contact.working_set.MANY", 5)
 
 
 @pytest.mark.parametrize("path", [Increments(1), Followed(1e-5)], ids=["at once", "followed"])

@@ -11,11 +11,11 @@ from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.report.drivers import linear_words, named
+from mic.report.driver_sentences import linear_words, named
 from mic.results.schema import CONTRIBUTORS, LINEARITY
-from mic.results.sobol import Linear, sobol
+from mic.statistics.sobol_indices import Linear, sobol
 from mic.studies.contributors import contributors, groups, joint_ranking
-from mic.studies.screening import bounds, left_out
+from mic.studies.input_screening import bounds, left_out
 
 
 def nothing_linear(inputs, samples, outputs=1):

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from mic.errors import FormatError
 from mic.geometry import readers
-from mic.geometry.readers import READERS, program, read_mesh
+from mic.geometry.readers import READERS, gmsh_program, read_mesh
 from mic.scene.part import Part
 
 DYNA = """$# LS-DYNA
@@ -240,7 +240,7 @@ def test_a_mesher_that_hangs_is_stopped(tmp_path, monkeypatch):
     hanging.write_text(f"#!{sys.executable}\n# python\nimport time\ntime.sleep(60)\n")
     hanging.chmod(0o755)
     monkeypatch.setattr("shutil.which", lambda *args, **keys: str(hanging))
-    monkeypatch.setattr(program, "LIMIT", 0.5)
+    monkeypatch.setattr(gmsh_program, "LIMIT", 0.5)
     started = time.monotonic()
     with pytest.raises(FormatError, match=r"gmsh took more than 0\.5 s"):
         read_mesh(written(tmp_path, "ISO-10303-21;\n", "a.step"), size=1.0)

@@ -8,8 +8,8 @@ from support.runs import Heard
 
 import mic
 from mic.errors import SceneError
-from mic.results.folder import RunFolder
 from mic.results.outcome import read_outcome
+from mic.results.run_folder import RunFolder
 from mic.runs import sample_into
 
 LAWS = ["frictionless"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
-from mic.studies.emulator import Emulator
+from mic.statistics.emulator import Emulator
 
 
 @pytest.fixture

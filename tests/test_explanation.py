@@ -13,7 +13,7 @@ from mic.errors import SceneError
 from mic.options import app
 from mic.report.explanation_page import sentences
 from mic.results.schema import EXPLANATION, FURTHER
-from mic.sampling.normal import from_normal, normal_slopes
+from mic.statistics.normal_space import from_normal, normal_slopes
 from mic.studies.explanation import explain, posterior
 
 SIGMA, GAUGE = 0.1, 0.002

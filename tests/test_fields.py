@@ -8,13 +8,13 @@ import mic
 from mic.compliance import provider
 from mic.errors import FormatError, MissingProvider
 from mic.model.assembly import assemble
-from mic.results.condensed import Condensed, Condenser
 from mic.results.fields import compute_fields, low_rank, read_fields, write_fields
-from mic.results.folder import RunFolder
+from mic.results.low_rank_forces import Condensed, Condenser
 from mic.results.outcome import read_outcome
+from mic.results.run_folder import RunFolder
 from mic.runs import sample_into
-from mic.sampling.draw import draw
 from mic.scene import Scene
+from mic.statistics.draw import draw
 
 SAMPLES, SEED = 25, 3
 LAWS = ["coulomb", "frictionless"]

@@ -18,7 +18,7 @@ from mic.model.reduction import Reduction
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.stiffness import coefficients, most, wanted
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.comparison import difference, reduced_and_assembly
 from verification.stiffness import DeviatedStiffness
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import mic
 from mic.options import app
-from mic.report.drivers import friction_words
+from mic.report.driver_sentences import friction_words
 from mic.results.schema import FRICTION_EFFECTS
 from mic.studies.friction import friction_effects, friction_needed, scaled
 
@@ -48,7 +48,7 @@ def effects(dragged):
 def test_changes_are_those_by_hand(dragged, effects):
     """The drag, and with it mean and 6σ, goes as μ of the zone above; the zone below never touches."""
     FRICTION_EFFECTS.check(effects, "memory", "mend it")
-    lift = mic.sampling.draw.draw(dragged.scene, 2, 0, 30)[:, 0] / 2
+    lift = mic.statistics.draw.draw(dragged.scene, 2, 0, 30)[:, 0] / 2
     for row in effects.to_dict("records"):
         change = 0.0 if row["zone"] == "below" else row["factor"] - 1
         assert row["mean_change"] == pytest.approx(change * MU * lift.mean() / 4, abs=1e-9)
@@ -82,7 +82,7 @@ def test_friction_that_varies_is_scaled_with_its_mean(dragged):
     none = np.zeros((dragged.compliance.size, 3))
     varied = replace(dragged, scene=scene, shape=none, shape_forces=none)
     found = friction_effects(varied, "coulomb", 20, seed=2)
-    mean = varied.process("coulomb").evaluate(mic.sampling.draw.draw(scene, 2, 0, 20)).measurements.mean()
+    mean = varied.process("coulomb").evaluate(mic.statistics.draw.draw(scene, 2, 0, 20)).measurements.mean()
     own = found[found["zone"] == ""].set_index("factor")
     assert (own["samples"] == 20).all()  # none has less than no friction
     np.testing.assert_allclose(own["mean_change"], [-mean, -mean / 2, mean], rtol=1e-8)

@@ -14,8 +14,8 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.options import app
-from mic.sampling.draw import draw
 from mic.scene.load import read_table
+from mic.statistics.draw import draw
 
 pytestmark = pytest.mark.fem
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint" / "scene.toml"

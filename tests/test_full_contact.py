@@ -12,12 +12,12 @@ from fem_reference.full import equilibrium
 from fem_reference.full.equilibrium import NoConvergence
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.compliance.cache import influence_coefficients
-from mic.contact.watched import PENETRATION
+from mic.contact.working_set import PENETRATION
 from mic.model.assembly import assemble
-from mic.model.deviated import deviated_parts, opening
+from mic.model.deviated_geometry import deviated_parts, opening
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.scenes import few
 
 pytestmark = pytest.mark.fem
@@ -436,7 +436,7 @@ from mpi4py import MPI
 import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.scenes import few
 
 scene = few(mic.load_scene(sys.argv[1]))

@@ -17,7 +17,7 @@ from fem_reference.full.model import FullModel
 from fem_reference.shell import factorisation
 from mic import examples
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.nominal_stiffness.study import scaled
 from verification.scenes import going, shipped
 

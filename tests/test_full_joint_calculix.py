@@ -13,7 +13,7 @@ from fem_reference.peers.calculix_process import process
 from fem_reference.peers.calculix_sheets import Sheet, extruded, graded
 from mic.contact import ContactSolver
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.solids.geometry import lap_joint
 
 needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")

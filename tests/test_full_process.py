@@ -6,7 +6,7 @@ import pytest
 import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 pytestmark = [pytest.mark.fem, pytest.mark.slow]
 

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from mic.report.picture import Picture
-from mic.report.shown import SHOWN
+from mic.report.study_pictures import SHOWN
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "gallery"
 #: By page: names of the pictures of the report that it leaves, and words that it prints.

@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 
 import mic
 from mic.geometry.structured import extrude
-from mic.judgement import FILE, MESHES, PARTS, judge, readable, refuse, suspect
 from mic.model.assembly import assemble
 from mic.options import app
+from mic.plausibility import FILE, MESHES, PARTS, judge, readable, refuse, suspect
 from mic.scene import Scene, SceneError
 from mic.scene.load import read_table
 from verification.scenes import FEW

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from mic.cache import ABSENT, Cache
-from mic.judgement import judge
-from mic.kept import kept, pack, unpack
 from mic.model.assembly import assemble
-from mic.store import Format
+from mic.plausibility import judge
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format
+from mic.system.memoise import kept, pack, unpack
 
 THING = Format("thing", 1, ABSENT)
 
@@ -79,7 +79,7 @@ def test_something_is_made_once_for_what_it_follows_from(tmp_path, monkeypatch):
 
     assert found([1]) == found([1]) and len(made) == 1
     assert found([2]) != found([1]) and len(made) == 2
-    monkeypatch.setattr("mic.kept.program", lambda: ["another line of the program"])
+    monkeypatch.setattr("mic.system.memoise.program", lambda: ["another line of the program"])
     found([1])
     assert len(made) == 3
     assert len(list((tmp_path / "assemblies").iterdir())) == 2  # no more than were asked for
@@ -106,7 +106,7 @@ def test_a_kept_assembly_is_the_one_that_is_made_and_only_of_the_same_scene(lap_
     for count, scene in enumerate(changed_scenes(lap_scene), 2):
         found = assemble(scene, tmp_path)
         assert there() == count and found.identity != first.identity
-    monkeypatch.setattr("mic.kept.program", lambda: ["another line of the program"])
+    monkeypatch.setattr("mic.system.memoise.program", lambda: ["another line of the program"])
     assemble(lap_scene, tmp_path)
     assert there() == count + 1
 

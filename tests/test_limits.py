@@ -5,8 +5,8 @@ import pytest
 from support.springs import STIFFNESS, at_face, six, spring_model
 
 import mic
+from mic.process.description import sentences
 from mic.process.plan import plan_stages
-from mic.process.words import sentences
 from mic.results.outcome import read_outcome
 from mic.runs import sample_into
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from support.springs import at_face, six, spring_model
 
-from mic.process.linear import Linear
+from mic.process.linear_maps import Linear
 from mic.process.process import Process
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 
 @pytest.fixture(autouse=True)
 def room(monkeypatch):
     """Room for the maps of followed paths, of many steps."""
-    monkeypatch.setattr("mic.process.linear.MOST", 10_000_000)
+    monkeypatch.setattr("mic.process.linear_maps.MOST", 10_000_000)
 
 
 def plates(gun=None, deviations=()):
@@ -125,7 +125,7 @@ def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model
 def test_what_is_too_large_is_not_kept(lap_model, monkeypatch):
     process, count = Process(lap_model, "coulomb"), len(lap_model.scene.deviations)
     assert Linear.of(process, count) is not None
-    monkeypatch.setattr("mic.process.linear.MOST", 10_000)
+    monkeypatch.setattr("mic.process.linear_maps.MOST", 10_000)
     assert Linear.of(process, count) is None
 
 

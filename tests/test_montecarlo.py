@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mic.results import statistics
-from mic.sampling import montecarlo, sharing
-from mic.sampling.draw import draw
-from mic.sampling.montecarlo import BLOCK, CROWD, FEW, ROOM, SIZES, blocks, monte_carlo
+from mic.execution import monte_carlo as montecarlo
+from mic.execution import worker_process
+from mic.execution.monte_carlo import BLOCK, CROWD, FEW, ROOM, SIZES, blocks, monte_carlo
 from mic.scene import Scene
 from mic.scene.samples import DESIGNS
+from mic.statistics import estimates
+from mic.statistics.draw import draw
 
 LAWS = ["coulomb", "frictionless"]
 
@@ -130,8 +131,8 @@ def test_intervals_of_a_design_cover_and_designs_tell_more(lap_scene, design):
     found = []
     for seed in range(160):
         y = output(draw(scene, seed, 0, n))
-        mean = statistics.grouped(y, group, np.mean)
-        sigma = statistics.grouped(y, group, lambda x: np.std(x, ddof=1), size=True)
+        mean = estimates.grouped(y, group, np.mean)
+        sigma = estimates.grouped(y, group, lambda x: np.std(x, ddof=1), size=True)
         found.append((mean.value, sigma.value, mean.low, mean.high, sigma.low, sigma.high))
     truth = 0.2, np.sqrt(1 + 0.25 + 0.09 + 2 * 0.04 + 0.04)
     value = np.array(found)
@@ -159,7 +160,7 @@ def test_a_copy_of_the_process_evaluates_some_blocks_to_the_same_bits(lap_model,
     def found(core):
         taken, heard = {}, []
         monkeypatch.setattr(montecarlo, "second_core", lambda: core)
-        monkeypatch.setattr(sharing, "second_core", lambda: core)
+        monkeypatch.setattr(worker_process, "second_core", lambda: core)
         monte_carlo(
             lap_model,
             LAWS,

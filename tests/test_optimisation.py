@@ -15,22 +15,22 @@ from typer.testing import CliRunner
 import mic
 from mic.errors import SceneError
 from mic.options import app
-from mic.results.paired import jackknife, mean_change
 from mic.results.schema import OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
-from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.load import read_table
 from mic.scene.revision import revised
+from mic.statistics.draw import draw
+from mic.statistics.paired_differences import jackknife, mean_change
 from mic.studies.comparison import scene_differences
+from mic.studies.optimisation import moved_items as sites_module
 from mic.studies.optimisation import optimise
-from mic.studies.optimisation import sites as sites_module
 from mic.studies.optimisation.design import Change, Design, Space
+from mic.studies.optimisation.evaluations import Spent
 from mic.studies.optimisation.matching import Kind, assigned
+from mic.studies.optimisation.moved_items import Sites
 from mic.studies.optimisation.objective import Objective
+from mic.studies.optimisation.scene_changes import rewritten
 from mic.studies.optimisation.search import all_designs, local_search, random_design
-from mic.studies.optimisation.sites import Sites
-from mic.studies.optimisation.trials import Spent
-from mic.studies.optimisation.writing import rewritten
 
 ROOT = Path(__file__).resolve().parents[1]
 FORCE = {"clamps": ["C"], "between": [10, 100]}

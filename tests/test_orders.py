@@ -128,7 +128,7 @@ def test_what_changes_is_the_order_s_doing(found, hat_model):
     assert (stated[["mean_change", "six_sigma_change"]] == 0).all(axis=None) and (table["samples"] == SAMPLES).all()
     first = next(order for order in others if order.name == "clamps first")
     a, b = (
-        replace(hat_model, scene=scene).evaluate(mic.sampling.draw.draw(scene, 3, 0, SAMPLES), "coulomb")
+        replace(hat_model, scene=scene).evaluate(mic.statistics.draw.draw(scene, 3, 0, SAMPLES), "coulomb")
         for scene in (first.scene, hat_model.scene)
     )
     rows = table[table["order"] == first.name].set_index("quantity")

@@ -9,16 +9,16 @@ import pytest
 from support.runs import fail
 
 from mic.errors import FormatError, RunError
+from mic.execution.monte_carlo import BLOCK
 from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
-from mic.results import statistics
-from mic.results.capability import centred_capability
-from mic.results.folder import Block, RunFolder
 from mic.results.outcome import Written, read_outcome
+from mic.results.run_folder import Block, RunFolder
 from mic.results.summary import write_summary, write_tables
 from mic.runs import sample_into, write_evaluation
-from mic.sampling.draw import draw
-from mic.sampling.montecarlo import BLOCK
+from mic.statistics import estimates
+from mic.statistics.capability import centred_capability
+from mic.statistics.draw import draw
 
 SAMPLES, SEED = BLOCK + 10, 5
 LAWS = ["coulomb", "frictionless"]
@@ -311,7 +311,7 @@ def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
             rows = rows[(rows["law"] == law) & (rows["stage"] == stage)]
             for name, column in (("f_n", "f_n"), ("slip_force", "f_t")):
                 x = outcome.contact(law, stage, column)
-                for prefix, estimate in (("mean", statistics.mean(x)), ("six_sigma", statistics.six_sigma(x))):
+                for prefix, estimate in (("mean", estimates.mean(x)), ("six_sigma", estimates.six_sigma(x))):
                     for suffix, whole in (("", estimate.value), ("_low", estimate.low), ("_high", estimate.high)):
                         close(rows[f"{prefix}_{name}{suffix}"], whole)
             close(rows["mean_gap"], outcome.contact(law, stage, "u_n").mean(axis=0))

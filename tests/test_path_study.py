@@ -9,13 +9,13 @@ from support.runs import edit, fail
 
 from mic.contact.path import Followed, Increments
 from mic.process.process import Process
-from mic.results import path_study
+from mic.results import path_error
 from mic.results.outcome import read_outcome
-from mic.results.path_study import PathStudy, tighter
+from mic.results.path_error import PathStudy, tighter
 from mic.results.schema import RESOLUTIONS
 from mic.results.summary import write_path_study, write_tables
 from mic.runs import sample_into
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 SAMPLES, SEED = 20, 5
 
@@ -35,7 +35,7 @@ def folder(lap_model, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     # No more than are repeated: of the same batch every product is rounded alike.
     model = with_increments(lap_model, 2)
-    sample_into(folder, model, ["coulomb", "associated", "frictionless"], path_study.SAMPLES, SEED)
+    sample_into(folder, model, ["coulomb", "associated", "frictionless"], path_error.SAMPLES, SEED)
     write_path_study(read_outcome(folder))
     write_tables(read_outcome(folder))
     return folder
@@ -44,7 +44,7 @@ def folder(lap_model, tmp_path_factory):
 @pytest.fixture(scope="module")
 def on_both(lap_model):
     """The repeated samples with two increments and with eight."""
-    deviations = draw(lap_model.scene, SEED, 0, path_study.SAMPLES)
+    deviations = draw(lap_model.scene, SEED, 0, path_error.SAMPLES)
     return [with_increments(lap_model, count).evaluate(deviations, "coulomb") for count in (2, 8)]
 
 
@@ -61,8 +61,8 @@ def test_a_tighter_path_is_of_the_same_kind():
 def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, on_both, lap_model):
     study = read_outcome(folder).path_study
     assert {law: study.repeated(law) for law in ("coulomb", "associated", "frictionless")} == {
-        "coulomb": path_study.SAMPLES,
-        "associated": path_study.SAMPLES,
+        "coulomb": path_error.SAMPLES,
+        "associated": path_error.SAMPLES,
         "frictionless": 0,
     }
     pairs = study.pairs[study.pairs["law"] == "coulomb"].set_index(["quantity", "stage", "name"]).sort_index()
@@ -83,7 +83,7 @@ def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, o
 def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
     outcome = read_outcome(folder)
     one, eight = (zone_rms(evaluation.resolutions["clamp"].displacement[:, :, 1:]) for evaluation in on_both)
-    mean, spread = outcome.path_study.effects("coulomb", "rms_tangential", "lap", "clamp")
+    mean, spread = outcome.path_error.effects("coulomb", "rms_tangential", "lap", "clamp")
     assert mean.change == pytest.approx(eight.mean() - one.mean(), rel=1e-6)
     assert spread.change == pytest.approx(6 * (eight.std(ddof=1) - one.std(ddof=1)), rel=1e-5)
     assert mean.share == pytest.approx(mean.change / one.mean(), rel=1e-6)
@@ -94,7 +94,7 @@ def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
     row = pd.read_csv(folder / "tables" / "zones.csv").query("law == 'coulomb' and stage == 'clamp'").iloc[0]
     assert row["six_sigma_rms_tangential_path"] == pytest.approx(spread.change)
     x, y = (evaluation.measurements[:, 0] for evaluation in on_both)
-    mean, _ = outcome.path_study.effects("coulomb", "measurement", "M1")
+    mean, _ = outcome.path_error.effects("coulomb", "measurement", "M1")
     assert mean.change == pytest.approx((y - x).mean(), rel=1e-4)
     assert mean.share == pytest.approx((y - x).mean() / (6 * x.std(ddof=1)), rel=1e-4)
     measured = outcome.summary()["laws"]["coulomb"]["measurements"]["M1"]
@@ -102,7 +102,7 @@ def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
 
 
 def test_estimates_stand_beside_the_error_that_was_measured(lap_model, folder, on_both):
-    errors = read_outcome(folder).path_study.errors.query("law == 'coulomb'")
+    errors = read_outcome(folder).path_error.errors.query("law == 'coulomb'")
     assert errors["estimate"].isna().all()  # nothing estimates what increments leave
     change = 0.0
     for stage, (two, eight) in {name: [e.resolutions[name] for e in on_both] for name in ("clamp", "release")}.items():
@@ -148,8 +148,8 @@ def test_the_first_valid_samples_are_repeated_and_failed_ones_are_not(lap_model,
     sample_into(tmp_path, with_increments(lap_model, 2), ["coulomb"], SAMPLES, SEED)
     fail(tmp_path, "coulomb", {3: ("clamp", "not converged")})
     write_path_study(read_outcome(tmp_path))
-    found = read_outcome(tmp_path).path_study.pairs["sample"].unique()
-    assert found.tolist() == [i for i in range(path_study.SAMPLES + 1) if i != 3]
+    found = read_outcome(tmp_path).path_error.pairs["sample"].unique()
+    assert found.tolist() == [i for i in range(path_error.SAMPLES + 1) if i != 3]
 
 
 def test_a_study_is_the_same_whenever_it_is_made(folder):
@@ -171,7 +171,7 @@ def test_a_repetition_that_breaks_is_lost_alone(lap_model, tmp_path, monkeypatch
     monkeypatch.setattr(Process, "evaluate", breaks)
     write_path_study(read_outcome(tmp_path))
     study = read_outcome(tmp_path).path_study
-    assert study.left_out == 1 and study.repeated("coulomb") == path_study.SAMPLES - 1
+    assert study.left_out == 1 and study.repeated("coulomb") == path_error.SAMPLES - 1
 
 
 def test_without_friction_there_is_no_path_to_study(lap_model, tmp_path):

@@ -11,10 +11,10 @@ from support.studies import filled, friction, optimum, order, rare, remedy, sens
 
 import mic
 from mic.options import app
-from mic.report import change_pictures, driver_pictures, miss_pictures, picture, pictures, single
+from mic.report import assembly_pictures, change_pictures, driver_pictures, miss_pictures, picture, pictures
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import Picture, law_legend, panels, svg
-from mic.report.shown import SHOWN
+from mic.report.study_pictures import SHOWN
 from mic.report.style import INSIDE, OUTSIDE
 from mic.results.schema import PREDICTIONS
 
@@ -31,7 +31,7 @@ def drawn(monkeypatch):
         figure.canvas.draw()
         return Picture(title, caption, b"", "svg")
 
-    for module in (change_pictures, driver_pictures, miss_pictures, single):
+    for module in (change_pictures, driver_pictures, miss_pictures, assembly_pictures):
         monkeypatch.setattr(module, "svg", kept)
     return figures
 

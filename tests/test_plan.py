@@ -15,10 +15,10 @@ from mic.contact.laws import LAWS
 from mic.model.assembly import Between, Contacts
 from mic.model.rows import KINDS
 from mic.process.actions import tongs
+from mic.process.description import opening, sentences
 from mic.process.drive import drive
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
-from mic.process.words import opening, sentences
 
 FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
 ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]

@@ -19,9 +19,9 @@ from mic.errors import FormatError, SceneError
 from mic.options import app
 from mic.results.schema import PREDICTIONS
 from mic.studies.adjustment import Adjustment, adjustments, extended
-from mic.studies.advice import Advisor
-from mic.studies.learning import FINE, learn
+from mic.studies.emulator_training import FINE, learn
 from mic.studies.prediction import Predictor
+from mic.studies.smallest_adjustment import Advisor
 
 SIGMA = 0.1
 

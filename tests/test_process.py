@@ -14,8 +14,8 @@ from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.process.stage import LEAST_MOTION
-from mic.product import one_thread
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
+from mic.system.matrix_product import one_thread
 
 ROOT = Path(__file__).resolve().parents[1]
 

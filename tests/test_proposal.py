@@ -10,15 +10,15 @@ from support.decks import arc, drilled, extruded, grid, write_deck
 from typer.testing import CliRunner
 
 import mic
-from mic.judgement import judge
 from mic.model.assembly import assemble
 from mic.options import app
-from mic.proposal import write_scene
-from mic.sampling.draw import draw
+from mic.plausibility import judge
 from mic.scene import load_scene
 from mic.scene.measurement import Measurement
 from mic.scene.tables import read_rows
 from mic.scene.weld import Weld
+from mic.statistics.draw import draw
+from mic.wizard import write_scene
 
 
 def hat(z, width=90.0, foot=22.0, rise=20.0, x=0.0):

@@ -11,10 +11,10 @@ from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.report.drivers import design_words
+from mic.report.driver_sentences import design_words
 from mic.results.schema import DESIGN_POINTS, RARE
-from mic.sampling.draw import draw, numbers, placed
-from mic.studies.form import either, nearest
+from mic.statistics.draw import draw, numbers, placed
+from mic.studies.first_order_reliability import either, nearest
 from mic.studies.rare import agree, rare, subset_simulation
 
 

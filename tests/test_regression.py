@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mic.results.regression import Regression
+from mic.statistics.regression import Regression
 
 P = 6
 SLOPES = np.array([3.0, 2.0, 1.0, 0.5, 0.2, 0.1])

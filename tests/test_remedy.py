@@ -11,7 +11,7 @@ from support.springs import STIFFNESS, at_face, six, spring_model
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.report.drivers import remedy_words
+from mic.report.driver_sentences import remedy_words
 from mic.results.schema import REMEDIES, REMEDY_EFFECTS
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
 from mic.studies.adjustment import adjustments, extended, written

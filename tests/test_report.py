@@ -20,23 +20,23 @@ from support.studies import left_by_studies
 
 import mic.report
 from mic.contact import ContactSolver
+from mic.execution import worker_process
 from mic.geometry.surface import Surface
-from mic.report.ahead import AHEAD, Ahead
+from mic.report.background_pictures import AHEAD, Ahead
 from mic.report.context import read_context
-from mic.report.gallery import PICTURES, Entry, draw, draw_all
 from mic.report.law_pictures import law_cost
 from mic.report.measurement_pictures import LIMIT_COLOUR
+from mic.report.mesh_decimation import thinned
 from mic.report.page import write_report
-from mic.report.shown import pictures
+from mic.report.picture_registry import PICTURES, Entry, draw, draw_all
+from mic.report.study_pictures import pictures
 from mic.report.style import LAWS, RC, change, number, percent
-from mic.report.thinning import thinned
-from mic.report.viewer import packed
+from mic.report.viewer_data import packed
 from mic.results.fields import write_fields
-from mic.results.folder import PUBLISHED
 from mic.results.outcome import read_outcome
+from mic.results.run_folder import PUBLISHED
 from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
 from mic.runs import conclude, run
-from mic.sampling import sharing
 from mic.scene import Scene
 from mic.studies.contributors import Contributors, contributors
 
@@ -243,7 +243,7 @@ def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder, every
     assert list(every_picture) == [entry.name for entry in PICTURES]
     for name, picture in every_picture.items():
         assert page.loads.count(picture.uri) == 1, name
-    monkeypatch.setattr("mic.report.shown.draw_all", lambda *_: every_picture)
+    monkeypatch.setattr("mic.report.study_pictures.draw_all", lambda *_: every_picture)
     assert pictures(read_outcome(folder)) == [*every_picture.values()]
 
 
@@ -389,7 +389,7 @@ def test_drawing_a_page_solves_nothing_and_needs_and_changes_nothing_else(page, 
 def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_page(
     folder, every_picture, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(sharing, "second_core", lambda: True)  # whatever this machine has
+    monkeypatch.setattr(worker_process, "second_core", lambda: True)  # whatever this machine has
     early = tmp_path / "early"
     shutil.copytree(folder, early)
     for name in ("fields", "tables"):

@@ -10,11 +10,11 @@ from support.springs import six
 
 import mic
 from mic.contact.states import OPEN, SLIP, STICK
-from mic.model.resting import put_down
+from mic.model.rest_rows import put_down
+from mic.process.description import sentences
 from mic.process.plan import plan_assembly, plan_stages
-from mic.process.rest import Rest
-from mic.process.words import sentences
-from mic.sampling.draw import draw
+from mic.process.resting_parts import Rest
+from mic.statistics.draw import draw
 
 FEET = [(0, 0, 0), (100, 0, 0), (0, 60, 0)]
 PAIR = 2 / STIFFNESS  # mm/N, of both bodies' springs at one foot, along the normal

@@ -13,8 +13,8 @@ from mic.contact.laws import COULOMB
 from mic.errors import FormatError
 from mic.results import schema
 from mic.results.parquet import read_table, write_table
-from mic.results.tables import tables
-from mic.sampling.draw import draw
+from mic.results.sample_tables import tables
+from mic.statistics.draw import draw
 
 
 @pytest.fixture(scope="module")

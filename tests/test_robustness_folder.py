@@ -15,15 +15,15 @@ import pytest
 from typer.testing import CliRunner
 
 import mic
-from mic.console import plain
 from mic.errors import RunError, StorageError
 from mic.model.assembly import assemble
 from mic.options import app
-from mic.results.forecast import LARGEST, forecast
-from mic.results.lock import LOCK, locked
+from mic.results.cost_estimate import LARGEST, forecast
 from mic.results.outcome import read_outcome
 from mic.runs import conclude, sample_into
-from mic.store import PARTIAL, clean, replacing, set_aside
+from mic.system.console import plain
+from mic.system.files import PARTIAL, clean, replacing, set_aside
+from mic.system.lock import LOCK, locked
 
 pytestmark = pytest.mark.robustness
 
@@ -41,7 +41,7 @@ def in_python(text, *arguments):
 
 
 HOLD = """
-import sys, time; from mic.results.lock import locked
+import sys, time; from mic.system.lock import locked
 with locked(sys.argv[1]): print("held", flush=True); time.sleep(60)
 """
 

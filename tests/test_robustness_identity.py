@@ -12,11 +12,11 @@ import mic
 from mic.errors import RunError
 from mic.geometry.load import load_part
 from mic.model.assembly import assemble
-from mic.results.identity import identity, inputs
 from mic.results.outcome import read_outcome
+from mic.results.run_identity import identity, inputs
 from mic.runs import Listener, conclude, read_run, sample_into
 from mic.scene.part import Part
-from mic.store import save_json
+from mic.system.files import save_json
 
 pytestmark = pytest.mark.robustness
 
@@ -225,7 +225,7 @@ def test_a_model_of_another_run_is_not_believed(lap_model, hat_model, tmp_path):
 
 def test_results_of_another_version_of_the_program_are_refused(lap_model, tmp_path, monkeypatch):
     sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
-    monkeypatch.setattr("mic.results.identity.program_version", lambda: "9.9")
+    monkeypatch.setattr("mic.results.run_identity.program_version", lambda: "9.9")
     assert len(read_run(tmp_path).measured("coulomb", "M1")) == 10  # they may be read
     with pytest.raises(RunError, match="version of the program .*9.9 asked for"):
         sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
@@ -272,7 +272,7 @@ def test_links_are_not_followed_out_of_the_folder(lap_model, tmp_path, link):
 
 
 def test_a_record_of_an_older_format_is_refused_and_may_be_replaced(lap_model, tmp_path):
-    from mic.store import Format
+    from mic.system.files import Format
 
     save_json(tmp_path / "run.json", Format("record of a run", 1, ""), {"seed": 4})
     with pytest.raises(RunError, match="older version of the program.*--replace"):

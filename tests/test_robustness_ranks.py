@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from support.processes import on_processes
 
+from mic.execution.ranks import LaunchError, communicator
 from mic.results.schema import CONDENSED, CONTACTS, DATASETS, FORCES, SUMS
-from mic.sampling.ranks import LaunchError, communicator
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "meshes" / "lap_joint"

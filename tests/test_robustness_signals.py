@@ -10,8 +10,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from mic.results.lock import LOCK
-from mic.store import PARTIAL
+from mic.system.files import PARTIAL
+from mic.system.lock import LOCK
 
 pytestmark = [pytest.mark.robustness, pytest.mark.slow]
 

@@ -13,7 +13,7 @@ from support.runs import Heard
 from mic.compliance.blocks import Blocks
 from mic.errors import RunError
 from mic.model.assembly import assemble
-from mic.results.identity import identity
+from mic.results.run_identity import identity
 from mic.results.schema import DATASETS
 from mic.runs import conclude, read_run, run, sample_into
 
@@ -134,7 +134,7 @@ def test_how_exactly_the_path_is_followed_belongs_to_the_identity(lap_model, mon
     own = identity(lap_model, 4)
     finer = lap_model.scene.path.model_copy(update={"tolerance": lap_model.scene.path.tolerance / 2})
     assert identity(replace(lap_model, scene=lap_model.scene.model_copy(update={"path": finer})), 4) != own
-    monkeypatch.setattr("mic.results.identity.LEAST_MOTION", 0.04)
+    monkeypatch.setattr("mic.results.run_identity.LEAST_MOTION", 0.04)
     assert identity(lap_model, 4) != own
 
 

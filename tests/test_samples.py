@@ -9,15 +9,15 @@ import pandas as pd
 import pytest
 
 import mic
-from mic.judgement import judge
 from mic.model.assembly import assemble
+from mic.plausibility import judge
 from mic.report.page import write_report
-from mic.results import statistics
-from mic.results.identity import identity
+from mic.results.run_identity import identity
 from mic.runs import run
-from mic.sampling.draw import draw
 from mic.scene.deviation import ShapeDeviation
 from mic.scene.samples import take_samples
+from mic.statistics import estimates
+from mic.statistics.draw import draw
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -299,9 +299,9 @@ def test_a_run_of_a_design_tells_the_intervals_that_hold(lap_scene, cache, tmp_p
     outcome = run(lap_scene.model_copy(update={"monte_carlo": asked, "report": laws}), tmp_path / "out", cache)
     own = outcome.measurement_statistics.iloc[0]
     x = outcome.measured("coulomb", own["measurement"])
-    expected = statistics.grouped(x, np.arange(24) // 2, np.mean)
+    expected = estimates.grouped(x, np.arange(24) // 2, np.mean)
     assert own["mean_low"] == pytest.approx(expected.low) and own["mean_high"] == pytest.approx(expected.high)
-    assert own["mean_high"] - own["mean_low"] < 0.5 * np.subtract(*_ends(statistics.mean(x)))
+    assert own["mean_high"] - own["mean_low"] < 0.5 * np.subtract(*_ends(estimates.mean(x)))
     assert own["sigma_low"] < own["sigma"] < own["sigma_high"] and own["cp_low"] < own["cp"] < own["cp_high"]
     for table in (outcome.zone_statistics, outcome.contact_statistics):
         bounds = [name for name in table.columns if name.endswith(("_low", "_high"))]

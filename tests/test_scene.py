@@ -12,7 +12,7 @@ from support.random_scenes import random_case
 
 import mic
 from mic.model.assembly import assemble
-from mic.model.modes import MODES
+from mic.model.shape_modes import MODES
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.scene import SETTINGS, schema

@@ -13,20 +13,20 @@ from support.springs import STIFFNESS, at_face, six, spring_model
 from typer.testing import CliRunner
 
 import mic
-from mic.contact.columns import Columns
+from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import find
+from mic.contact.path_record import Trail
 from mic.contact.tangent import Contact, Varied, retrace
-from mic.contact.trail import Trail
 from mic.errors import SceneError
-from mic.model.resting import put_down, put_down_slope
+from mic.model.rest_rows import put_down, put_down_slope
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
 from mic.process.stage import PreparedStage
 from mic.results.schema import SENSITIVITIES
-from mic.sampling.draw import draw
 from mic.scene.deviation import ClampDeviation, FrictionDeviation, LocatorDeviation
+from mic.statistics.draw import draw
 from mic.studies.sensitivity import effects, steps
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic

@@ -11,15 +11,15 @@ from scipy.special import k1
 
 import mic
 from mic.errors import FormatError, SceneError
-from mic.geometry.cloud import Cloud, deviations, read_cloud, spread
 from mic.geometry.deck import UNITS
+from mic.geometry.measured_points import Cloud, deviations, read_cloud, spread
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
-from mic.model.modes import write_modes
 from mic.model.random_field import correlation, modes_of
 from mic.model.shape import controlling_forces
+from mic.model.shape_modes import write_modes
 from mic.model.sources import Control
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 X = np.array([0.0, 7.0, 11.0, 30.0, 42.0, 55.0, 71.0, 80.0, 100.0])  # mm along a beam
 RIGIDITY = 3.0e4  # N mm²

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from mic.sampling import sharing
-from mic.sampling.sharing import Copy, side_by_side
+from mic.execution import worker_process
+from mic.execution.worker_process import Copy, side_by_side
 
 
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch):
     """As on a machine of two cores: the copy is made, whatever this one has."""
-    monkeypatch.setattr(sharing, "second_core", lambda: True)
+    monkeypatch.setattr(worker_process, "second_core", lambda: True)
 
 
 def done(number, seconds=0.02):
@@ -74,14 +74,14 @@ def test_of_each_what_the_copy_takes_and_fails_at_is_done_here_and_what_fails_is
 
 def test_a_copy_that_is_let_go_as_it_hands_in_much_holds_up_nobody():
     """In a process of its own, which is to end."""
-    program = "from mic.sampling import sharing; sharing.second_core = lambda: True\n"
-    program += "copy = sharing.Copy([lambda: bytes(10**8)] * 1000)\n"
+    program = "from mic.execution import worker_process; worker_process.second_core = lambda: True\n"
+    program += "copy = worker_process.Copy([lambda: bytes(10**8)] * 1000)\n"
     program += "import time; time.sleep(1.5); copy.end()"
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
 
 
 def test_without_a_second_core_no_copy_is_made(monkeypatch):
-    monkeypatch.setattr(sharing, "second_core", lambda: False)
+    monkeypatch.setattr(worker_process, "second_core", lambda: False)
     assert {who for _, who in side_by_side([partial(done, number) for number in range(4)])} == {os.getpid()}
 
 
@@ -138,12 +138,12 @@ def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
 
 KILLED = """
 import os, time
-from mic.sampling import sharing
-sharing.second_core = lambda: True
+from mic.execution import worker_process
+worker_process.second_core = lambda: True
 def task():
     os.write(1, b"%d\\n" % os.getpid())
     time.sleep(60)
-sharing.side_by_side([task, task])
+worker_process.side_by_side([task, task])
 """
 
 

@@ -6,8 +6,8 @@ from support.panels import NU, PLACES, E, T, functionals, grid, panel
 from support.shells import at, supported_solution
 
 from fem_reference.shell.factorisation import FactorisationError
-from fem_reference.shell.needles import NEEDLE, without_needles
 from fem_reference.shell.part import ELEMENTS, ShellPart
+from fem_reference.shell.sliver_elements import NEEDLE, without_needles
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Patch, Surface
 

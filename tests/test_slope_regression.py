@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mic.results.slope_regression import by_slopes
+from mic.statistics.derivative_regression import by_slopes
 
 
 def scene(p, distribution="normal", **keys):

@@ -12,7 +12,7 @@ from mic.compliance.cache import influence_coefficients
 from mic.compliance.part import Part
 from mic.model import assembly as assemblies
 from mic.model.assembly import assemble
-from mic.model.solved_mesh import resolved
+from mic.model.refined_mesh import resolved
 from mic.process.model import ReducedModel
 
 SCENE = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"

@@ -5,8 +5,8 @@ import pytest
 from support.springs import FAR, STIFFNESS, at_face, six, spring_model
 
 import mic
+from mic.process.description import opening, sentences
 from mic.process.plan import plan_stages
-from mic.process.words import opening, sentences
 
 GAP = 0.3  # mm, between a's face and b's
 WELD = {"name": "W", "parts": ["a", "b"], "point": [5, 5, 0], "close": True}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mic.results import statistics as st
-from mic.results.capability import capability, centred_capability, outside
+from mic.statistics import estimates as st
+from mic.statistics.capability import capability, centred_capability, outside
 
 TEN = np.arange(1.0, 11.0)  # mean 5.5, s = 3.0276504
 

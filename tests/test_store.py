@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mic import store
 from mic.errors import FormatError, StorageError
+from mic.system import files
 
-THING = store.Format("thing", 3, "make it again")
+THING = files.Format("thing", 3, "make it again")
 ARRAYS = {"H": np.arange(12.0).reshape(3, 4), "names": np.array(["a", "bb"]), "none": np.zeros((0, 2))}
 
 
 @pytest.fixture
 def path(tmp_path):
-    store.save_arrays(tmp_path / "thing.npz", THING, {"part": "lower"}, ARRAYS)
+    files.save_arrays(tmp_path / "thing.npz", THING, {"part": "lower"}, ARRAYS)
     return tmp_path / "thing.npz"
 
 
 def test_arrays_come_back_as_they_were(path):
-    header, arrays = store.load_arrays(path, THING)
+    header, arrays = files.load_arrays(path, THING)
     assert header == {"part": "lower"} and set(arrays) == set(ARRAYS)
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(arrays[name], array)
@@ -33,7 +33,7 @@ def test_a_file_cut_anywhere_is_refused_in_one_sentence(path):
     for length in [0, 1, 30, *range(100, len(whole), 211), len(whole) - 1]:
         path.write_bytes(whole[:length])
         with pytest.raises(FormatError, match=r"this thing is cut short or damaged; make it again$"):
-            store.load_arrays(path, THING)
+            files.load_arrays(path, THING)
 
 
 def test_a_file_with_any_byte_altered_never_yields_other_numbers(path):
@@ -43,7 +43,7 @@ def test_a_file_with_any_byte_altered_never_yields_other_numbers(path):
         altered[position] ^= 0x55
         path.write_bytes(bytes(altered))
         try:
-            header, arrays = store.load_arrays(path, THING)
+            header, arrays = files.load_arrays(path, THING)
         except FormatError:
             continue
         assert header == {"part": "lower"}  # the byte had no meaning
@@ -52,35 +52,35 @@ def test_a_file_with_any_byte_altered_never_yields_other_numbers(path):
 
 
 def test_content_that_was_exchanged_fails_its_checksum(path):
-    _, arrays = store.load_arrays(path, THING)
+    _, arrays = files.load_arrays(path, THING)
     with np.load(path) as data:
         header = data["header"]
     np.savez(path, header=header, **(arrays | {"H": 3 * arrays["H"]}))
     with pytest.raises(FormatError, match="cut short or damaged"):
-        store.load_arrays(path, THING)
+        files.load_arrays(path, THING)
 
 
 @pytest.mark.parametrize("version, word", [(2, "an older version"), (4, "a newer version")])
 def test_another_version_is_named(path, version, word):
-    store.save_arrays(path, store.Format("thing", version, ""), {}, ARRAYS)
+    files.save_arrays(path, files.Format("thing", version, ""), {}, ARRAYS)
     with pytest.raises(
         FormatError, match=rf"written by {word} of the program \(format {version}, this version reads 3\)"
     ):
-        store.load_arrays(path, THING)
-    store.save_json(path.with_suffix(".json"), store.Format("thing", version, ""), {})
+        files.load_arrays(path, THING)
+    files.save_json(path.with_suffix(".json"), files.Format("thing", version, ""), {})
     with pytest.raises(FormatError, match=word):
-        store.load_json(path.with_suffix(".json"), THING)
+        files.load_json(path.with_suffix(".json"), THING)
 
 
 def test_a_foreign_file_is_named(path):
-    store.save_arrays(path, store.Format("other", 3, ""), {}, ARRAYS)
+    files.save_arrays(path, files.Format("other", 3, ""), {}, ARRAYS)
     with pytest.raises(FormatError, match="this is no thing; make it again"):
-        store.load_arrays(path, THING)
+        files.load_arrays(path, THING)
     path.with_suffix(".json").write_text('{"some": "thing"}')
     with pytest.raises(FormatError, match="this is no thing"):
-        store.load_json(path.with_suffix(".json"), THING)
+        files.load_json(path.with_suffix(".json"), THING)
     with pytest.raises(FileNotFoundError):
-        store.load_arrays(path.with_name("nowhere.npz"), THING)
+        files.load_arrays(path.with_name("nowhere.npz"), THING)
 
 
 def test_no_content_is_ever_executed(path, tmp_path):
@@ -90,14 +90,14 @@ def test_no_content_is_ever_executed(path, tmp_path):
 
     np.savez(path, header=np.array(json.dumps({"kind": "thing", "format": 3})), H=np.array([Trap()], dtype=object))
     with pytest.raises(FormatError):
-        store.load_arrays(path, THING)
+        files.load_arrays(path, THING)
     assert not (tmp_path / "sprung").exists()
 
 
 def test_an_error_while_writing_leaves_the_old_file_and_nothing_else(path):
     before = path.read_bytes()
     with pytest.raises(RuntimeError, match="power cut"):
-        with store.replacing(path) as temporary:
+        with files.replacing(path) as temporary:
             temporary.write_bytes(b"half")
             raise RuntimeError("power cut")
     assert path.read_bytes() == before
@@ -105,11 +105,11 @@ def test_an_error_while_writing_leaves_the_old_file_and_nothing_else(path):
 
 
 def test_json_comes_back_and_refuses_what_json_does_not_know(tmp_path):
-    store.save_json(tmp_path / "run.json", THING, {"samples": 3, "laws": ["coulomb"]})
-    assert store.load_json(tmp_path / "run.json", THING) == {"samples": 3, "laws": ["coulomb"]}
+    files.save_json(tmp_path / "run.json", THING, {"samples": 3, "laws": ["coulomb"]})
+    assert files.load_json(tmp_path / "run.json", THING) == {"samples": 3, "laws": ["coulomb"]}
     with pytest.raises(ValueError):
-        store.save_json(tmp_path / "run.json", THING, {"x": float("nan")})
-    assert store.load_json(tmp_path / "run.json", THING)["samples"] == 3
+        files.save_json(tmp_path / "run.json", THING, {"x": float("nan")})
+    assert files.load_json(tmp_path / "run.json", THING)["samples"] == 3
 
 
 @pytest.mark.parametrize("lasting", [True, False])
@@ -122,7 +122,7 @@ def test_content_is_on_disk_before_its_name_and_the_name_where_it_must_last(tmp_
         sync(descriptor)
 
     monkeypatch.setattr(os, "fsync", told)
-    with store.replacing(path, lasting) as temporary:
+    with files.replacing(path, lasting) as temporary:
         temporary.write_text("content", encoding="utf-8")
     assert events == [(False, False), (True, True)][: 1 + lasting]  # (of the folder, once the name stands)
 
@@ -141,9 +141,9 @@ def test_files_written_together_take_their_places_in_their_order_once_all_are_on
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(Path, "replace", replaced)
     names = ["c.txt", "a.txt", "b.txt"]
-    with store.together() as group:
+    with files.together() as group:
         for name in names:
-            with store.replacing(tmp_path / name, group=group) as temporary:
+            with files.replacing(tmp_path / name, group=group) as temporary:
                 temporary.write_text(name, encoding="utf-8")
         assert not events
     contents, order, folder = events[:3], events[3:6], events[6:]
@@ -156,9 +156,9 @@ def test_of_files_written_together_none_takes_its_place_after_an_error(tmp_path,
     (tmp_path / "a.txt").write_text("old")
 
     def write(*names):
-        with store.together() as group:
+        with files.together() as group:
             for name in names:
-                with store.replacing(tmp_path / name, group=group) as temporary:
+                with files.replacing(tmp_path / name, group=group) as temporary:
                     if name == "full.txt":
                         raise OSError(28, "No space left on device")
                     temporary.write_text(name, encoding="utf-8")

@@ -7,7 +7,7 @@ import pytest
 
 import mic
 from fem_reference.full.model import FullModel
-from mic.results import statistics
+from mic.statistics import estimates
 from verification.own_scene import choose, verify_scene
 from verification.scenes import few, going
 from verification.study import FOLDER, Team
@@ -46,9 +46,9 @@ def test_intervals_hold_as_often_as_they_say(chooser):
         found = two_level(y, chosen, x[chosen])
         held += [found.mean.low <= MEAN <= found.mean.high, found.sigma.low <= SIGMA <= found.sigma.high]
         errors.append([found.mean.value - MEAN, found.sigma.value - SIGMA])
-        cheap = statistics.mean(y)
+        cheap = estimates.mean(y)
         plain += cheap.low <= MEAN <= cheap.high
-    assert np.abs(held / repetitions - statistics.LEVEL).max() < 0.025, held / repetitions
+    assert np.abs(held / repetitions - estimates.LEVEL).max() < 0.025, held / repetitions
     assert plain == 0
     spread = np.std(errors, axis=0)
     assert (
@@ -69,7 +69,7 @@ def test_intervals_of_the_errors_hold_as_often_as_they_say(cheap, dear):
         off = found.mean_error, found.sigma_error
         held += [one.low <= true <= one.high for one, true in zip(off, (5.0 - MEAN, 2.0 - SIGMA))]
         widths += [found.mean_error.high - found.mean_error.low, found.mean.high - found.mean.low]
-    assert np.abs(held / repetitions - statistics.LEVEL).max() < 0.025, held / repetitions
+    assert np.abs(held / repetitions - estimates.LEVEL).max() < 0.025, held / repetitions
     assert widths[0] < widths[1]
 
 
@@ -82,7 +82,7 @@ def test_perfect_cheap_results_leave_the_monte_carlo_as_it_is():
     assert found.slope == pytest.approx(1, rel=1e-12) and found.worth == pytest.approx(200, rel=1e-6)
     assert np.allclose([found.mean_error.value, found.mean_error.high, found.six_sigma_error.low], 0, atol=1e-12)
     assert found.six_sigma.low == pytest.approx(6 * found.sigma.low)
-    plain = statistics.mean(y)
+    plain = estimates.mean(y)
     assert found.mean.high - found.mean.low == pytest.approx(plain.high - plain.low, rel=1e-6)
 
 
@@ -97,7 +97,7 @@ def test_a_wrong_scale_is_corrected():
 
 def test_constant_cheap_results_leave_the_dear_ones():
     x = np.array([1.0, 2.0, 4.0, 5.0])
-    found, plain = two_level(np.full(50, 3.0), range(4), x), statistics.mean(x)
+    found, plain = two_level(np.full(50, 3.0), range(4), x), estimates.mean(x)
     assert (found.mean.value, found.mean.low, found.mean.high) == pytest.approx((plain.value, plain.low, plain.high))
     assert found.sigma.value == pytest.approx(x.std(ddof=1))
 

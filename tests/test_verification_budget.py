@@ -12,7 +12,7 @@ from support.springs import at_face, six, spring_model
 import mic
 from fem_reference.full.model import FullModel
 from mic.compliance.blocks import Blocks
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification import budget, budget_page, own_scene
 from verification.budget import (
     REFINED,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from mic.studies.order import Order, variants
 from verification.comparison import reduced_and_assembly
 from verification.order import study

@@ -10,8 +10,8 @@ import pytest
 from scipy.sparse import csr_matrix, diags
 
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
 from mic.scene import SETTINGS
+from mic.statistics.draw import draw
 from verification.algebra.study import STUDY as ALGEBRA
 from verification.algebra.study import compare
 from verification.comparison import reduced_and_assembly, relative, zone_slip

@@ -7,7 +7,7 @@ import mic
 from mic.contact.laws import find
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 TABLE = [(0.0, 0.4), (0.05, 0.3), (0.2, 0.25)]  # of the pressures that the lap joint's clamps make
 POWER = {"mu0": 0.3, "p0": 0.05, "n": 0.3, "mu_min": 0.1, "mu_max": 0.6}

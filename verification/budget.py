@@ -6,7 +6,7 @@ be made smaller, the same n samples are taken a second time with less of it, and
 
     d = θ(y) − θ(x),        δ = f d,        |δ − f d| ≤ (f + g) t s + g |d|
 
-s is the jackknife's standard error of d (:mod:`mic.results.paired`), t Student's. f extrapolates to a source that is
+s is the jackknife's standard error of d (:mod:`mic.statistics.paired_differences`), t Student's. f extrapolates to a source that is
 gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may
 be wrong, as :data:`REFINED` says, and 3/n of f for what n samples do not show. Doubts of the kind that repeats itself
 add to those of chance, not in squares. What cannot be repeated with less of it is bounded, ``|δ| ≤ U``: then δ is 0
@@ -33,15 +33,15 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.path import Increments
 from mic.errors import MicError, SceneError
-from mic.model.accuracy import on_halved_meshes
 from mic.model.assembly import Assembly, assemble
+from mic.model.mesh_accuracy import on_halved_meshes
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
-from mic.results.paired import jackknife, mean_change, six_sigma_change
-from mic.results.path_study import tighter
-from mic.sampling.draw import draw
-from mic.studies.density import denser
+from mic.results.path_error import tighter
+from mic.statistics.draw import draw
+from mic.statistics.paired_differences import jackknife, mean_change, six_sigma_change
 from mic.studies.order import orders
+from mic.studies.pair_convergence import denser
 from verification.comparison import reduced_and_assembly, reduced_model, zone_slip
 from verification.stiffness import DeviatedStiffness
 from verification.study import Team

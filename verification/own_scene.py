@@ -3,7 +3,7 @@ and 6σ.
 
 The folder holds ``production/`` (the Monte Carlo, as `mic run` leaves it), ``reduced/`` (the same on one increment a
 step, where the scene's path is followed), ``full/`` and ``budget/`` (one file per full solve and per source of error; a
-second call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``statistics.csv``,
+second call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``estimates.csv``,
 ``budget.csv`` and ``report.html``.
 """
 
@@ -26,13 +26,13 @@ from threadpoolctl import threadpool_limits
 
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.errors import SceneError
-from mic.results import statistics
-from mic.results.folder import versions
 from mic.results.outcome import read_outcome
+from mic.results.run_folder import versions
 from mic.runs import sample_into
-from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
+from mic.statistics import estimates
+from mic.statistics.draw import draw
 from verification.budget import EVERY, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
 from verification.budget_page import (
     budget_figure,
@@ -227,7 +227,7 @@ def verify_scene(
     }
     summary = _finite(summary)
     per_sample.to_csv(folder / "samples.csv", index=False)
-    table.to_csv(folder / "statistics.csv", index=False)
+    table.to_csv(folder / "estimates.csv", index=False)
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     _write(folder / "report.html", _page(summary, per_sample, table, truth, budget, items))
     return summary
@@ -414,7 +414,7 @@ def _statistics_rows(law, cheap, model, solved) -> list[dict]:
     for name in cheap.columns:
         y = cheap[name].to_numpy()
         row = {"law": law, "quantity": name}
-        row |= _estimate("mean", statistics.mean(y)) | _estimate("6σ", statistics.six_sigma(y))
+        row |= _estimate("mean", estimates.mean(y)) | _estimate("6σ", estimates.six_sigma(y))
         if dear:
             found = two_level(y, place, [values[name] for values in dear.values()])
             row |= _estimate("corrected mean", found.mean) | _estimate("corrected 6σ", found.six_sigma)
@@ -494,7 +494,7 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
             summary=summary,
             image=image,
             **drawn,
-            level=statistics.LEVEL,
+            level=estimates.LEVEL,
             worst=worst(table),
             leading=LEADING,
             per_sample=table_cells(per_sample),

@@ -17,8 +17,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from mic import examples
-from mic.results.folder import versions
-from mic.sampling.ranks import alone, communicator
+from mic.execution.ranks import alone, communicator
+from mic.results.run_folder import versions
 from verification.cost import Cost, Meter, together
 from verification.plots import svg
 from verification.provenance import provenance

@@ -13,7 +13,7 @@ from fem_reference.full.model import FullModel
 from mic.compliance import provider
 from mic.errors import SceneError
 from mic.model.assembly import Assembly
-from mic.model.deviated import deviated_parts
+from mic.model.deviated_geometry import deviated_parts
 from mic.process.model import ReducedModel
 from mic.process.stiffness import carrying
 

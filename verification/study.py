@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
+from mic.execution.ranks import wait
 from mic.process.model import ReducedModel
-from mic.sampling.ranks import wait
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 from verification.cost import give_back

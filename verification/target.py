@@ -22,11 +22,11 @@ import pandas as pd
 from scipy.stats import norm
 
 from mic.errors import MicError, SceneError
-from mic.results.folder import versions
-from mic.results.statistics import LEVEL
-from mic.sampling.draw import draw
+from mic.results.run_folder import versions
 from mic.scene import SETTINGS, Scene
 from mic.scene.process import FollowedPath
+from mic.statistics.draw import draw
+from mic.statistics.estimates import LEVEL
 from verification.budget import SAMPLES, Case, Item, estimate, total
 from verification.comparison import reduced_and_assembly
 from verification.study import Team

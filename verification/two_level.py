@@ -39,7 +39,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from mic.results.statistics import LEVEL, Estimate
+from mic.statistics.estimates import LEVEL, Estimate
 
 __all__ = ["TwoLevel", "two_level"]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import mic
 from mic import examples
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 scene = mic.load_scene(examples.folder("bracket"))
 model = mic.reduce(scene)

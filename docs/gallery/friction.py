@@ -9,7 +9,7 @@ with all friction left out, halved and doubled, and says whether the answer woul
 import mic
 from mic import examples
 from mic.report import pictures
-from mic.report.drivers import friction_words
+from mic.report.driver_sentences import friction_words
 from mic.studies.friction import friction_needed
 
 model = mic.reduce(mic.load_scene(examples.folder("lap_joint")))

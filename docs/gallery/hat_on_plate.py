@@ -10,7 +10,7 @@ import numpy as np
 
 import mic
 from mic import examples
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 
 scene = mic.load_scene(examples.folder("hat_on_plate"))
 model = mic.reduce(scene)

@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import mic
 from mic import examples, runs
 from mic.report.context import read_context
-from mic.report.gallery import draw
+from mic.report.picture_registry import draw
 
 scene = mic.load_scene(examples.folder("wheelhouse"))
 scene = scene.model_copy(

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from mic.report.context import read_context
-from mic.report.gallery import draw
+from mic.report.picture_registry import draw
 from mic.results.outcome import read_outcome
 
 FILES = {"overview": "wheelhouse", "tangential-density": "tangential_density"}  # picture of the report -> file

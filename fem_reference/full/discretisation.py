@@ -12,7 +12,7 @@ from fem_reference.full.equilibrium import Equilibrium, Parts
 from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
-from mic.model.resting import RestRows
+from mic.model.rest_rows import RestRows
 from mic.process.plan import Limit, Step, yielding
 
 __all__ = ["Discretisation", "System"]

@@ -23,7 +23,7 @@ from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
 from mic.model.characteristics import Characteristics
-from mic.model.deviated import deviated_parts, opening
+from mic.model.deviated_geometry import deviated_parts, opening
 from mic.model.shape import controlling_forces, datum_rows, known_shapes, thickening
 from mic.model.sources import changed, sources, thicker
 from mic.process.drive import drive

@@ -31,7 +31,7 @@ from fem_reference.full.friction import ContactFriction
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares, transition
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
-from mic.model.resting import put_down
+from mic.model.rest_rows import put_down
 from mic.process.actions import Joints, Row, Settle
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, yielding

@@ -24,7 +24,7 @@ from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
 from fem_reference.shell.factorisation import Factorisation, FactorisationError, OutOfMemory, upper_triangle
 from fem_reference.shell.influence import influence_matrix
 from fem_reference.shell.interpolation import P1
-from fem_reference.shell.needles import NEEDLE, without_needles
+from fem_reference.shell.sliver_elements import NEEDLE, without_needles
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
@@ -449,7 +449,7 @@ class ShellPart:
         """Compliance H (n, n) of the pinned part at the functionals, and their readings G (n, 6) of the rigid modes.
 
         Forces f (n,) on the functionals move them by H f + G q, q (6,) being the rigid motion, once Gᵀ f = 0. Where
-        needles of elements cost the digits, H is that of the part without them (`fem_reference.shell.needles`).
+        needles of elements cost the digits, H is that of the part without them (`fem_reference.shell.sliver_elements`).
         """
         L = self.functional_matrix(functionals)
         if self._stand_in is None:

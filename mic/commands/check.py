@@ -11,37 +11,37 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from mic import cache_folder
-from mic.commands.call import keep_studies, on_one_process, requested
+from mic.commands.invocation import keep_studies, on_one_process, requested
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.compliance.thickness import chebyshev
-from mic.console import plain
 from mic.contact.laws import LAWS
 from mic.errors import MissingProvider, SceneError, StorageError
+from mic.geometry.mesh_summary import told
 from mic.geometry.normals import COARSE, Rule
-from mic.geometry.told import told
-from mic.judgement import judge, readable, refuse, suspect, verdict
-from mic.model.accuracy import estimate_accuracy
 from mic.model.assembly import assemble
+from mic.model.mesh_accuracy import estimate_accuracy
 from mic.model.one_sigma import one_sigma
 from mic.model.overlap import frozen_gaps
 from mic.model.reduction import Reduction
+from mic.plausibility import judge, readable, refuse, suspect, verdict
+from mic.process.description import opening, sentences
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import listed, most, wanted
-from mic.process.words import opening, sentences
-from mic.results.folder import RunFolder
-from mic.results.forecast import forecast
-from mic.results.identity import identity
+from mic.results.cost_estimate import forecast
+from mic.results.run_folder import RunFolder
+from mic.results.run_identity import identity
 from mic.results.schema import DENSITY
 from mic.scene import load_scene
-from mic.store import replacing
-from mic.studies import density
+from mic.studies import pair_convergence
+from mic.studies.optimisation.description import asked as asked_of_optimise
 from mic.studies.optimisation.design import Space
-from mic.studies.optimisation.sites import on_their_parts
-from mic.studies.optimisation.words import asked as asked_of_optimise
+from mic.studies.optimisation.moved_items import on_their_parts
 from mic.studies.order import doubts
 from mic.studies.thickness import AWAY, interpolated
+from mic.system.console import plain
+from mic.system.files import replacing
 
 __all__ = [
     "check",
@@ -96,7 +96,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     if accuracy:
         _print_accuracy(console, assembly, say)
     if converge:
-        converged = density.converge(assembly, cache_folder(), asked.report.laws[0], say)
+        converged = pair_convergence.converge(assembly, cache_folder(), asked.report.laws[0], say)
         _print_convergence(console, assembly, converged)
         folder = Path("results") / asked.name
         if _holds(folder, assembly):
@@ -460,8 +460,8 @@ def _print_convergence(console, assembly, found):
     console.print(table)
     lines = (
         f"{found.pairs[0]} and {found.pairs[1]} pairs; between them sheets pass through each other by up to "
-        f"{found.unseen[0]:.2g} and {found.unseen[1]:.2g} mm; {found.failed} of {density.SAMPLES} samples failed",
-        f"A change is what pairs at {density.DENSER:g} of their distance make of the same {density.SAMPLES} samples, ± "
+        f"{found.unseen[0]:.2g} and {found.unseen[1]:.2g} mm; {found.failed} of {pair_convergence.SAMPLES} samples failed",
+        f"A change is what pairs at {pair_convergence.DENSER:g} of their distance make of the same {pair_convergence.SAMPLES} samples, ± "
         "the 95 % interval that so few samples leave of it. It is no bound of what the pairs leave: still denser ones, "
         "and other samples, may move a characteristic that did not move here.",
     )

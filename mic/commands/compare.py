@@ -8,8 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from mic.commands.call import counting, on_one_process, studied, threads
-from mic.console import plain
+from mic.commands.invocation import counting, on_one_process, studied, threads
 from mic.process.model import ReducedModel
 from mic.results.field_changes import field_changes, write_field_changes
 from mic.results.outcome import Outcome, read_outcome
@@ -17,6 +16,7 @@ from mic.results.schema import COMPARISON
 from mic.scene import Scene, load_scene
 from mic.studies.comparison import SAMPLES, need_common
 from mic.studies.comparison import compare as compared
+from mic.system.console import plain
 
 __all__ = ["compare"]
 

@@ -17,7 +17,7 @@ from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
 from mic.contact.native.follower import follower
 from mic.contact.native.kernels import compiled  # compiles when it is imported, and so what both need is there
-from mic.product import product
+from mic.system.matrix_product import product
 
 if __name__ == "__main__":
     beside = get_context("fork").Process(target=import_module, args=("mic.contact.native.tangent",))

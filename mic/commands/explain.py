@@ -9,12 +9,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from mic.commands.call import counting, law_of, on_one_process, seed_of, studied, threads
-from mic.console import plain
+from mic.commands.invocation import counting, law_of, on_one_process, seed_of, studied, threads
 from mic.errors import SceneError
 from mic.results.schema import EXPLANATION, FURTHER
 from mic.scene.tables import read_cells, read_number
 from mic.studies.explanation import explain as explained
+from mic.system.console import plain
 
 __all__ = ["explain", "read_measured"]
 

@@ -8,13 +8,13 @@ import numpy as np
 from rich.console import Console
 
 from mic import cache_folder
-from mic.commands.call import law_of, on_one_process, reduced, studied
-from mic.console import plain
+from mic.commands.invocation import law_of, on_one_process, reduced, studied
 from mic.errors import RunError, SceneError
-from mic.product import one_thread
-from mic.results.folder import RunFolder
 from mic.results.outcome import read_outcome
+from mic.results.run_folder import RunFolder
 from mic.studies.exploration import explore as explored
+from mic.system.console import plain
+from mic.system.matrix_product import one_thread
 
 __all__ = ["explore"]
 

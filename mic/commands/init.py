@@ -8,10 +8,10 @@ import numpy as np
 from rich.console import Console
 
 from mic import examples
-from mic.commands.call import on_one_process
-from mic.console import plain
+from mic.commands.invocation import on_one_process
 from mic.errors import SceneError
-from mic.proposal import write_scene
+from mic.system.console import plain
+from mic.wizard import write_scene
 
 __all__ = [
     "init",

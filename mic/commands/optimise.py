@@ -9,16 +9,16 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mic.commands.call import keep_studies, law_of, on_one_process, seed_of, studied, threads
-from mic.console import plain
+from mic.commands.invocation import keep_studies, law_of, on_one_process, seed_of, studied, threads
 from mic.errors import SceneError, Stopped
 from mic.results.schema import COMPARISON, OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
-from mic.results.statistics import Estimate
-from mic.store import write_text
+from mic.statistics.estimates import Estimate
 from mic.studies.optimisation import Matched, Optimum
 from mic.studies.optimisation import optimise as optimised
-from mic.studies.optimisation.words import OBJECTIVES as WORDS
-from mic.studies.optimisation.writing import rewritten
+from mic.studies.optimisation.description import OBJECTIVES as WORDS
+from mic.studies.optimisation.scene_changes import rewritten
+from mic.system.console import plain
+from mic.system.files import write_text
 
 __all__ = ["optimise"]
 

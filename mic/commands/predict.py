@@ -13,15 +13,15 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn
 
 from mic import cache_folder
-from mic.commands.call import law_of, on_one_process, studied
-from mic.console import plain
+from mic.commands.invocation import law_of, on_one_process, studied
 from mic.errors import FormatError, SceneError, Stopped
-from mic.results.identity import identity
+from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene.tables import read_cells, read_number
-from mic.store import append_text, write_text
-from mic.studies.learning import tolerance
+from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
+from mic.system.console import plain
+from mic.system.files import append_text, write_text
 
 __all__ = ["Log", "predict", "read_parts"]
 

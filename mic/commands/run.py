@@ -11,16 +11,16 @@ from rich.console import Console
 from rich.table import Table
 
 from mic import cache_folder
-from mic.commands.call import OnConsole, on_one_process, requested, status
-from mic.console import plain
+from mic.commands.invocation import OnConsole, on_one_process, requested, status
 from mic.errors import RunError, Stopped
-from mic.report.ahead import Ahead
+from mic.execution.ranks import communicator, on_first
+from mic.report.background_pictures import Ahead
 from mic.results.excel import write_excel
-from mic.results.folder import EXCEL
+from mic.results.run_folder import EXCEL
 from mic.runs import conclude, finished, hold
 from mic.runs import run as run_scene
-from mic.sampling.ranks import communicator, on_first
 from mic.scene import load_scene
+from mic.system.console import plain
 
 __all__ = [
     "Drawing",
@@ -91,8 +91,8 @@ def report(folder, excel):
 
 def _report(console, outcome, ahead):
     """The page, and on the console the least that a user wants to know."""
-    from mic.report.answer import answer  # drawing libraries are slow to import, and most commands need none
     from mic.report.page import write_report
+    from mic.report.verdict import answer  # drawing libraries are slow to import, and most commands need none
 
     page = write_report(outcome.folder, outcome, ahead)
     _print_zones(console, outcome)

@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mic.commands.call import counting, keep_studies, law_of, on_one_process, seed_of, studied, threads
-from mic.console import plain
+from mic.commands.invocation import counting, keep_studies, law_of, on_one_process, seed_of, studied, threads
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.results.schema import (
@@ -25,16 +24,17 @@ from mic.results.schema import (
     SENSITIVITIES,
     SPREADS,
 )
-from mic.store import write_text
 from mic.studies import contributors as driving
 from mic.studies import friction as rubbing
 from mic.studies import remedy as mending
 from mic.studies import sensitivity as slopes
 from mic.studies.adjustment import written
+from mic.studies.input_screening import MANY
 from mic.studies.order import PERMUTATIONS, STATED, compare, orders
 from mic.studies.order import variants as read_variants
 from mic.studies.rare import rare as rare_events
-from mic.studies.screening import MANY
+from mic.system.console import plain
+from mic.system.files import write_text
 
 __all__ = [
     "contributors",
@@ -141,7 +141,7 @@ def contributors(source, samples, seed, law):
 
 def _print_contributors(console, scene, found):
     """By characteristic, what makes its variance; what hurts most overall; where a linear analysis misleads."""
-    from mic.report.drivers import linear_words, named  # drawing libraries are slow to import
+    from mic.report.driver_sentences import linear_words, named  # drawing libraries are slow to import
     from mic.report.style import number, percent
 
     table = Table(
@@ -191,7 +191,7 @@ def friction(source, samples, seed, law):
 
 
 def _print_friction(console, found):
-    from mic.report.drivers import friction_words  # drawing libraries are slow to import
+    from mic.report.driver_sentences import friction_words  # drawing libraries are slow to import
     from mic.report.style import number
 
     factors = list(found.loc[found["zone"] == "", "factor"].unique())
@@ -301,7 +301,7 @@ def rare(source, measurement, samples, seed, law):
         raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
     with counting(console, f"evaluations under {asked}", None) as advance:
         found = rare_events(model, asked, names, samples - samples % 10, seed_of(scene, seed), threads(), advance)
-    from mic.report.drivers import design_words
+    from mic.report.driver_sentences import design_words
 
     for row in found.table.to_dict("records"):
         what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
@@ -349,7 +349,7 @@ def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
 
 def _print_remedies(console, scene, found):
     """By remedy: what to set, and what that does to each characteristic, of fresh samples."""
-    from mic.report.drivers import remedy_words  # drawing libraries are slow to import
+    from mic.report.driver_sentences import remedy_words  # drawing libraries are slow to import
     from mic.report.style import number, percent
 
     if found.found:

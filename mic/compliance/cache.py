@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from mic.cache import ABSENT, Cache
 from mic.compliance import provider
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.part import Part
 from mic.compliance.thickness import Thicknesses, chebyshev
-from mic.store import Format
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format
 
 __all__ = ["influence_coefficients", "is_cached"]
 
@@ -32,7 +32,7 @@ def influence_coefficients(
     ----------
     assembly : mic.model.assembly.Assembly
     cache : Path
-        Folder of cached coefficients, see :mod:`mic.cache`.
+        Folder of cached coefficients, see :mod:`mic.system.disk_cache`.
     progress : callable, optional
         Called with one line of text before each part that is computed.
     comm : mpi4py.MPI.Comm, optional

@@ -31,8 +31,8 @@ from scipy.sparse import csr_matrix
 
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
-from mic.contact.columns import Columns
-from mic.product import product
+from mic.contact.compliance_columns import Columns
+from mic.system.matrix_product import product
 
 __all__ = ["Response", "eliminate"]
 

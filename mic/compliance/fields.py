@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.cache import ABSENT, Cache
 from mic.compliance import provider
 from mic.compliance.part import Part
-from mic.store import Format
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format
 
 __all__ = ["displacement_field"]
 

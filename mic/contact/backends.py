@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from mic.contact.cone_programme import OPTIMISERS, ConeProgramme
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.path import Leg, Path
-from mic.contact.programme import OPTIMISERS, ConeProgramme
 
 if TYPE_CHECKING:
-    from mic.contact.columns import Columns
+    from mic.contact.compliance_columns import Columns
     from mic.contact.native.landing import Landing
 
 __all__ = ["BACKENDS", "Backend"]

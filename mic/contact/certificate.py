@@ -41,7 +41,7 @@ import numpy as np
 from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
 from mic.contact.units import beyond, unit
-from mic.product import product
+from mic.system.matrix_product import product
 
 __all__ = ["Certificate", "certify", "contact_stiffness", "in_units", "residual", "series_compliance"]
 

@@ -22,7 +22,7 @@ class Increments:
     ----------
     count : int
     recorded : bool
-        Whether the solution tells its :class:`mic.contact.trail.Trail`.
+        Whether the solution tells its :class:`mic.contact.path_record.Trail`.
     """
 
     count: int = 1

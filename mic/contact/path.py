@@ -20,10 +20,10 @@ from functools import reduce
 import numpy as np
 
 from mic.contact.increments import Increments
+from mic.contact.path_record import Trail, trails
 from mic.contact.solution import ContactSolution
 from mic.contact.states import OPEN, SLIP, STICK, classify
-from mic.contact.trail import Trail, trails
-from mic.product import product
+from mic.system.matrix_product import product
 
 __all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at_once", "ended"]
 
@@ -45,7 +45,7 @@ class Followed:
     steps : int or None
         So many equal steps instead, whatever their error: to show the order of the method.
     recorded : bool
-        Whether the solution tells its :class:`mic.contact.trail.Trail`.
+        Whether the solution tells its :class:`mic.contact.path_record.Trail`.
     """
 
     tolerance: float = 2.5e-4
@@ -129,7 +129,7 @@ class PathSolution:
     status, rung : (n,) object array
         Of the last step; the rung is ``"followed"`` or ``"increments"``, or the ladder's where neither would do.
     trail : (n,) object array or None
-        The :class:`mic.contact.trail.Trail` of each sample, of the last leg, where its path is recorded.
+        The :class:`mic.contact.path_record.Trail` of each sample, of the last leg, where its path is recorded.
     """
 
     force: np.ndarray

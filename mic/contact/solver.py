@@ -16,7 +16,7 @@ from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
 from mic.contact.units import beyond, unit
-from mic.product import one_thread
+from mic.system.matrix_product import one_thread
 
 __all__ = ["ContactSolver", "solve"]
 

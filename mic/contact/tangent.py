@@ -1,6 +1,6 @@
 r"""Exact derivatives of contact forces and displacements along a path, with respect to any inputs.
 
-A path whose steps are known (:class:`mic.contact.trail.Trail`) is gone again, and its derivative with it. With the
+A path whose steps are known (:class:`mic.contact.path_record.Trail`) is gone again, and its derivative with it. With the
 states of the contacts known, one step is the problem ``w = S f + q(s) - a`` with one smooth equation for each contact
 
     open    f = 0
@@ -30,13 +30,13 @@ from functools import cached_property
 
 import numpy as np
 
-from mic.contact.columns import Columns
+from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled
+from mic.contact.path_record import Trail
 from mic.contact.solver import ContactSolver
 from mic.contact.states import LOADED, ON_CONE, OPEN, STICK
-from mic.contact.trail import Trail
 
 __all__ = ["Bend", "Contact", "End", "Varied", "lag", "retrace"]
 

@@ -28,8 +28,8 @@ from mic.errors import MicError
 from mic.explorer.picture import Picture
 from mic.explorer.shapes import Shapes
 from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, number, part_colour
-from mic.store import write_text
 from mic.studies.exploration import GROUPS, Answer, Exploration
+from mic.system.files import write_text
 
 __all__ = ["Page", "Samples"]
 

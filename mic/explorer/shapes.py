@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from mic.cache import ABSENT, Cache
 from mic.compliance import provider
 from mic.compliance.part import Part
 from mic.errors import FormatError, MissingProvider
-from mic.report.thinning import thinned
-from mic.results.identity import identity
-from mic.store import Format, fingerprint, load_arrays, save_arrays
+from mic.report.mesh_decimation import thinned
+from mic.results.run_identity import identity
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format, fingerprint, load_arrays, save_arrays
 
 __all__ = ["PartShape", "Shapes", "beside"]
 

@@ -14,18 +14,18 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from mic.cache import ABSENT, Cache
 from mic.errors import SceneError
 from mic.geometry import grading, structured
 from mic.geometry.deck import Deck
 from mic.geometry.grading import GradedSize
 from mic.geometry.offset import moved
-from mic.geometry.opened import Dependencies, opened_files
 from mic.geometry.refinement import halved
 from mic.geometry.script import build, named_sizes
+from mic.geometry.script_dependencies import Dependencies, opened_files
 from mic.geometry.surface import Surface
 from mic.scene.part import USUAL
-from mic.store import Format, fingerprint
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format, fingerprint
 
 __all__ = [
     "LoadedPart",
@@ -71,7 +71,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
     """A part with its surface, from its mesh file or its geometry script.
 
     A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
-    script's folder and of the folder above, which it may import; see :mod:`mic.cache` for what is believed of it. It is
+    script's folder and of the folder above, which it may import; see :mod:`mic.system.disk_cache` for what is believed of it. It is
     used again only while every file that the script read, or declares, holds what it held.
 
     Parameters

@@ -3,7 +3,7 @@
 A script defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface of one part as points (n, 3) in
 mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each triangle, which may be left out
 and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``, a list, names files that it reads
-in ways that Python does not see (:mod:`mic.geometry.opened`). Where the scene states an accuracy, the size is a
+in ways that Python does not see (:mod:`mic.geometry.script_dependencies`). Where the scene states an accuracy, the size is a
 :class:`mic.geometry.grading.GradedSize`, a number that tells smaller ones too.
 
 It is somebody's program and may do anything: raise, exit, crash, never end, print what it likes. So it runs in a
@@ -31,7 +31,7 @@ import numpy as np
 
 from mic.errors import SceneError
 from mic.geometry.grading import GradedSize
-from mic.geometry.opened import Dependencies, opened_files
+from mic.geometry.script_dependencies import Dependencies, opened_files
 from mic.geometry.surface import Surface
 
 __all__ = ["build", "load_script", "named_sizes"]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from mic.cache import ABSENT, Cache
 from mic.compliance.functional import Functionals
 from mic.compliance.matrices import read_matrix
 from mic.compliance.part import Part
@@ -32,22 +31,23 @@ from mic.geometry.pairing import (
     pair_at,
 )
 from mic.geometry.surface import Patch, Surface
-from mic.kept import kept
 from mic.model import characteristics
-from mic.model.apart import refuse_untold
-from mic.model.meshing import chosen_sizes
-from mic.model.modes import write_modes
+from mic.model.coincident_sheets import refuse_untold
+from mic.model.element_sizes import chosen_sizes
 from mic.model.overlap import closed, joined_by
-from mic.model.placing import place
-from mic.model.positions import position_rows
+from mic.model.placement import place
+from mic.model.position_rows import position_rows
+from mic.model.refined_mesh import resolved
 from mic.model.rows import AXES, NORMAL, Rows
-from mic.model.solved_mesh import resolved
+from mic.model.shape_modes import write_modes
 from mic.model.sources import ranges, sources
-from mic.product import one_thread
 from mic.scene import Scene
 from mic.scene.checks import entry
 from mic.scene.samples import take_samples
-from mic.store import Format, fingerprint
+from mic.system.disk_cache import ABSENT, Cache
+from mic.system.files import Format, fingerprint
+from mic.system.matrix_product import one_thread
+from mic.system.memoise import kept
 
 __all__ = ["Assembly", "Between", "Contacts", "assemble"]
 
@@ -169,10 +169,10 @@ class Assembly:
     Attributes
     ----------
     scene : Scene
-        What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placing`): points
+        What its parts leave to their mesh files filled in, and placed on its meshes (:mod:`mic.model.placement`): points
         and directions are vectors, clamps single ones.
     parts : tuple of Part
-        On the meshes that they are solved on (:mod:`mic.model.solved_mesh`).
+        On the meshes that they are solved on (:mod:`mic.model.refined_mesh`).
     rows : dict of str to (r, F) csr_matrix
         Rows over the stacked functionals of all parts (F in all), by what they stand for (`mic.model.rows.KINDS`).
     labels : dict of str to list of str

@@ -23,7 +23,7 @@ from typing import Self
 import numpy as np
 
 from mic.errors import SceneError
-from mic.geometry.cloud import sheet_normals
+from mic.geometry.measured_points import sheet_normals
 from mic.model.rows import Rows
 from mic.scene import Measurement, Scene
 from mic.scene.checks import entry

@@ -16,21 +16,21 @@ from typing import Any, Self
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from mic import store
 from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.thickness import Thicknesses
 from mic.model.assembly import Assembly, Between, Contacts
 from mic.model.characteristics import Characteristics
 from mic.model.shape import shape_readings
-from mic.model.slopes import Slopes
+from mic.model.shape_derivatives import Slopes
 from mic.model.sources import changed, thicker
-from mic.product import one_thread
 from mic.scene import Scene
+from mic.system import files
+from mic.system.matrix_product import one_thread
 
 __all__ = ["Reduction"]
 
-FORMAT = store.Format("reduced model", 7, "build the model again")
+FORMAT = files.Format("reduced model", 7, "build the model again")
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class Reduction:
             "weld_size": self.weld_size,
             "inputs": self.inputs,
         }
-        store.save_arrays(Path(path), FORMAT, header, arrays)
+        files.save_arrays(Path(path), FORMAT, header, arrays)
 
     @classmethod
     def load(cls, path) -> Self:
@@ -216,7 +216,7 @@ class Reduction:
         FormatError
             If the file was written by an incompatible version, is something else, or is damaged.
         """
-        header, data = store.load_arrays(Path(path), FORMAT)
+        header, data = files.load_arrays(Path(path), FORMAT)
         parts = range(len(header["scene"]["parts"]))
         compliance = Blocks(tuple(data[f"H_{p}"] for p in parts), tuple(data[f"G_{p}"] for p in parts))
         slopes = {name.removeprefix("slopes_"): data[name] for name in data if name.startswith("slopes_")}

@@ -96,7 +96,7 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], ask
     assembly : mic.model.assembly.Assembly or mic.model.reduction.Reduction
     deviations : (n, p) array
     shape : mapping of str to (n, r) array
-        What the rows of each kind, and rest rows (:class:`mic.model.resting.RestRows`), read of the parts' stress-free
+        What the rows of each kind, and rest rows (:class:`mic.model.rest_rows.RestRows`), read of the parts' stress-free
         shapes, mm.
     asks : Asks, optional
         Of the assembly, where they are known.

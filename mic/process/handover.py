@@ -13,8 +13,8 @@ from mic.process.actions import Joints
 from mic.process.drive import Drive
 from mic.process.path import Ramp
 from mic.process.plan import Step
+from mic.process.row_values import Names, Values
 from mic.process.state import KEPT, ProcessState
-from mic.process.values import Names, Values
 
 __all__ = ["Handover", "known"]
 

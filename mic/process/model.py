@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
-from mic.contact.watched import Foreseen
+from mic.contact.working_set import Foreseen
 from mic.errors import SceneError
 from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
-from mic.model.resting import RestRows
+from mic.model.rest_rows import RestRows
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.process.stiffness import carrying, following
-from mic.product import one_thread
 from mic.scene import Scene
+from mic.system.matrix_product import one_thread
 
 if TYPE_CHECKING:
     from mic.process.sensitivity import Sensitivities, Steps

@@ -26,7 +26,7 @@ from mic.process.actions import (
     moves_of,
     together,
 )
-from mic.process.freedom import check_resting, rested
+from mic.process.free_motions import check_resting, rested
 from mic.scene.stages import set_down_in
 
 __all__ = ["Limit", "StagePlan", "Step", "plan_assembly", "plan_stages", "yielding"]
@@ -235,7 +235,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     Raises
     ------
     SceneError
-        If a step leaves a part free to move, and no zone joins it to what stays (`mic.process.freedom`).
+        If a step leaves a part free to move, and no zone joins it to what stays (`mic.process.free_motions`).
     """
     rows = _Rows(scene, Joints(tuple(weld_size)), limited)
     plans: list[StagePlan] = []

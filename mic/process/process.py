@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 
 from mic.contact import ContactSolver, laws
-from mic.contact.columns import Columns
+from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, PathSolution, Trace
-from mic.contact.watched import Foreseen, WatchedSolver
+from mic.contact.working_set import Foreseen, WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
 from mic.process.drive import Asks, Drive, drive
 from mic.process.evaluation import Course, Evaluation, Resolution, Resolutions
-from mic.process.freedom import check_resting
-from mic.process.linear import Linear
+from mic.process.free_motions import check_resting
+from mic.process.linear_maps import Linear
 from mic.process.plan import StagePlan, Step, plan_stages, yielding
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
-from mic.product import one_thread, product
+from mic.system.matrix_product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
 
@@ -48,7 +48,7 @@ def contact_solver(
     guessing: bool = False,
     **settings,
 ):
-    """What solves the contacts of a step: a :class:`mic.contact.watched.WatchedSolver` where any is a candidate, or
+    """What solves the contacts of a step: a :class:`mic.contact.working_set.WatchedSolver` where any is a candidate, or
     takes no part.
 
     Parameters
@@ -64,7 +64,7 @@ def contact_solver(
     foreseen : Foreseen, optional
         What this step did to a few samples; default: nothing is known.
     guessing : bool
-        As :class:`mic.contact.watched.WatchedSolver` has it.
+        As :class:`mic.contact.working_set.WatchedSolver` has it.
     **settings
         Law and others, as :class:`mic.contact.ContactSolver` takes them.
     """

@@ -6,7 +6,7 @@ handed on with its derivatives, one more assembly for each input, driven by what
 differentiated where it is solved (:mod:`mic.contact.tangent`), with its states known and the steps of its path frozen.
 
 Where a row moves in its sheet, by δ along a tangent, it reads ``ℓ·y + δ a'·y`` and pushes with ``λ (ℓ + δ a')``: S, T
-and L of what was eliminated with ℓ change (:mod:`mic.process.shift`), S by ``-T αᵀ - α Tᵀ`` with α what a load on a'
+and L of what was eliminated with ℓ change (:mod:`mic.process.moving_rows`), S by ``-T αᵀ - α Tᵀ`` with α what a load on a'
 moves.
 
 Inputs are called as :mod:`mic.process.inputs` says.
@@ -28,17 +28,17 @@ from mic.contact.path import Path
 from mic.contact.states import OPEN
 from mic.contact.tangent import Bend, Contact, End, Varied, retrace
 from mic.errors import SceneError
-from mic.model.resting import put_down_slope
+from mic.model.rest_rows import put_down_slope
 from mic.process.drive import Drive
+from mic.process.force_limits import Stops
 from mic.process.inputs import Inputs, known_inputs
+from mic.process.moving_rows import Shift
 from mic.process.path import Ramp
 from mic.process.plan import Step
-from mic.process.rest import Leg
-from mic.process.shift import Shift
+from mic.process.resting_parts import Leg
 from mic.process.stage import EliminatedStep, PreparedStage
 from mic.process.state import ProcessState
-from mic.process.stops import Stops
-from mic.product import one_thread
+from mic.system.matrix_product import one_thread
 
 __all__ = ["AT_CHANGE", "ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
 
@@ -449,7 +449,7 @@ class _Sensitivity:
         come to lie.
 
         Where a part lies is one more input of a leg, q̄, of which nothing is left to carry for its springs: ``λ(x, q̄) =
-        0`` (:mod:`mic.process.rest`).
+        0`` (:mod:`mic.process.resting_parts`).
         """
         rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
         (c, G), law = rest.springs(response), stage.solver(eliminated).law

@@ -10,8 +10,8 @@ the contact law ties f to ``u = S f + b``, its slip measured from the contacts' 
 p, b goes straight from the step's start to its end. Where parts settle, v and p stay, and each overlap closes from
 touching: ``b_n(s) = b_n + (1 − s) max(0, −u_n)``, u_n under the forces of the contacts that touch already.
 
-Parts that rest by contact alone are held by rows of :mod:`mic.model.resting`, behind the bilateral ones, whose values
-are found so that they carry nothing (:mod:`mic.process.rest`).
+Parts that rest by contact alone are held by rows of :mod:`mic.model.rest_rows`, behind the bilateral ones, whose values
+are found so that they carry nothing (:mod:`mic.process.resting_parts`).
 
 A row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
 stop: one more contact, without friction, whose gap is the way that is left. Where the part lies beyond the position
@@ -30,23 +30,23 @@ from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.elimination import Response, eliminate
 from mic.contact import ContactSolver
-from mic.contact.columns import Columns
+from mic.contact.compliance_columns import Columns
 from mic.contact.path import Followed, Increments, Path, PathSolution
 from mic.contact.states import classify
-from mic.contact.watched import WatchedSolver
+from mic.contact.working_set import WatchedSolver
 from mic.errors import FreeMotion
-from mic.model.resting import put_down
+from mic.model.rest_rows import put_down
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
-from mic.process.freedom import free
+from mic.process.force_limits import Stops
+from mic.process.free_motions import free
 from mic.process.handover import Handover, known
 from mic.process.path import Ramp
 from mic.process.plan import Limit, StagePlan, Step, yielding
-from mic.process.rest import Leg, Rest
+from mic.process.resting_parts import Leg, Rest
+from mic.process.row_values import Values, columns
 from mic.process.state import ProcessState
-from mic.process.stops import Stops
-from mic.process.values import Values, columns
-from mic.product import product
+from mic.system.matrix_product import product
 
 __all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
 
@@ -190,7 +190,7 @@ class PreparedStage:
         One for each step of the plan.
     model : mic.model.reduction.Reduction
     solver : function of a step
-        Gives the :class:`mic.contact.ContactSolver`, or :class:`mic.contact.watched.WatchedSolver`, of an
+        Gives the :class:`mic.contact.ContactSolver`, or :class:`mic.contact.working_set.WatchedSolver`, of an
         :class:`EliminatedStep` that resolves contact.
     path : mic.contact.path.Path
         How its steps are followed.

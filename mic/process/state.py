@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mic.process.values import Names, Values
+from mic.process.row_values import Names, Values
 
 __all__ = ["ProcessState"]
 

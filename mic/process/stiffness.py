@@ -10,7 +10,7 @@ bracket is what that leaves out of the gaps of the mesh at m. What the fixture p
 its direction in space.
 
 To first order each sample has a compliance and gaps of its own: those at m, and their derivatives with the sources that
-turn the sheets most (:mod:`mic.model.slopes`), by differences between the shapes at m ± s_i e_i. The pins of each H are
+turn the sheets most (:mod:`mic.model.shape_derivatives`), by differences between the shapes at m ± s_i e_i. The pins of each H are
 chosen by conditioning, and others on the next mesh, by which differences would be off by as much as the derivative:
 of ``U = P H P`` with ``P = 1 − G (GᵀG)⁻¹ Gᵀ``, which differs from H by rigid motions alone under forces that balance,
 they are taken. On the pins of H(m), ``H(m) = U(m) + G(m) A + Aᵀ G(m)ᵀ``,
@@ -33,10 +33,10 @@ from mic.compliance.cache import influence_coefficients
 from mic.compliance.coefficients import InfluenceCoefficients, Slope
 from mic.compliance.part import Part
 from mic.model.assembly import Assembly
-from mic.model.deviated import deviated_parts, opening
+from mic.model.deviated_geometry import deviated_parts, opening
 from mic.model.reduction import Reduction
 from mic.model.shape import dilation
-from mic.model.slopes import Slopes
+from mic.model.shape_derivatives import Slopes
 from mic.model.sources import sources
 from mic.process.actions import Joints
 
@@ -260,7 +260,7 @@ def carrying(
     fields : mapping of str to (v, 6) array
         The shape at the vertices of each part, mm and rad.
     own : mapping of str to InfluenceCoefficients
-        Of the parts that :func:`mic.model.deviated.deviated_parts` makes of it.
+        Of the parts that :func:`mic.model.deviated_geometry.deviated_parts` makes of it.
     deviations : (p,) array
         Those that give the shape.
     """

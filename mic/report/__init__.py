@@ -2,7 +2,7 @@
 
 Whoever works in Python finds here what the pages show: ``write_report(folder)`` draws the page of a results folder,
 ``pictures(found)`` the pictures of what :func:`mic.explain`, :func:`mic.sensitivity` or another function found, as
-:class:`mic.report.picture.Picture`, which notebooks show by themselves. Which those are, :mod:`mic.report.shown`
+:class:`mic.report.picture.Picture`, which notebooks show by themselves. Which those are, :mod:`mic.report.study_pictures`
 lists.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 _HOMES = {
     "comparison_pictures": "mic.report.comparison_page",
     "explanation_pictures": "mic.report.explanation_page",
-    "pictures": "mic.report.shown",
+    "pictures": "mic.report.study_pictures",
     "write_report": "mic.report.page",
 }
 

@@ -10,8 +10,8 @@ from scipy.special import ndtri
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import MOST_PANELS, Picture, panels, svg
 from mic.report.style import number, percent
-from mic.results.statistics import LEVEL
 from mic.scene import Scene
+from mic.statistics.estimates import LEVEL
 
 __all__ = ["AFTER", "BEFORE", "change_picture", "order_picture", "remedy_picture", "search_trail"]
 

@@ -14,18 +14,18 @@ from plotly.offline import get_plotlyjs
 from mic.errors import Problems
 from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
-from mic.judgement import Warned, verdict
 from mic.model.assembly import Contacts
 from mic.model.one_sigma import Shape
+from mic.plausibility import Warned, verdict
+from mic.process.description import opening, sentences
 from mic.process.plan import StagePlan
-from mic.process.words import opening, sentences
 from mic.report.source_pictures import draw_shapes
 from mic.report.style import MARK_COLOURS, number
 from mic.report.template import rendered
-from mic.report.viewer import drawable, packed, view
+from mic.report.viewer_data import drawable, packed, view
 from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
-from mic.store import write_text
+from mic.system.files import write_text
 
 __all__ = ["write_check"]
 

@@ -22,9 +22,9 @@ from mic.report.space_pictures import draw_surfaces
 from mic.report.style import RC, number, percent
 from mic.report.template import rendered
 from mic.results.field_changes import FieldChange
-from mic.results.statistics import LEVEL, density
-from mic.store import write_text
+from mic.statistics.estimates import LEVEL, density
 from mic.studies.comparison import Comparison
+from mic.system.files import write_text
 
 __all__ = ["comparison_pictures", "sentences", "write_comparison"]
 

@@ -14,7 +14,7 @@ from mic.report.context import SHOWN, Context
 from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, number, percent, zone_colour
 from mic.results.outcome import Outcome
-from mic.results.statistics import density
+from mic.statistics.estimates import density
 
 __all__ = ["sample_picture", "slip_force_picture", "state_picture", "tangential_density_picture"]
 

@@ -10,8 +10,8 @@ from typing import Any
 from mic.geometry.surface import Surface
 from mic.report.style import LAWS
 from mic.results.fields import PartField, read_fields
-from mic.results.folder import PUBLISHED
 from mic.results.outcome import Outcome
+from mic.results.run_folder import PUBLISHED
 
 __all__ = ["SHOWN", "Context", "read_context"]
 

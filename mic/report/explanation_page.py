@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from mic.report.picture import MOST_PANELS, Picture, svg
 from mic.report.style import RC, number, percent
 from mic.report.template import rendered
-from mic.results.statistics import LEVEL
-from mic.store import write_text
+from mic.statistics.estimates import LEVEL
 from mic.studies.explanation import Explanation
+from mic.system.files import write_text
 
 __all__ = ["explanation_pictures", "sentences", "write_explanation"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from mic.contact.comparison import summarise
+from mic.contact.law_comparison import summarise
 from mic.report.context import SHOWN, Context
 from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.style import LAWS, STATE_COLOURS, number, percent

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from mic.report.drivers import FAR
+from mic.report.driver_sentences import FAR
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import MOST_PANELS, Picture, panels, svg
 from mic.report.style import number, percent
-from mic.results.statistics import LEVEL
 from mic.scene import Scene
+from mic.statistics.estimates import LEVEL
 
 __all__ = ["likeliest_miss_picture", "miss_picture"]
 

@@ -11,10 +11,9 @@ import numpy as np
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
-from mic.report.ahead import Ahead
-from mic.report.answer import answer
+from mic.report.background_pictures import Ahead
 from mic.report.context import read_context
-from mic.report.drivers import (
+from mic.report.driver_sentences import (
     design_words,
     friction_words,
     linear_words,
@@ -23,11 +22,12 @@ from mic.report.drivers import (
     signed,
     unit_of,
 )
-from mic.report.gallery import PICTURES, SECTIONS, draw_all
+from mic.report.picture_registry import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, zone_colour
 from mic.report.template import rendered
-from mic.report.viewer import packed, viewer_data
-from mic.results.accuracy import read_accuracy
+from mic.report.verdict import answer
+from mic.report.viewer_data import packed, viewer_data
+from mic.results.mesh_error import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import (
     CONTRIBUTORS,
@@ -42,10 +42,10 @@ from mic.results.schema import (
     REMEDY_EFFECTS,
     SPREADS,
 )
-from mic.results.statistics import LEVEL, covered_share
-from mic.store import replacing, write_text
+from mic.statistics.estimates import LEVEL, covered_share
 from mic.studies.contributors import joint_ranking
 from mic.studies.friction import friction_needed
+from mic.system.files import replacing, write_text
 
 __all__ = ["write_report"]
 

@@ -19,9 +19,9 @@ from mic.geometry.normals import Rule
 from mic.geometry.surface import Surface
 from mic.model.assembly import Contacts
 from mic.report.context import Context
+from mic.report.mesh_decimation import MOST, thinned
 from mic.report.picture import MOST_PANELS, Picture, panels, png
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
-from mic.report.thinning import MOST, thinned
 from mic.results.outcome import Outcome
 
 __all__ = [

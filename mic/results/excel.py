@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mic.errors import RunError
 from mic.results.schema import ACCURACY, STATISTICS, STUDIES
-from mic.store import replacing
+from mic.system.files import replacing
 
 __all__ = ["write_excel"]
 

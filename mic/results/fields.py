@@ -22,11 +22,11 @@ import numpy as np
 from mic.compliance.fields import displacement_field
 from mic.errors import FormatError, MissingProvider
 from mic.geometry.readers.vtu import write_vtu
-from mic.results.condensed import Centred, Condenser
-from mic.results.folder import RunFolder
+from mic.results.low_rank_forces import Centred, Condenser
 from mic.results.outcome import Outcome, read_outcome
+from mic.results.run_folder import RunFolder
 from mic.results.schema import FIELDS
-from mic.store import Format, load_arrays, save_arrays, together
+from mic.system.files import Format, load_arrays, save_arrays, together
 
 __all__ = [
     "DISCARDED_ENERGY",

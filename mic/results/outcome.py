@@ -23,14 +23,15 @@ from numpy.typing import ArrayLike
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
-from mic.results import statistics, summary
-from mic.results.digest import BlockSamples, Digest
-from mic.results.folder import Block, RunFolder
-from mic.results.identity import differences, inputs
-from mic.results.law_comparison import read_friction
-from mic.results.path_study import PathStudy, read_path_study
+from mic.results import summary
+from mic.results.block_statistics import BlockSamples, Digest
+from mic.results.friction_sweep import read_friction
+from mic.results.path_error import PathStudy, read_path_study
+from mic.results.run_folder import Block, RunFolder
+from mic.results.run_identity import differences, inputs
 from mic.results.schema import CONTACTS, DATASETS, Table
 from mic.scene.samples import DESIGNS
+from mic.statistics import estimates
 
 __all__ = ["Outcome", "Written", "read_outcome"]
 
@@ -117,7 +118,7 @@ class Outcome:
         worst = 0.0
         for law in self.laws:
             digest = self.digests[law]
-            plain = statistics.six_sigma(digest.moments["measurements",])
+            plain = estimates.six_sigma(digest.moments["measurements",])
             value, low, high = (np.atleast_1d(part) for part in (plain.value, plain.low, plain.high))
             better = digest.regression.improved() if digest.regression else None
             if better is not None:
@@ -289,7 +290,7 @@ class Outcome:
 
     @cached_property
     def path_study(self) -> PathStudy | None:
-        """What a tighter path changes: :mod:`mic.results.path_study`; None where not stored."""
+        """What a tighter path changes: :mod:`mic.results.path_error`; None where not stored."""
         return read_path_study(self.folder)
 
     @cached_property

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mic.results.schema import DATASETS, Table
-from mic.store import Format, Group, replacing
+from mic.system.files import Format, Group, replacing
 
 __all__ = ["read_identity", "read_table", "write_table"]
 
@@ -29,7 +29,7 @@ _NAMES = pa.dictionary(pa.int32(), pa.string())
 def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, group: Group | None = None) -> None:
     """Write a table as Parquet, with its units, its format and the identity of its run in the metadata.
 
-    `group` as :func:`mic.store.replacing` takes it.
+    `group` as :func:`mic.system.files.replacing` takes it.
 
     Raises
     ------

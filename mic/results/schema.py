@@ -16,7 +16,7 @@ import pandas as pd
 from pandas.api import types
 
 from mic.errors import FormatError
-from mic.store import replacing
+from mic.system.files import replacing
 
 __all__ = [
     "ACCURACY",
@@ -554,7 +554,7 @@ MEASUREMENT_STATISTICS = _statistic(
             "str",
             "",
             "what the following rest on: `linear` or `quadratic` regression on the deviations, whose moments are known "
-            "(`mic.results.regression`); `plain` where none is narrower, or the samples are too few, and the figures "
+            "(`mic.statistics.regression`); `plain` where none is narrower, or the samples are too few, and the figures "
             "are empty",
         ),
         Column("explained", "float64", "1", "share of the variance that the regression explains"),
@@ -672,7 +672,7 @@ ACCURACY = _statistic(
         Column("finer_seconds", "float64", "s", "that it took"),
         Column("finer_memory", "float64", "MB", "that it took"),
     ),
-    "What meshes leave (`mic.model.accuracy`). Only where the report asks for `accuracy`; written by the run.",
+    "What meshes leave (`mic.model.mesh_accuracy`). Only where the report asks for `accuracy`; written by the run.",
 )
 CONTRIBUTORS = _statistic(
     "contributors",
@@ -728,7 +728,7 @@ SPREADS = _statistic(
         *_estimate("mean", "mm", "mean by a regression on values and derivatives"),
         *_estimate("six_sigma", "mm", "6σ by it"),
     ),
-    "What few samples with their exact derivatives tell of mean and 6σ (`mic.results.slope_regression`). Written by "
+    "What few samples with their exact derivatives tell of mean and 6σ (`mic.statistics.derivative_regression`). Written by "
     "`mic sensitivity`; empty where the deviations' moments are not known, or they depend on each other.",
 )
 LINEARITY = _statistic(
@@ -803,7 +803,7 @@ DESIGN_POINTS = _statistic(
         Column("sigmas", "float64", "1", "that less its mean, in standard deviations"),
         Column("share", "float64", "1", "of the square of the direction to that point, as an importance"),
     ),
-    "The likeliest miss of every limit, by exact derivatives (`mic.studies.form`). Written by `mic rare`.",
+    "The likeliest miss of every limit, by exact derivatives (`mic.studies.first_order_reliability`). Written by `mic rare`.",
 )
 REMEDIES = _statistic(
     "remedies",

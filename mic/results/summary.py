@@ -12,11 +12,9 @@ import pandas as pd
 
 from mic.contact.laws import LAWS
 from mic.contact.states import STATES
-from mic.results import capability, statistics
-from mic.results.budget import whole_yield
-from mic.results.law_comparison import study_friction
-from mic.results.path_study import Effect, study_path
-from mic.results.regression import Improved
+from mic.results.error_sources import whole_yield
+from mic.results.friction_sweep import study_friction
+from mic.results.path_error import Effect, study_path
 from mic.results.schema import (
     CONTACT_STATISTICS,
     FRICTION,
@@ -29,8 +27,10 @@ from mic.results.schema import (
     ZONE_STATISTICS,
     Table,
 )
-from mic.results.statistics import Estimate, Moments
-from mic.store import Format, Group, replacing, save_json, together
+from mic.statistics import capability, estimates
+from mic.statistics.estimates import Estimate, Moments
+from mic.statistics.regression import Improved
+from mic.system.files import Format, Group, replacing, save_json, together
 
 if TYPE_CHECKING:
     from mic.results.outcome import Outcome
@@ -81,16 +81,16 @@ def zone_statistics(outcome: Outcome) -> pd.DataFrame:
                 for motion in _MOTIONS:
                     row |= _hanging(
                         f"_{motion}",
-                        (statistics.mean(own[motion]), statistics.six_sigma(own[motion])),
+                        (estimates.mean(own[motion]), estimates.six_sigma(own[motion])),
                         _effects(outcome, law, motion, zone.name, stage),
                     )
                 for column in ("slip_length", "friction_work"):
-                    row |= _spread(f"mean_{column}", statistics.mean(own[column]))
+                    row |= _spread(f"mean_{column}", estimates.mean(own[column]))
                 for name, which in _PRESSED.items():
                     force = outcome.digests[law].moments["pressed", stage, which].at(z)
-                    row |= _spread(f"mean_{name}", statistics.mean(force))
-                    row |= _spread(f"six_sigma_{name}", statistics.six_sigma(force))
-                rows.append(row | {state: statistics.mean(own[state]).value for state in STATES})
+                    row |= _spread(f"mean_{name}", estimates.mean(force))
+                    row |= _spread(f"six_sigma_{name}", estimates.six_sigma(force))
+                rows.append(row | {state: estimates.mean(own[state]).value for state in STATES})
     return _frame(ZONE_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
 
 
@@ -111,18 +111,18 @@ def contact_statistics(outcome: Outcome) -> pd.DataFrame:
         for stage in outcome.stages:
             f_n, u_n = (digest.moments["contacts", stage, column] for column in ("f_n", "u_n"))
             columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": samples}
-            columns |= _spread("mean_f_n", statistics.mean(f_n)) | _spread("six_sigma_f_n", statistics.six_sigma(f_n))
-            columns["mean_gap"] = statistics.mean(u_n).value
+            columns |= _spread("mean_f_n", estimates.mean(f_n)) | _spread("six_sigma_f_n", estimates.six_sigma(f_n))
+            columns["mean_gap"] = estimates.mean(u_n).value
             if outcome.has_slip:
                 force, motion = (digest.moments["contacts", stage, column] for column in ("f_t", "u_t"))
-                columns |= _spread("mean_slip_force", statistics.mean(force))
-                columns |= _spread("six_sigma_slip_force", statistics.six_sigma(force))
-                columns |= _spread("mean_tangential", statistics.mean(motion))
+                columns |= _spread("mean_slip_force", estimates.mean(force))
+                columns |= _spread("six_sigma_slip_force", estimates.six_sigma(force))
+                columns |= _spread("mean_tangential", estimates.mean(motion))
             for name, count in zip(STATES, digest.counts["states", stage]):
-                columns |= _spread(name, statistics.share(count, samples))
+                columns |= _spread(name, estimates.share(count, samples))
             if outcome.has_slip:
                 stick, slip = (
-                    statistics.mean(digest.moments["contacts", stage, column]).value
+                    estimates.mean(digest.moments["contacts", stage, column]).value
                     for column in ("path_stick", "path_slip")
                 )
                 columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
@@ -140,26 +140,26 @@ def measurement_statistics(outcome: Outcome) -> pd.DataFrame:
         regression = digest.regression.improved() if digest.regression else None
         for k, item in enumerate(outcome.model.scene.measurements):
             x = digest.moments["measurements",].at(k)
-            estimates: tuple[Estimate, ...] = (
-                statistics.mean(x),
-                statistics.sigma(x),
-                statistics.six_sigma(x),
-                statistics.minimum(x),
-                statistics.maximum(x),
+            moments: tuple[Estimate, ...] = (
+                estimates.mean(x),
+                estimates.sigma(x),
+                estimates.six_sigma(x),
+                estimates.minimum(x),
+                estimates.maximum(x),
                 capability.capability(x, math.nan if item.one_sided else item.lower, item.upper),
                 capability.centred_capability(x, *item.bounds),
-                statistics.share(digest.counts["outside",][k], x.n),
+                estimates.share(digest.counts["outside",][k], x.n),
             )
             if outcome.together > 1:
-                estimates = _by_groups(outcome, law, item, estimates)
+                moments = _by_groups(outcome, law, item, moments)
             row = {
                 "law": law,
                 "measurement": item.name,
                 "lower": item.lower,
                 "upper": item.upper,
-                "samples": estimates[0].used,
+                "samples": moments[0].used,
             }
-            found = dict(zip(_MEASURED, estimates))
+            found = dict(zip(_MEASURED, moments))
             effects = dict(zip(_HANGING, _effects(outcome, law, "measurement", item.name)))
             for name, estimate in found.items():
                 row |= _spread(name, estimate) | (_change(name, effects[name]) if name in effects else {})
@@ -187,7 +187,7 @@ def profile_statistics(outcome: Outcome) -> pd.DataFrame:
             x = outcome.digests[law].moments["profiles", item.name]
             columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
             columns |= dict(zip("xyz", np.array(item.points).T))
-            mean, six_sigma = statistics.mean(x), statistics.six_sigma(x)
+            mean, six_sigma = estimates.mean(x), estimates.six_sigma(x)
             if outcome.together > 1:  # samples that belong together tell no interval from moments
                 none = np.full(len(item.points), np.nan)
                 mean, six_sigma = (replace(each, low=none, high=none) for each in (mean, six_sigma))
@@ -196,10 +196,10 @@ def profile_statistics(outcome: Outcome) -> pd.DataFrame:
     return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
 
 
-def _by_groups(outcome: Outcome, law: str, item, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+def _by_groups(outcome: Outcome, law: str, item, moments: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
     """The estimates with the intervals of samples that a design makes in groups; in :data:`_MEASURED`'s order."""
     x, group = outcome.measured(law, item.name), outcome.sample_numbers(law) // outcome.together % GROUPS
-    mean, sigma, six_sigma, least, most = estimates[:5]
+    mean, sigma, six_sigma, least, most = moments[:5]
 
     def cpk(values):
         return capability.centred_capability(values, *item.bounds).value
@@ -207,14 +207,14 @@ def _by_groups(outcome: Outcome, law: str, item, estimates: tuple[Estimate, ...]
     def share(values):
         return float(capability.outside(values, item.lower, item.upper) / max(np.isfinite(values).sum(), 1))
 
-    mean = statistics.grouped(x, group, lambda values: statistics.mean(values).value)
-    sigma = statistics.grouped(x, group, lambda values: statistics.sigma(values).value, size=True)
+    mean = estimates.grouped(x, group, lambda values: estimates.mean(values).value)
+    sigma = estimates.grouped(x, group, lambda values: estimates.sigma(values).value, size=True)
     six_sigma = replace(six_sigma, low=6 * sigma.low, high=6 * sigma.high)
-    cp = replace(estimates[5], low=estimates[5].value * sigma.value / sigma.high,
-                 high=estimates[5].value * sigma.value / sigma.low)  # fmt: skip
-    outside = statistics.grouped(x, group, share)
+    cp = replace(moments[5], low=moments[5].value * sigma.value / sigma.high,
+                 high=moments[5].value * sigma.value / sigma.low)  # fmt: skip
+    outside = estimates.grouped(x, group, share)
     outside = replace(outside, low=np.maximum(outside.low, 0.0), high=np.minimum(outside.high, 1.0))
-    return mean, sigma, six_sigma, least, most, cp, statistics.grouped(x, group, cpk), outside
+    return mean, sigma, six_sigma, least, most, cp, estimates.grouped(x, group, cpk), outside
 
 
 def limit_statistics(outcome: Outcome) -> pd.DataFrame:
@@ -230,8 +230,8 @@ def limit_statistics(outcome: Outcome) -> pd.DataFrame:
             _, stage, name = key
             pushed, left, needed = (digest.moments["limits", stage, name, of] for of in ("pushed", "left", "needed"))
             row = {"law": law, "stage": stage, "name": name, "limit": float(limit[name]), "samples": samples}
-            row |= {"short": int(short)} | _spread("share_short", statistics.share(short, samples))
-            row |= _spread("mean_pushed", statistics.mean(pushed))
+            row |= {"short": int(short)} | _spread("share_short", estimates.share(short, samples))
+            row |= _spread("mean_pushed", estimates.mean(pushed))
             most = float(needed.high) if needed.n > 0 else math.nan
             rows.append(row | {"max_left": float(left.high), "max_needed": most})
     return _frame(LIMIT_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
@@ -243,7 +243,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     The zone figures of each law are those of the first stage that resolves contact, clamping in the default process;
     every stage stands under ``"stages"``. Intervals ``…_ci`` are at 95 %; what a tighter path changes of a figure is
     ``…_path`` in mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). Where a design makes samples in groups,
-    only key characteristics have intervals (:func:`mic.results.statistics.grouped`). What does not exist is None, as
+    only key characteristics have intervals (:func:`mic.statistics.estimates.grouped`). What does not exist is None, as
     slip under load without friction.
     """
     study = outcome.path_study
@@ -292,7 +292,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "not_built_samples": outcome.unbuilt,
             "rescued_samples": outcome.rescued,
             "missing_samples": outcome.missing,
-            "confidence_level": statistics.LEVEL,
+            "confidence_level": estimates.LEVEL,
             "laws": laws,
             "versions": outcome.record["versions"],
             "wall_time": outcome.record.get("wall_time", {}),
@@ -342,7 +342,7 @@ def _path(outcome: Outcome, law: str) -> dict[str, Any]:
 
 
 def write_path_study(outcome: Outcome) -> None:
-    """Solve and write the study of the path (:mod:`mic.results.path_study`); the other tables tell its effects."""
+    """Solve and write the study of the path (:mod:`mic.results.path_error`); the other tables tell its effects."""
     study = study_path(outcome)
     _write(outcome.folder, PATH, study.pairs if study else None)
     _write(outcome.folder, PATH_ERRORS, study.errors if study else None)

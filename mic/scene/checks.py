@@ -205,7 +205,7 @@ def check_held(scene) -> None:
     """Every part has six independent locators when it is set down, or rests, in a zone.
 
     Of a part whose locators are not placed yet nothing is said. Whether contact can hold what rests,
-    :mod:`mic.process.freedom` says.
+    :mod:`mic.process.free_motions` says.
     """
     found, stations = [], set_down_in(scene)
     touching = {name for zone in scene.zones for name in zone.parts}

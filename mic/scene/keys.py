@@ -61,7 +61,7 @@ def unit_vector(value: Vector | None) -> Vector | None:
     return x / length, y / length, z / length
 
 
-#: The directions that a surface gives, in words; `mic.model.placing` says which vector each is.
+#: The directions that a surface gives, in words; `mic.model.placement` says which vector each is.
 WORDS = re.compile(r"-?(normal|in-plane [xyz])")
 
 
@@ -80,7 +80,7 @@ def _vector_or_words(value: Any, handler: Any) -> Any:
     return words
 
 
-#: A point, a part, a direction: typed as what they are once `mic.model.placing` has placed the scene on its meshes,
+#: A point, a part, a direction: typed as what they are once `mic.model.placement` has placed the scene on its meshes,
 #: which everything comes after that reads them. In a scene as it is written a point or a part may be None, and a
 #: direction words.
 Place = Annotated[Vector, WrapValidator(_if_given)]

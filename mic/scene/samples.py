@@ -14,7 +14,7 @@ from mic.scene.deviation import ShapeDeviation
 from mic.scene.schema import Scene
 from mic.scene.stages import known
 from mic.scene.tables import DECIMAL, read_cells, read_number
-from mic.store import fingerprint
+from mic.system.files import fingerprint
 
 __all__ = ["DESIGNS", "take_samples"]
 
@@ -29,7 +29,7 @@ def take_samples(scene: Scene) -> tuple[Scene, dict[str, str | None]]:
     Parameters
     ----------
     scene : Scene
-        Its measured shapes and fields written out (:mod:`mic.model.modes`): their modes are columns, too.
+        Its measured shapes and fields written out (:mod:`mic.model.shape_modes`): their modes are columns, too.
 
     Raises
     ------

@@ -17,13 +17,13 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.errors import RunError, SceneError
 from mic.process.model import ReducedModel
-from mic.results.capability import centred_capability
 from mic.results.outcome import Outcome
-from mic.results.paired import centred_capability_change, mean_change, share_change, six_sigma_change
 from mic.results.schema import COMPARISON
-from mic.results.statistics import Estimate, six_sigma
-from mic.sampling.draw import keys, placed
 from mic.scene import Scene
+from mic.statistics.capability import centred_capability
+from mic.statistics.draw import keys, placed
+from mic.statistics.estimates import Estimate, six_sigma
+from mic.statistics.paired_differences import centred_capability_change, mean_change, share_change, six_sigma_change
 from mic.studies.order import quantities
 
 __all__ = ["SAMPLES", "Comparison", "Side", "compare", "differences", "need_common", "scene_differences"]

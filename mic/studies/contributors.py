@@ -1,6 +1,6 @@
 """What drives it: which share of the variance of each key characteristic each deviation makes, under contact.
 
-Sobol's indices (:mod:`mic.results.sobol`) on the reduced model itself, and beside them what a linear analysis would
+Sobol's indices (:mod:`mic.statistics.sobol_indices`) on the reduced model itself, and beside them what a linear analysis would
 have said of the same assembly: the shares of a linear regression, and those of the differences at the mean, as a linear
 chain of tolerances takes them. Deviations that belong together, such as the modes of one part's shape, are one
 contributor.
@@ -16,10 +16,10 @@ import pandas as pd
 
 from mic.process.model import ReducedModel
 from mic.results.schema import CONTRIBUTORS, LINEARITY
-from mic.results.sobol import Indices, Linear, sobol
-from mic.sampling.draw import draw
 from mic.scene import Scene
-from mic.studies.screening import MANY, bounds, left_out
+from mic.statistics.draw import draw
+from mic.statistics.sobol_indices import Indices, Linear, sobol
+from mic.studies.input_screening import MANY, bounds, left_out
 
 __all__ = ["Contributors", "contributors", "groups", "joint_ranking"]
 
@@ -79,7 +79,7 @@ def contributors(
         Contact law; default: the first of the scene's report.
     samples : int
         N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary. Of more than
-        :data:`mic.studies.screening.MANY` contributors those count as one that hardly matter, by their derivatives.
+        :data:`mic.studies.input_screening.MANY` contributors those count as one that hardly matter, by their derivatives.
     seed : int
     threads : int
     progress : callable, optional

@@ -6,7 +6,7 @@ and the gauge's standard deviations s, the posterior density of z is exp(−φ) 
     φ(z) = ‖z‖²/2 + Σ_k (h_k(x(z)) − y_k)² / 2 (s_k² + e_k²).                                              (1)
 
 h is asked for at some assemblies only, drawn from the posterior as it is known so far, and is a spline between them
-(:mod:`mic.studies.emulator`). e is what the spline errs by at assemblies that it had not seen, and what a looser path
+(:mod:`mic.statistics.emulator`). e is what the spline errs by at assemblies that it had not seen, and what a looser path
 errs by: both are found before they are trusted, and added until e is small against s.
 
 Modes of (1) are found by Levenberg and Marquardt's method from several starts: where contacts change their state, φ has
@@ -35,10 +35,10 @@ from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.results.schema import EXPLANATION, FURTHER
-from mic.results.statistics import LEVEL
-from mic.sampling.normal import from_normal
 from mic.scene import Scene
-from mic.studies.emulator import Emulator
+from mic.statistics.emulator import Emulator
+from mic.statistics.estimates import LEVEL
+from mic.statistics.normal_space import from_normal
 
 __all__ = ["Explanation", "Posterior", "explain", "posterior", "with_friction"]
 

@@ -26,10 +26,10 @@ from mic.errors import SceneError
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.process import TOLERANCE, Process
-from mic.sampling.draw import draw
 from mic.scene.deviation import FrictionDeviation
 from mic.scene.distribution import quantile
 from mic.scene.zone import Zone
+from mic.statistics.draw import draw
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extended
 
 __all__ = ["COARSE", "GROUPS", "Answer", "Control", "Exploration", "explore"]

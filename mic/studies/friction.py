@@ -15,10 +15,10 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
-from mic.results.paired import mean_change, six_sigma_change
 from mic.results.schema import FRICTION_EFFECTS
-from mic.results.statistics import six_sigma
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
+from mic.statistics.estimates import six_sigma
+from mic.statistics.paired_differences import mean_change, six_sigma_change
 
 __all__ = ["FACTORS", "HOLDS", "friction_effects", "friction_needed", "scaled"]
 

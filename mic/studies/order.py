@@ -24,12 +24,12 @@ from mic.errors import SceneError
 from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, moves_of, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
-from mic.results.paired import mean_change, six_sigma_change, standard_error
+from mic.results.sample_tables import zone_motion
 from mic.results.schema import ORDERS
-from mic.results.tables import zone_motion
-from mic.sampling.draw import draw
 from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
+from mic.statistics.draw import draw
+from mic.statistics.paired_differences import mean_change, six_sigma_change, standard_error
 
 __all__ = [
     "PERMUTATIONS",

@@ -5,7 +5,7 @@ told by the derivatives about the mean assembly, ``σ² = Σ_j (∂h/∂x_j σ_j
 ``h ± 1.96 √(σ² + e²)`` lies within its limits, e the error of the model, rejected where none of it does, and open
 between.
 
-Answers come from a spline between assemblies that were evaluated beforehand (:mod:`mic.studies.learning`). What it errs
+Answers come from a spline between assemblies that were evaluated beforehand (:mod:`mic.studies.emulator_training`). What it errs
 by in 95 % is part of the interval. Where that would change a verdict, and where the assembly lies
 beyond those that were learnt from, the assembly is evaluated, however long that takes.
 
@@ -25,10 +25,10 @@ from scipy.special import ndtri
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
-from mic.results.statistics import LEVEL
+from mic.statistics.estimates import LEVEL
 from mic.studies.adjustment import FACTOR, SHIM, adjustments
-from mic.studies.advice import Advisor
-from mic.studies.learning import learn
+from mic.studies.emulator_training import learn
+from mic.studies.smallest_adjustment import Advisor
 
 __all__ = ["FARTHEST", "Predictor", "predict"]
 

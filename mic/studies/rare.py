@@ -5,7 +5,7 @@ tenth of the samples that exceed the one before [1]_:
 
     P = p₀^(m−1) P(g > 0 | g > b_{m−1}),        p₀ = 0.1.
 
-Beside it stands what the likeliest misses say to first order (:mod:`mic.studies.form`).
+Beside it stands what the likeliest misses say to first order (:mod:`mic.studies.first_order_reliability`).
 
 Samples beyond a level come from those that are there already, by Markov chains whose moves leave the normal
 distribution as it is, ``z' = ρ z + √(1 − ρ²) ξ``, and are refused where they fall back below the level; ρ adapts to
@@ -30,11 +30,11 @@ from scipy.special import ndtr, ndtri
 
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
-from mic.results import statistics
 from mic.results.schema import DESIGN_POINTS, RARE
-from mic.results.statistics import LEVEL
-from mic.sampling.draw import numbers, placed
-from mic.studies.form import design_points, differentiable, first_order
+from mic.statistics import estimates
+from mic.statistics.draw import numbers, placed
+from mic.statistics.estimates import LEVEL
+from mic.studies.first_order_reliability import design_points, differentiable, first_order
 
 __all__ = ["Misses", "Subset", "agree", "rare", "subset_simulation"]
 
@@ -86,7 +86,7 @@ def subset_simulation(
     y = g(z)
     beyond = int((y > 0).sum())
     if beyond >= chains:
-        found = statistics.share(beyond, samples)
+        found = estimates.share(beyond, samples)
         return Subset(float(found.value), float(found.low), float(found.high), 1, samples)
     P, ρ, evaluations = 1.0, 0.8, samples
     δ = np.sqrt((1 - SHARE) / (SHARE * samples))  # the levels' errors, as if they were all of one sign

@@ -32,11 +32,11 @@ import pandas as pd
 from scipy.optimize import linprog
 
 from mic.process.model import ReducedModel
-from mic.results import statistics
-from mic.results.capability import centred_capability, outside
 from mic.results.schema import REMEDIES, REMEDY_EFFECTS
-from mic.results.statistics import LEVEL
-from mic.sampling.draw import draw
+from mic.statistics import estimates
+from mic.statistics.capability import centred_capability, outside
+from mic.statistics.draw import draw
+from mic.statistics.estimates import LEVEL
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extended
 
 __all__ = ["CAPABILITY", "SAMPLES", "Limits", "Remedies", "Remedy", "remedies", "smallest"]
@@ -448,7 +448,7 @@ def _effects(scene, limits: Limits, a: np.ndarray, b: np.ndarray, keys: dict) ->
             f"cpk{word}": np.asarray(centred_capability(y, lower, upper).value),
             f"margin{word}": limits.margin(y),
         }
-        share = statistics.share(outside(y, lower, upper), n)
+        share = estimates.share(outside(y, lower, upper), n)
         columns |= {
             f"outside{word}{e}": getattr(share, at) for e, at in (("", "value"), ("_low", "low"), ("_high", "high"))
         }

@@ -16,9 +16,9 @@ import pandas as pd
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import AT_CHANGE, known_inputs
 from mic.results.schema import SENSITIVITIES, SPREADS
-from mic.results.slope_regression import by_slopes
-from mic.results.statistics import six_sigma
-from mic.sampling.draw import draw
+from mic.statistics.derivative_regression import by_slopes
+from mic.statistics.draw import draw
+from mic.statistics.estimates import six_sigma
 
 __all__ = ["SAMPLES", "Effects", "effects", "steps"]
 

@@ -19,8 +19,8 @@ from threadpoolctl import threadpool_info
 import mic
 from mic.contact import laws
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
 from mic.scene.zone import PressurePower
+from mic.statistics.draw import draw
 from verification.scenes import few
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import mic
-from mic.sampling import ranks
+from mic.execution import ranks
 
 if __name__ == "__main__":
     world, folder = ranks.communicator(), Path(sys.argv[1])

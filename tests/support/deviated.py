@@ -42,10 +42,10 @@ if __name__ == "__main__":  # on several processes: the model of the lap joint t
 
     from mpi4py import MPI
 
+    from mic.execution.ranks import on_first
     from mic.model.assembly import assemble
     from mic.process.model import ReducedModel
     from mic.process.stiffness import coefficients
-    from mic.sampling.ranks import on_first
 
     place = Path(sys.argv[1])
     assembly = on_first(MPI.COMM_WORLD, lambda: assemble(read(lap("first-order")), place))

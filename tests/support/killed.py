@@ -20,9 +20,9 @@ import numpy as np
 from mic.compliance import provider
 from mic.errors import MissingProvider
 from mic.process.model import ReducedModel
-from mic.results.lock import LOCK
 from mic.runs import conclude, sample_into
-from mic.store import PARTIAL
+from mic.system.files import PARTIAL
+from mic.system.lock import LOCK
 
 LAWS, SAMPLES, SEED = ["coulomb"], 12, 4
 EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}

@@ -10,7 +10,7 @@ import sys
 from mic import cli
 from mic.errors import RunError
 from mic.process.process import Process
-from mic.results.folder import RunFolder
+from mic.results.run_folder import RunFolder
 
 evaluate = Process.evaluate
 

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.scenes import few
 
 

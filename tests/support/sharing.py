@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.sampling.ranks import communicator, shared, wait
+from mic.execution.ranks import communicator, shared, wait
 
 SIZE = 10_000_000
 

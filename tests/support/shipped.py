@@ -20,7 +20,7 @@ from mic.compliance.cache import influence_coefficients
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import MissingProvider
 from mic.model.assembly import assemble
-from mic.store import Format, load_arrays, save_arrays
+from mic.system.files import Format, load_arrays, save_arrays
 from verification.scenes import few
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ import pandas as pd
 from mpi4py import MPI
 
 from fem_reference.full.model import FullModel
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.comparison import certificates, difference, reduced_and_assembly
 from verification.plots import panels
 from verification.scenes import going, shipped

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from mic import examples
-from mic.model.accuracy import on_halved_meshes
+from mic.model.mesh_accuracy import on_halved_meshes
 from mic.scene import load_scene
 from verification.budget import FIGURES, REFINED, SAMPLING, Case, paired
 from verification.budget_page import budget_figure, budget_rows, by_quantity, items_of

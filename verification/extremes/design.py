@@ -14,8 +14,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from mic.contact import ContactSolver, Friction
+from mic.contact.benchmark_problems import compliant, manufactured
 from mic.contact.laws import find
-from mic.contact.problems import compliant, manufactured
 from mic.geometry.structured import extrude
 from mic.scene import Locator
 from verification import strips

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 from fem_reference.shell.factorisation import FactorisationError
 from mic.contact import ContactSolver
-from mic.contact.problems import compliant, manufactured
+from mic.contact.benchmark_problems import compliant, manufactured
 from mic.geometry.structured import extrude
 from mic.scene import Locator, SceneError
 from verification import strips

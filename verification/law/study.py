@@ -12,8 +12,8 @@ from mpi4py import MPI
 from fem_reference.full.model import FullModel
 from mic.contact.states import SLIP
 from mic.examples import folder
-from mic.sampling.draw import draw
 from mic.scene import Scene
+from mic.statistics.draw import draw
 from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import going, shipped

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from mic.model.assembly import assemble
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.comparison import reduced_and_assembly, zone_slip
 from verification.plots import panels
 from verification.scenes import shipped

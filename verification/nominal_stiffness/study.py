@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from fem_reference.full.model import ContactFailure, FullModel
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.comparison import difference, reduced_and_assembly, reduced_model, relative, zone_slip
 from verification.plots import panels
 from verification.scenes import going, shipped

@@ -10,7 +10,7 @@ import pandas as pd
 
 from mic.contact.path import Followed
 from mic.process.evaluation import Evaluation
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from mic.studies.order import STATED, Order, variants
 from verification.comparison import zone_slip
 from verification.path.study import TIGHT, TIGHTER

@@ -10,9 +10,9 @@ import pandas as pd
 from mic.examples import folder
 from mic.model.assembly import assemble
 from mic.model.nuggets import nuggets
-from mic.results.paired import six_sigma_change
-from mic.sampling.draw import draw
 from mic.scene import Scene, load_scene
+from mic.statistics.draw import draw
+from mic.statistics.paired_differences import six_sigma_change
 from verification.comparison import reduced_model
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study

@@ -10,8 +10,8 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.stats import gaussian_kde
 
-from mic.results import statistics
-from mic.sampling.draw import draw
+from mic.statistics import estimates
+from mic.statistics.draw import draw
 from mic.studies.order import variants
 from verification.order.study import ORDERS, columns, evaluate, picture, table_of
 from verification.plots import panels
@@ -165,7 +165,7 @@ def run(context):
     for law in LAWS:
         reported = published["frictionless" if law == "frictionless" else "associated"]
         for z, name in enumerate(names):
-            m, s = statistics.mean(slip[law][:, z]), statistics.six_sigma(slip[law][:, z])
+            m, s = estimates.mean(slip[law][:, z]), estimates.six_sigma(slip[law][:, z])
             rows.append(
                 {
                     "law": law,

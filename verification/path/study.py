@@ -13,7 +13,7 @@ from fem_reference.full.model import FullModel
 from mic.contact.path import Followed, Increments, Trace
 from mic.model.assembly import assemble
 from mic.process.process import Process
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.analytic.leaves import Leaves, deflections
 from verification.comparison import relative
 from verification.path.closed_forms import CASES, error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mic.sampling.draw import draw
+from mic.statistics.draw import draw
 from verification.analytic.leaves import Leaves, deflections
 from verification.plots import panels
 from verification.scenes import shipped

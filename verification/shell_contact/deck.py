@@ -11,7 +11,7 @@ import numpy as np
 
 from mic.model.assembly import assemble
 from mic.process.actions import Action, Close, Hold, Open, Press, Push, SetDown, Withdraw
-from mic.process.words import sentences
+from mic.process.description import sentences
 from verification.shell_contact.case import Case
 
 __all__ = ["data", "mesh"]

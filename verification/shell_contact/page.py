@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.model.assembly import assemble
-from mic.process.words import sentences
+from mic.process.description import sentences
 from verification.shell_contact.case import LEVELS, Case
 from verification.shell_contact.converged import Converged
 

@@ -15,8 +15,8 @@ from mic.contact import ContactSolver
 from mic.examples import folder
 from mic.model.nuggets import nuggets
 from mic.process.model import ReducedModel
-from mic.sampling.draw import draw
 from mic.scene import Scene, load_scene
+from mic.statistics.draw import draw
 from verification.comparison import reduced_and_assembly
 from verification.plots import panels
 from verification.solids import geometry

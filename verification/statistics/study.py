@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mic.results import capability, statistics
-from mic.sampling.draw import draw
+from mic.statistics import capability, estimates
+from mic.statistics.draw import draw
 from verification.plots import panels
 from verification.scenes import going, shipped
 from verification.study import Acceptance, Finding, Study
@@ -21,7 +21,7 @@ def estimate(name, x, limits):
     """One of mic's estimates, by name."""
     if name == "cpk":
         return capability.centred_capability(x, *limits)
-    return getattr(statistics, name)(x)
+    return getattr(estimates, name)(x)
 
 
 def truth(mean, sigma, limits):
@@ -121,20 +121,20 @@ def run(context):
     coverage_figure, (axis,) = panels(1)
     for name in ESTIMATES:
         axis.semilogx(coverage["samples"], coverage[name], "o-", label=name)
-    noise = 3 * np.sqrt(statistics.LEVEL * (1 - statistics.LEVEL) / repetitions)
+    noise = 3 * np.sqrt(estimates.LEVEL * (1 - estimates.LEVEL) / repetitions)
     axis.axhspan(
-        statistics.LEVEL - noise,
-        statistics.LEVEL + noise,
+        estimates.LEVEL - noise,
+        estimates.LEVEL + noise,
         color="0.9",
         label=f"3 standard errors of {repetitions} repetitions",
     )
-    axis.axhline(statistics.LEVEL, color="k", lw=0.8)
+    axis.axhline(estimates.LEVEL, color="k", lw=0.8)
     axis.set(xlabel="samples", ylabel="share of intervals that hold the truth")
     axis.legend()
-    off = max(abs(coverage[name] - statistics.LEVEL).max() for name in ESTIMATES)
+    off = max(abs(coverage[name] - estimates.LEVEL).max() for name in ESTIMATES)
 
     at_500 = np.abs(cells[COUNTS.index(500)][0]["sigma"])
-    half = float(np.quantile(at_500, statistics.LEVEL))
+    half = float(np.quantile(at_500, estimates.LEVEL))
     expected = 1.96 / np.sqrt(2 * 499)
 
     samples, draws = (1500, 2000) if context.quick else (8000, 10000)

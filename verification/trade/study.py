@@ -12,12 +12,12 @@ from mpi4py import MPI
 from fem_reference.full.model import FullModel
 from mic import examples
 from mic.contact.path import Followed
-from mic.results import statistics
-from mic.results.paired import six_sigma_change
-from mic.sampling.draw import draw
 from mic.scene import SETTINGS, Scene, load_scene
 from mic.scene.process import FollowedPath
 from mic.scene.settings import FOLLOWING
+from mic.statistics import estimates
+from mic.statistics.draw import draw
+from mic.statistics.paired_differences import six_sigma_change
 from verification.budget import values
 from verification.comparison import reduced_and_assembly, relative
 from verification.plots import panels
@@ -207,7 +207,7 @@ def sampling_error(samples) -> float:
     """Half-width of the 95 % interval of σ that so many normal samples leave, relative."""
     values = np.ones(samples)
     values[::2] = -1
-    interval = statistics.sigma(values)
+    interval = estimates.sigma(values)
     return (interval.high - interval.low) / (2 * interval.value)
 
 

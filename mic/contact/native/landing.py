@@ -21,7 +21,7 @@ from mic.contact.native.problem import ScaledProblem
 from mic.contact.states import OPEN, STICK
 
 if TYPE_CHECKING:
-    from mic.contact.columns import Columns
+    from mic.contact.compliance_columns import Columns
 
 __all__ = ["Landing"]
 

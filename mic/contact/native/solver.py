@@ -13,16 +13,16 @@ import numpy as np
 from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
-from mic.contact.memory import untouched
+from mic.contact.lazy_memory import untouched
 from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
-from mic.contact.trail import Trail, trails
+from mic.contact.path_record import Trail, trails
 
 if TYPE_CHECKING:
-    from mic.contact.columns import Columns
+    from mic.contact.compliance_columns import Columns
 
 __all__ = ["NativeSolver"]
 

@@ -24,7 +24,7 @@ import numpy as np
 from mic.errors import FormatError
 from mic.geometry.deck import UNITS, Deck, Sheet
 from mic.geometry.readers import abaqus, ansys, cad, dyna, exchange, gmsh, graphics, nastran, unv, vtk, vtu
-from mic.geometry.readers.raw import RawMesh
+from mic.geometry.readers.raw_mesh import RawMesh
 from mic.geometry.repair import MeshReport, repair
 from mic.geometry.surface import Surface
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
 from mic.geometry.readers.elements import Gathered
-from mic.geometry.readers.raw import RawMesh
+from mic.geometry.readers.raw_mesh import RawMesh
 
 __all__ = ["read"]
 

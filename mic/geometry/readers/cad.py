@@ -6,8 +6,8 @@ from pathlib import Path
 
 from mic.errors import FormatError
 from mic.geometry.readers import gmsh
-from mic.geometry.readers.program import LIMIT, written
-from mic.geometry.readers.raw import RawMesh
+from mic.geometry.readers.gmsh_program import LIMIT, written
+from mic.geometry.readers.raw_mesh import RawMesh
 
 __all__ = ["LIMIT", "SUFFIXES", "read"]
 

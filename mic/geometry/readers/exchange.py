@@ -11,8 +11,8 @@ from pathlib import Path
 import meshlane
 
 from mic.geometry.readers import gmsh
-from mic.geometry.readers.program import written
-from mic.geometry.readers.raw import RawMesh, from_meshlane
+from mic.geometry.readers.gmsh_program import written
+from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
 
 __all__ = ["read_med", "read_medit", "read_su2", "read_xdmf"]
 

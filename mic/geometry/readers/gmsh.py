@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import meshlane
 import numpy as np
 
-from mic.geometry.readers.raw import RawMesh, from_meshlane
+from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
 
 __all__ = ["read", "volumes"]
 

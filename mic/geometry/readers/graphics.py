@@ -8,7 +8,7 @@ from pathlib import Path
 import meshlane
 
 from mic.errors import FormatError
-from mic.geometry.readers.raw import RawMesh, from_meshlane
+from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
 
 __all__ = ["read_obj", "read_off", "read_ply", "read_stl"]
 

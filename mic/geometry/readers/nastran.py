@@ -18,7 +18,7 @@ import numpy as np
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
 from mic.geometry.readers.elements import Gathered
-from mic.geometry.readers.raw import RawMesh
+from mic.geometry.readers.raw_mesh import RawMesh
 
 __all__ = ["cards", "read"]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import meshlane
 
-from mic.geometry.readers.raw import RawMesh, from_meshlane
+from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
 
 __all__ = ["read"]
 

@@ -9,8 +9,8 @@ import meshlane
 import numpy as np
 
 from mic.errors import FormatError
-from mic.geometry.readers.raw import RawMesh, from_meshlane
-from mic.store import Group, replacing
+from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
+from mic.system.files import Group, replacing
 
 __all__ = ["read", "read_vtu", "write_vtu"]
 
@@ -38,7 +38,7 @@ def write_vtu(
     triangles : (k, 3) int array
     point_data : mapping of str to (n,) or (n, m) array, optional
     group : optional
-        As :func:`mic.store.replacing` takes it.
+        As :func:`mic.system.files.replacing` takes it.
     """
     # Not compressed: of places and fields that saves a tenth, and takes fifteen times as long.
     mesh = meshlane.Mesh(points, [("triangle", triangles.astype(np.int32))], point_data=dict(point_data or {}))

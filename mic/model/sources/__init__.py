@@ -26,7 +26,7 @@ from mic.model.sources.thickness import SheetThickness
 __all__ = ["SOURCES", "Control", "Source", "changed", "ranges", "sources", "thicker"]
 
 #: Kind in the scene's ``[[deviations]]`` → class; measured shapes and random fields have become shapes before
-#: (:mod:`mic.model.modes`).
+#: (:mod:`mic.model.shape_modes`).
 SOURCES: dict[str, type[Source]] = {
     "force": CorrectiveForce,
     "locator": LocatorPosition,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mic.errors import SceneError
-from mic.geometry.cloud import sheet_normals
+from mic.geometry.measured_points import sheet_normals
 from mic.model.sources.source import Control, Source
 
 __all__ = ["ShapeAtPoints"]

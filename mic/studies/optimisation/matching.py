@@ -25,13 +25,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mic.errors import SceneError
-from mic.results.paired import mean_change
-from mic.results.statistics import Estimate
 from mic.scene import Scene
 from mic.scene.tables import read_cells, read_number
-from mic.store import fingerprint
+from mic.statistics.estimates import Estimate
+from mic.statistics.paired_differences import mean_change
 from mic.studies.optimisation.design import Design
-from mic.studies.optimisation.trials import BLOCK, Trials
+from mic.studies.optimisation.evaluations import BLOCK, Trials
+from mic.system.files import fingerprint
 
 __all__ = ["FARTHEST", "Kind", "Matched", "assigned", "combinations", "matched", "read_kinds"]
 

@@ -1,10 +1,10 @@
 """An assembly made as good as what may be changed lets it become, and what that is worth, on fresh samples.
 
 Orders and places are searched (:mod:`mic.studies.optimisation.search`) and settings follow exact derivatives
-(:mod:`mic.studies.optimisation.descent`), in turn, as long as either gains. All designs are compared on the same
+(:mod:`mic.studies.optimisation.gradient_search`), in turn, as long as either gains. All designs are compared on the same
 samples of the inputs, so that what differs is the design's doing. The best of many is flattered by the samples that it
 was chosen with: what is told of it is evaluated in full on samples that had no part in the search, the scene as it
-stands beside it, and the interval of the gain is that of the pairs (:mod:`mic.results.paired`).
+stands beside it, and the interval of the gain is that of the pairs (:mod:`mic.statistics.paired_differences`).
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from mic import cache_folder
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
-from mic.results.paired import jackknife, share_change
 from mic.results.schema import COMPARISON
-from mic.results.statistics import Estimate
 from mic.scene import Scene
+from mic.statistics.estimates import Estimate
+from mic.statistics.paired_differences import jackknife, share_change
 from mic.studies.comparison import Side, differences
-from mic.studies.optimisation.descent import descend
 from mic.studies.optimisation.design import Change, Design, Space
+from mic.studies.optimisation.evaluations import BLOCK, Spent, Trials
+from mic.studies.optimisation.gradient_search import descend
 from mic.studies.optimisation.matching import Kind, Matched, combinations, matched, read_kinds
+from mic.studies.optimisation.moved_items import Sites
 from mic.studies.optimisation.objective import Kept, Objective
 from mic.studies.optimisation.search import all_designs, local_search, successive_halving
-from mic.studies.optimisation.sites import Sites
-from mic.studies.optimisation.trials import BLOCK, Spent, Trials
 
 __all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "judged", "optimise"]
 

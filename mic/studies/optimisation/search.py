@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from mic.studies.optimisation.design import Design, Sequenced, Space
-from mic.studies.optimisation.trials import Spent
+from mic.studies.optimisation.evaluations import Spent
 
 __all__ = ["FEW", "Judge", "all_designs", "local_search", "random_design", "successive_halving"]
 
@@ -33,7 +33,7 @@ FRUITLESS = 3  # such disturbances in a row that bring nothing, and the search e
 
 
 class Judge(Protocol):
-    """What tells designs apart: :class:`mic.studies.optimisation.trials.Trials`, as far as its budget goes."""
+    """What tells designs apart: :class:`mic.studies.optimisation.evaluations.Trials`, as far as its budget goes."""
 
     def beats(self, design: Design, other: Design) -> bool:
         """Whether a design is better than another."""

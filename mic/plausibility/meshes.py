@@ -1,0 +1,523 @@
+"""What the parts' meshes and the contact pairs show to be unusual; :mod:`mic.plausibility.rules` says what is usual."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from mic.geometry.surface import Surface
+from mic.model.overlap import mean_gaps
+from mic.plausibility.rule import Place, Seen, of
+from mic.scene.stages import moves_assembly, set_down_in
+
+EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
+SLENDER = 20.0  # extents of a part in thicknesses, at least
+COARSE = 6.0  # elements along the extent, at least
+OFF = 1.0  # mm: farther off its sheet's surface no point is meant
+PAD = 0.15  # of the part's area, at most
+INCLINED = 0.7  # cosine of 45°
+AMPLIFIED = 12.0  # mm at the part for a millimetre at one locator
+GAP = 1.0  # mm under a weld
+FAR = 100.0  # mm from a weld to the next contact pair
+SHARED = 0.5  # of the smaller zone
+BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
+SUNK = 0.1  # mm under a clamp
+ROOM = 0.05  # mm between two stops beside the sheets that lie there
+BODY = 3.0  # mm: no pad is thinner
+CROSSED = 0.05  # mm on either side
+SMALL = 20.0  # mm²
+CHORD = 0.1  # mm that a facet stands off the curved sheet
+
+PADS = ("locators", "clamps", "welds", "deviations", "measurements")
+
+
+def _surfaces(assembly) -> dict[str, Surface]:
+    return {part.name: part.surface for part in assembly.parts}
+
+
+def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
+    """Everything that stands at a point of a part, not in a hole of it: its table, the item, the part."""
+    parts = {part.name: part for part in assembly.parts}
+    for table in PADS:
+        for item in getattr(assembly.scene, table):
+            if getattr(item, "hole", None) is not None or getattr(item, "point", None) is None:
+                continue
+            names = item.parts if table == "welds" else [item.part] if hasattr(item, "part") else []
+            for name in names:
+                yield table, item, parts[name]
+
+
+def extent_odd(parts) -> Iterator[Seen]:
+    """Parts of the size of a grain or of a house."""
+    for part in parts:
+        size = part.surface.diameter
+        if not EXTENT[0] <= size <= EXTENT[1]:
+            yield of("parts", part), f"measures {size:.3g} mm across", None
+
+
+def no_sheet(parts) -> Iterator[Seen]:
+    """Parts that are no sheets."""
+    for part in parts:
+        size = part.surface.diameter / part.thickness
+        if size < SLENDER:
+            yield of("parts", part), f"measures {size:.3g} thicknesses across", None
+
+
+def coarse(parts) -> Iterator[Seen]:
+    """Meshes that cannot bend."""
+    for part in parts:
+        count = part.surface.diameter / float(np.median(part.surface.edge_lengths))
+        if count < COARSE:
+            yield of("parts", part), f"has {count:.2g} elements along its diagonal", None
+
+
+def off_the_sheet(assembly) -> Iterator[Seen]:
+    """Points that are not where their part is; a weld's may be anywhere in the two sheets, or in a third beside."""
+    thickness = {part.name: part.thickness for part in assembly.parts}
+    for table, item, part in _on_parts(assembly):
+        foot = part.surface.project(item.point)
+        within = sum(thickness[name] for name in item.parts) if table == "welds" else part.thickness / 2
+        gap = float(foot.distance[0]) - within
+        at = tuple(float(x) for x in foot.point[0])
+        if gap > OFF:
+            near = ", ".join(f"{x:.4g}" for x in at)
+            yield of(table, item), f"stands {gap:.2g} mm off part {part.name}, nearest point [{near}]", item.point
+
+
+def pad_large(assembly) -> Iterator[Seen]:
+    """Discs that cover much of their part."""
+    for table, item, part in _on_parts(assembly):
+        share = np.pi * item.radius**2 / part.surface.areas.sum()
+        if share > PAD:
+            said = f"radius = {item.radius:g} mm covers {100 * min(share, 9.99):.0f} % of part {part.name}"
+            yield of(table, item), said, item.point
+
+
+def nugget_over_edge(assembly) -> Iterator[Seen]:
+    """Nuggets that run over the edge of a sheet."""
+    for table, item, part in _on_parts(assembly):
+        if table == "welds" and item.radius > 0:
+            apart = _to_border(part.surface, part.surface.project(item.point).point[0])
+            if apart < item.radius:
+                said = f"lies {apart:.2g} mm from the edge of part {part.name}, less than its radius {item.radius:g} mm"
+                yield of(table, item), said, item.point
+
+
+def clamp_inclined(assembly) -> Iterator[Seen]:
+    """Clamps that push along their sheet."""
+    for table, item, part in _on_parts(assembly):
+        if table == "clamps":
+            foot = part.surface.project(item.point)
+            cosine = abs(float(part.surface.normals[foot.triangle[0]] @ item.direction))
+            if cosine < INCLINED:
+                angle = np.degrees(np.arccos(min(1.0, cosine)))
+                yield of(table, item), f"pushes at {angle:.0f}° to the normal of part {part.name}", item.point
+
+
+def _pressed(assembly, clamp) -> tuple[str, np.ndarray] | None:
+    """The body that a clamp's part has opposite there, and the way to it; None where it has none."""
+    contacts, scene = assembly.contacts, assembly.scene
+    own = [i for i, zone in enumerate(scene.zones) if clamp.part in zone.parts]
+    pairs = np.flatnonzero(np.isin(contacts.zone, own))
+    if not len(pairs):
+        return None
+    distance = np.linalg.norm(contacts.point[pairs] - clamp.point, axis=1)
+    near = pairs[np.argmin(distance)]
+    if distance.min() > clamp.radius + np.sqrt(contacts.area[near]):
+        return None
+    first, second = scene.zones[contacts.zone[near]].parts
+    sign, other = (1.0, second) if first == clamp.part else (-1.0, first)
+    return other, sign * contacts.frame[near, :, 0]
+
+
+def clamp_pulls(assembly) -> Iterator[Seen]:
+    """Clamps that pull their part away from the one that it shall touch."""
+    for clamp in assembly.scene.clamps:
+        pressed = _pressed(assembly, clamp)
+        if pressed is not None:
+            other, way = pressed
+            along = float(np.dot(clamp.direction, way))
+            if along * np.sign(1.0 if clamp.force is None else clamp.force) < -0.5:
+                yield (
+                    of("clamps", clamp),
+                    f"pulls part {clamp.part} away from {other}, drawn on its other side",
+                    clamp.point,
+                )
+
+
+def presses_one_side(assembly) -> Iterator[Seen]:
+    """Clamps with a force beside everything that holds the other part against it."""
+    scene = assembly.scene
+    fixtures = {fixture.name for fixture in scene.fixtures}
+    for clamp in scene.clamps:
+        pressed = _pressed(assembly, clamp) if clamp.force else None
+        if pressed is None or pressed[0] in fixtures:
+            continue
+        direction = np.array(clamp.direction)
+        against = [
+            item.point
+            for item in scene.locators
+            if item.part == pressed[0] and abs(item.direction @ direction) > INCLINED
+        ]
+        for item in scene.clamps:
+            along = float(np.dot(item.direction, direction))
+            if item.part == pressed[0] and (along < -INCLINED or (item.force is None and abs(along) > INCLINED)):
+                against.append(item.point)
+        for zone in scene.zones:
+            if pressed[0] in zone.parts and fixtures & set(zone.parts):
+                against += assembly.contacts.point[assembly.contacts.zone == scene.zones.index(zone)].tolist()
+        beside = _beside(np.array(against).reshape(-1, 3), np.array(clamp.point), direction)
+        if beside > clamp.radius + BESIDE:
+            where = f"{beside:.0f} mm beside" if np.isfinite(beside) else "without"
+            said = f"presses on part {pressed[0]} {where} what holds that part: it presses one side only"
+            yield of("clamps", clamp), said, clamp.point
+
+
+def unbacked(assembly) -> Iterator[Seen]:
+    """Clamps with a force under which nothing holds the sheets that they press together: they sink.
+
+    How far is estimated as of a round plate on a ring through the nearest support, d away, with the force in its
+    middle: w = F d² (3 + ν) / (16 π D (1 + ν)), D the bending stiffnesses of the sheets added up.
+    """
+    sheet, fixtures = {part.name: part for part in assembly.parts}, {item.name for item in assembly.scene.fixtures}
+    for clamp in assembly.scene.clamps:
+        stack = _stack(assembly, clamp) if clamp.force else []
+        away = _support(assembly.scene, clamp, stack)
+        if len(stack) < 2 or fixtures & set(stack) or not np.isfinite(away):
+            continue  # it presses nothing, or what a pad backs, or what floats, of which another rule tells
+        stiffness = sum(sheet[n].young * sheet[n].thickness ** 3 / 12 / (1 - sheet[n].poisson ** 2) for n in stack)
+        ν = float(np.mean([sheet[name].poisson for name in stack]))
+        sunk = abs(clamp.force) * away**2 * (3 + ν) / (16 * np.pi * stiffness * (1 + ν))
+        if sunk > SUNK:
+            said = f"presses with {abs(clamp.force):.3g} N on part {stack[-1]} {away:.0f} mm from the next support"
+            said += f": nothing backs it there, the sheets sink by about {sunk:.2g} mm"
+            yield of("clamps", clamp), said, clamp.point
+
+
+def squeezed(assembly) -> Iterator[Seen]:
+    """Clamps that hold a position over a stop, with sheets between that fill what the two leave.
+
+    Both are rigid: whatever their positions differ by, the sheets are squeezed by, as hard as it takes.
+    """
+    scene, told = assembly.scene, set()
+    fixtures = {item.name: item for item in scene.fixtures}
+    for clamp in scene.clamps:
+        if clamp.stroke is None or clamp.limit is not None:
+            continue
+        room = -_held_at(scene, "clamps", clamp)
+        for gap, body in zip(*_pressed_through(assembly, clamp)):
+            room += gap
+            stops = [("fixtures", fixtures[body], 0.0)] if body in fixtures else _stops(scene, clamp, body)
+            for table, stop, moved in stops:
+                left = room + moved
+                if left < ROOM and frozenset({clamp.name, stop.name}) not in told:
+                    told.add(frozenset({clamp.name, stop.name}))
+                    said = (
+                        f"holds its position over {of(table, stop)}, and leaves the sheets {left + 0.0:.2g} mm between"
+                    )
+                    yield of("clamps", clamp), said, clamp.point
+
+
+def _stops(scene, clamp, body) -> list[tuple[str, Any, float]]:
+    """The rigid locators and clamps that hold a part along a clamp under its pad, while it is closed: the table, the
+    item, and how far along the clamp's direction, mm."""
+    rows = [("locators", item) for item in scene.locators if item.stiffness is None]
+    rows += [("clamps", item) for item in scene.clamps if item.stroke is not None and item.limit is None]
+    found, push = [], np.array(clamp.direction)
+    for table, item in rows:
+        along, step = float(item.direction @ push), np.subtract(item.point, clamp.point)
+        beside = np.linalg.norm(step - (step @ push) * push)
+        if item.part == body and abs(along) > INCLINED and beside <= clamp.radius + item.radius:
+            if _hold_together(scene, clamp, item):
+                found.append((table, item, _held_at(scene, table, item) * along))
+    return found
+
+
+def _held_at(scene, table, item) -> float:
+    """Where a locator or clamp holds its part in the mean, along its direction, mm from nominal."""
+    own = [one for one in scene.deviations if one.moves == table and item.name in np.atleast_1d(one.target)]
+    return (item.stroke if table == "clamps" else 0.0) + sum(one.mean for one in own)
+
+
+def _hold_together(scene, a, b) -> bool:
+    """Whether there is a stage in which both hold."""
+    held: set[str] = set()
+    for stage in scene.stages:
+        if stage.kind == "release":
+            held &= {item.name for item in scene.locators} if stage.keep is None else set(stage.keep)
+        else:
+            if moves_assembly(scene, stage):
+                held = set()
+            held |= {item.name for item in (*scene.locators, *scene.clamps) if item.stage == stage.name}
+        if {a.name, b.name} <= held:
+            return True
+    return False
+
+
+def _stack(assembly, clamp) -> list[str]:
+    """The bodies that a clamp presses upon each other, in the order in which its force goes through them."""
+    return [clamp.part, *_pressed_through(assembly, clamp)[1]]
+
+
+def _pressed_through(assembly, clamp) -> tuple[list[float], list[str]]:
+    """The gaps, mm, and the bodies below them that a clamp's force goes through, in its order."""
+    contacts, zones = assembly.contacts, assembly.scene.zones
+    push = np.sign(clamp.force or 1.0) * np.array(clamp.direction)
+    distance = np.linalg.norm(contacts.point - clamp.point, axis=1)
+    near = np.flatnonzero(distance < clamp.radius + np.sqrt(contacts.area))
+    near, stack, gaps = near[np.argsort(distance[near], kind="stable")], [clamp.part], []
+    for pair in itertools.chain.from_iterable(itertools.repeat(near, len(zones))):  # as deep as zones lie
+        first, second = zones[contacts.zone[pair]].parts
+        along = float(contacts.frame[pair, :, 0] @ push)  # from the first to the second
+        upper, lower = (first, second) if along > 0 else (second, first)
+        if abs(along) > INCLINED and upper == stack[-1] and lower not in stack:
+            stack.append(lower)
+            gaps.append(float(contacts.gap[pair]))
+    return gaps, stack[1:]
+
+
+def _support(scene, clamp, stack) -> float:
+    """How far beside a clamp the next locator, stroke, pad or opposite jaw holds its stack, mm; 0 within the pad."""
+    push, done = np.sign(clamp.force or 1.0) * np.array(clamp.direction), [str(stage.name) for stage in scene.stages]
+    closed = [item for item in scene.locators if done.index(item.stage) <= done.index(clamp.stage)]
+    closed += [item for item in scene.clamps if item.force is None and item.stage == clamp.stage]
+    jaws = [item for item in scene.clamps if item.force and item.stage == clamp.stage and item is not clamp]
+    opposite = [item for item in jaws if np.sign(item.force) * (item.direction @ push) < -INCLINED]
+    found = np.inf
+    for item in closed + opposite:
+        step = np.subtract(item.point, clamp.point)
+        apart = float(np.linalg.norm(step - (step @ push) * push))
+        if item.part not in stack or abs(item.direction @ push) < INCLINED:
+            continue
+        if apart <= clamp.radius + item.radius:
+            return 0.0
+        if item not in opposite:  # a jaw bears what its own partner presses, and nothing else
+            found = min(found, apart)
+    return found
+
+
+def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
+    """How far a point lies outside the hull of others, seen along a direction, mm."""
+    if not len(points):
+        return np.inf
+    flat = points - at
+    flat = flat - np.outer(flat @ direction, direction)
+    scale = max(1.0, float(np.abs(flat).max()))
+    share = nnls(np.vstack([flat.T / scale, np.full(len(flat), 1e3)]), np.array([0.0, 0, 0, 1e3]))[0]
+    return float(np.linalg.norm(share @ flat / share.sum()))
+
+
+def locators_in_line(assembly) -> Iterator[Seen]:
+    """Parts that a small error of a locator throws far: its locators stand nearly in line, or close together."""
+    scene, stations = assembly.scene, set_down_in(assembly.scene)
+    for part in assembly.parts:
+        own = [item for item in scene.locators if item.part == part.name and item.stage == stations[part.name]]
+        if not own:
+            continue  # it rests on another
+        centre = np.mean([item.point for item in own], axis=0)
+        rows = [[*item.direction, *np.cross(np.subtract(item.point, centre), item.direction)] for item in own]
+        scale = np.array([1.0] * 3 + [part.surface.diameter] * 3)
+        motion = np.linalg.pinv(np.array(rows) / scale, rcond=1e-9) / scale[:, None]
+        arm = part.surface.points - centre
+        moved = motion[None, :3] + np.cross(motion[None, 3:].transpose(0, 2, 1), arm[:, None]).transpose(0, 2, 1)
+        far = np.linalg.norm(moved, axis=1)
+        vertex, worst = np.unravel_index(int(np.argmax(far)), far.shape)
+        if far[vertex, worst] > AMPLIFIED:
+            said = (
+                f"of which {own[worst].name} moves part {part.name} by {far[vertex, worst]:.3g} mm for 1 mm of its own"
+            )
+            where = ", ".join(item.name for item in own)
+            yield of("parts", part), f"is set down on locators {where}, {said}", own[worst].point
+
+
+def weld_over_gap(assembly) -> Iterator[Seen]:
+    """Welds over gaps that no gun closes."""
+    for weld, gap in zip(assembly.scene.welds, mean_gaps(assembly)):
+        if abs(gap) > GAP:
+            yield of("welds", weld), f"lies over a gap of {gap:.2g} mm", weld.point
+
+
+def weld_off_zone(assembly) -> Iterator[Seen]:
+    """Welds far from every contact pair of the parts that they join."""
+    scene, contacts = assembly.scene, assembly.contacts
+    for weld in scene.welds:
+        joining = [i for i, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
+        own = contacts.point[np.isin(contacts.zone, joining)]
+        if len(own):
+            apart = float(np.linalg.norm(own - weld.point, axis=1).min())
+            if apart > FAR:
+                yield of("welds", weld), f"lies {apart:.0f} mm from the next contact pair", weld.point
+
+
+def zones_alike(assembly) -> Iterator[Seen]:
+    """Zones that count the same contact twice."""
+    scene, contacts = assembly.scene, assembly.contacts
+    for i, j in itertools.combinations(range(len(scene.zones)), 2):
+        a, b = np.flatnonzero(contacts.zone == i), np.flatnonzero(contacts.zone == j)
+        if set(scene.zones[i].parts) != set(scene.zones[j].parts) or not len(a) or not len(b):
+            continue
+        if contacts.area[a].sum() < contacts.area[b].sum():
+            a, b = b, a
+        distance, near = cKDTree(contacts.point[a]).query(contacts.point[b])
+        inside = distance < 0.75 * np.sqrt(contacts.area[a[near]])
+        share = float(contacts.area[b[inside]].sum() / contacts.area[b].sum())
+        if share > SHARED:
+            turned = ", turned round," if scene.zones[i].parts != scene.zones[j].parts else ""
+            said = f"lies{turned} over zone {scene.zones[i].name} with {100 * share:.0f} % of the smaller one's area"
+            yield of("zones", scene.zones[j]), said, tuple(contacts.point[b[0]].tolist())
+
+
+def zone_small(assembly) -> Iterator[Seen]:
+    """Zones of next to no area."""
+    for i, zone in enumerate(assembly.scene.zones):
+        own = assembly.contacts.zone == i
+        area = float(assembly.contacts.area[own].sum())
+        if own.any() and area < SMALL:
+            yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
+
+
+def bend_coarse(assembly) -> Iterator[Seen]:
+    """Zones on bends of few facets: a chord of length ℓ along which the sheet turns by θ stands ℓ θ / 8 off it."""
+    scene, contacts = assembly.scene, assembly.contacts
+    for i, zone in enumerate(scene.zones):
+        own = contacts.point[contacts.zone == i]
+        for part in assembly.parts if len(own) else ():
+            if part.name not in zone.parts:
+                continue
+            triangle = part.surface.project(own).triangle
+            chord, turn = (
+                np.roll(corners[triangle], -1, axis=1) - corners[triangle]
+                for corners in (part.surface.corners, part.surface.corner_normals)
+            )
+            off = np.abs(np.einsum("kij,kij->ki", chord, turn)) / 8
+            worst, edge = np.unravel_index(int(np.argmax(off)), off.shape)
+            if off[worst, edge] > CHORD:
+                length, share = np.linalg.norm(chord[worst, edge]), float((off.max(axis=1) > CHORD).mean())
+                said = (
+                    f"lies with {100 * share:.0f} % of its pairs on bends that part {part.name} draws by chords "
+                    f"{off[worst, edge]:.2g} mm off the curved sheet, {length:.2g} mm long"
+                )
+                yield of("zones", zone), said, tuple(own[worst].tolist())
+
+
+def samples_twice(assembly) -> Iterator[Seen]:
+    """Rows of a table of samples that stand there more than once."""
+    values = assembly.scene.monte_carlo.values or []
+    seen: dict[tuple[float, ...], int] = {}
+    twice = [(i, seen[row]) for i, row in enumerate(map(tuple, values)) if seen.setdefault(row, i) != i]
+    if twice:
+        i, first = twice[0]
+        yield "monte_carlo", f"sample {i} is sample {first} again ({len(twice)} of {len(values)} are another's)", None
+
+
+def samples_narrow(assembly) -> Iterator[Seen]:
+    """Columns of a table of samples that vary far less than their sigma says."""
+    values = np.array(assembly.scene.monte_carlo.values or [])
+    if len(values) < ENOUGH:
+        return
+    for item, column in zip(assembly.scene.deviations, values.T):
+        spread = float(column.std())
+        if 0.0 < spread < NARROW * item.sigma:
+            yield of("deviations", item), f"varies by {spread:.3g} in the samples, and sigma = {item.sigma:g}", None
+
+
+ENOUGH, NARROW = 8, 0.02  # samples that tell a spread, and the least share of sigma that it is
+
+
+def overlap_closed(assembly) -> Iterator[Seen]:
+    """Overlap that is closed by default, and deeper than drawing explains."""
+    return _overlaps(assembly, "close", 0.25, "closes")
+
+
+def overlap_kept(assembly) -> Iterator[Seen]:
+    """Overlap that is kept, and too deep to be meant."""
+    return _overlaps(assembly, "keep", 0.5, "keeps")
+
+
+def _overlaps(assembly, rule, share, does) -> Iterator[Seen]:
+    """Zones of a rule that overlap by more than this share of the thinner sheet."""
+    scene, contacts = assembly.scene, assembly.contacts
+    thickness = {part.name: part.thickness for part in assembly.parts}
+    for i, zone in enumerate(scene.zones):
+        own = np.flatnonzero(contacts.zone == i)
+        if zone.nominal_overlap == rule and len(own):
+            thinner = min(thickness[name] for name in zone.parts if name in thickness)
+            worst = own[np.argmax(contacts.overlap[own])]
+            if contacts.overlap[worst] > share * thinner:
+                said = f"{does} an overlap of {contacts.overlap[worst]:.2g} mm"
+                yield of("zones", zone), said, tuple(contacts.point[worst].tolist())
+
+
+def fixture_turned(assembly) -> Iterator[Seen]:
+    """Pads whose normal points away from the part that they shall meet."""
+    scene, surfaces = assembly.scene, _surfaces(assembly)
+    for fixture in scene.fixtures:
+        if fixture.point is None:
+            continue
+        for zone in scene.zones:
+            for name in set(zone.parts) & set(surfaces) if fixture.name in zone.parts else ():
+                foot = surfaces[name].project(fixture.point)
+                height = float((foot.point[0] - fixture.point) @ fixture.normal)
+                if height < 0:
+                    said = f"looks away from part {name}, whose mid-surface lies {-height:.2g} mm behind it"
+                    yield of("fixtures", fixture), said, fixture.point
+
+
+def fixture_inside(assembly) -> Iterator[Seen]:
+    """Pads within which another part lies, behind their faces."""
+    scene = assembly.scene
+    for fixture in scene.fixtures:
+        touched = {name for zone in scene.zones if fixture.name in zone.parts for name in zone.parts}
+        for part in assembly.parts if fixture.point is not None else ():
+            if part.name in touched:
+                continue
+            foot = part.surface.project(fixture.point)
+            step = foot.point[0] - fixture.point
+            behind = -float(step @ fixture.normal)
+            aside = float(np.linalg.norm(step + behind * np.array(fixture.normal)))
+            if 0 < behind < BODY and aside < fixture.radius:
+                said = f"has part {part.name} within it, whose mid-surface lies {behind:.2g} mm behind its face"
+                yield of("fixtures", fixture), said, fixture.point
+
+
+def parts_cross(parts) -> Iterator[Seen]:
+    """Parts whose mid-surfaces pass through each other."""
+    for a, b in itertools.permutations(parts, 2):
+        at = _crossing(a.surface, b.surface)
+        if at is not None:
+            yield of("parts", a), f"passes through part {b.name}", at
+
+
+def _crossing(surface: Surface, other: Surface) -> Place | None:
+    """Where edges of one surface pass through another, deepest first; None if nowhere."""
+    reach = float(np.median(surface.edge_lengths))
+    low, high = other.points.min(axis=0) - reach, other.points.max(axis=0) + reach
+    near = np.flatnonzero(((surface.points >= low) & (surface.points <= high)).all(axis=1))
+    near = near[cKDTree(other.points).query(surface.points[near], distance_upper_bound=3 * reach)[0] < np.inf]
+    foot = other.project(surface.points[near], reach=3 * reach)
+    found = (foot.triangle >= 0) & ~foot.at_border & (foot.distance < 2 * reach)
+    height = np.full(len(surface.points), np.nan)
+    step = surface.points[near[found]] - foot.point[found]
+    height[near[found]] = np.einsum("ij,ij->i", step, other.normals[foot.triangle[found]])
+    ends = surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    with np.errstate(invalid="ignore"):
+        depth = np.where((height[ends].prod(axis=1) < 0), np.abs(height[ends]).min(axis=1), 0.0)
+    deepest = int(np.argmax(depth))
+    return tuple(surface.points[ends[deepest]].mean(axis=0).tolist()) if depth[deepest] > CROSSED else None
+
+
+def _to_border(surface: Surface, at: np.ndarray) -> float:
+    """Distance from a point to the nearest border edge, mm."""
+    triangle, corner = np.nonzero(surface.border)
+    if not len(triangle):
+        return np.inf
+    a = surface.points[surface.triangles[triangle, (corner + 1) % 3]]
+    b = surface.points[surface.triangles[triangle, (corner + 2) % 3]]
+    share = np.einsum("ij,ij->i", at - a, b - a) / np.einsum("ij,ij->i", b - a, b - a)
+    foot = a + np.clip(share, 0, 1)[:, None] * (b - a)
+    return float(np.linalg.norm(foot - at, axis=1).min())

@@ -1,0 +1,106 @@
+"""Pictures of single assemblies: foretold from their measured parts, or moved by hand.
+
+They are of no run, so that no report has them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mic.report.measurement_pictures import LIMIT_COLOUR
+from mic.report.picture import MOST_PANELS, Picture, panels, svg
+from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, VERDICT_COLOURS, number
+from mic.scene import Scene
+from mic.statistics.estimates import LEVEL
+from mic.studies.exploration import Answer
+
+__all__ = ["foretold", "moved"]
+
+ROWS = 40  # assemblies in a panel, the first ones
+HALF = 1.5  # of half the tolerance: how far the axis reaches where all are within
+
+
+def foretold(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None:
+    """Key characteristics of assemblies that were foretold, with what is not known of them, by their verdict.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As :func:`mic.predict` returns it.
+    scene : Scene, optional
+        Whose limits are drawn.
+    """
+    told = table[(table["measurement"] != "") & np.isfinite(table["value"])]
+    rows = list(dict.fromkeys(told["row"]))[:ROWS]
+    told = told[told["row"].isin(rows)]
+    names = list(told["measurement"].unique())[:MOST_PANELS]
+    if not names:
+        return None
+    limits = {} if scene is None else {item.name: item.bounds for item in scene.measurements}
+    columns = min(3, len(names))
+    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), 0.9 + 0.16 * len(rows)), sharey=True)
+    for i, (ax, name) in enumerate(zip(axes, names)):
+        for limit in limits.get(name, ()):
+            if np.isfinite(limit):
+                ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
+        own = told[told["measurement"] == name]
+        for verdict, colour in VERDICT_COLOURS.items():
+            some = own[own["verdict"] == verdict]
+            place = np.array([rows.index(row) for row in some["row"]], dtype=float)
+            ax.hlines(place, some["low"], some["high"], color=colour, lw=2)
+            ax.plot(some["value"], place, "o", ms=4, color=colour)
+        ax.set_yticks(range(len(rows)), [str(row) for row in rows])
+        ax.set_ylim(len(rows) - 0.5, -0.5)
+        ax.set_title(name)
+        if i >= len(names) - columns:
+            ax.set_xlabel("deviation (mm)")
+        if i % columns == 0:
+            ax.set_ylabel("assembly")
+    handles = [Line2D([], [], color=colour, marker="o", label=word) for word, colour in VERDICT_COLOURS.items()]
+    handles += [Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits")] if limits else []
+    fig.legend(handles=handles, loc="outside upper left", ncols=4)
+    whole = table[table["measurement"] == ""]["verdict"].value_counts()
+    text = f"Lines hold what comes with a probability of {100 * LEVEL:.0f} %. Of {whole.sum()} assemblies "
+    return svg(fig, "Foretold", text + ", ".join(f"{count} {word}" for word, count in whole.items()) + ".")
+
+
+def moved(answer: Answer) -> Picture:
+    """One assembly: its contact pairs by their state, and its key characteristics against their limits."""
+    table, points, states = answer.table.head(MOST_PANELS), answer.points, answer.states
+    fig = Figure(figsize=(10.5, max(3.2, 1.0 + 0.3 * len(table))), layout="constrained")
+    space, scale = fig.subplots(1, 2)
+    if len(states):
+        flat = _flat(points)
+        for number_, label in enumerate(STATE_DOTS):
+            own = states == number_
+            name = f"{STATE_WORDS[label]}: {own.sum()}"
+            space.plot(*flat[own].T, "o", ms=3 if label == "open" else 5, color=STATE_DOTS[label], label=name)
+        space.set_aspect("equal", adjustable="datalim")
+        space.set_title(f"contact pairs after {answer.contact_stage}")
+        space.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=3)
+    space.set_axis_off()
+    middle, half = (table["upper"] + table["lower"]) / 2, (table["upper"] - table["lower"]) / 2
+    share, place = ((table["value"] - middle) / half).to_numpy(), np.arange(len(table))
+    scale.axvspan(-1, 1, color="#e8edf2")
+    scale.axvline(0, color="#58626e", lw=0.8)
+    scale.scatter(share, place, c=[INSIDE if one else OUTSIDE for one in table["within"]], s=40, zorder=3)
+    for x, y, value in zip(share, place, table["value"]):
+        if np.isfinite(x):
+            scale.annotate(f"{number(value)} mm", (x, y), xytext=(0, 6), textcoords="offset points", ha="center")
+    scale.set_yticks(place, table["measurement"])
+    scale.set_ylim(len(table) - 0.5, -0.7)
+    most = max(HALF, 1.15 * float(np.nanmax(np.abs(share), initial=0.0)))
+    scale.set_xlim(-most, most)
+    scale.set_xlabel("in half tolerances, about their middle")
+    scale.set_title("key characteristics")
+    text = f"{answer.said} " + ("Preliminary: paths followed coarsely. " if answer.preliminary else "")
+    text += f"{int(table['within'].sum())} of {len(table)} key characteristics within their limits."
+    return svg(fig, "One assembly", text)
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    """(m, 2) places on paper of (m, 3) points: the two coordinates in which they lie widest."""
+    return np.asarray(points[:, np.sort(np.argsort(np.ptp(points, axis=0), kind="stable")[1:])])

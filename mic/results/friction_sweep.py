@@ -1,0 +1,79 @@
+"""What the choice of the contact law costs as friction grows: a few samples of a run, solved anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from mic.contact.friction import Friction
+from mic.contact.law_comparison import compare_laws
+from mic.contact.working_set import Foreseen
+from mic.process.process import contact_solver
+from mic.results.schema import FRICTION
+
+if TYPE_CHECKING:
+    from mic.results.outcome import Outcome
+
+__all__ = ["SCALES", "SAMPLES", "read_friction", "study_friction"]
+
+SAMPLES = 12  # evenly spread over the valid ones whose pairs are kept
+SCALES = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
+THREADS = 2
+
+
+def study_friction(outcome: Outcome) -> pd.DataFrame | None:
+    """Solve samples in the first stage that resolves contact, under every law, with all friction coefficients scaled.
+
+    All that the stage does is done in one step: laws are compared here, not paths. The displacements without contact
+    forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
+
+    Returns
+    -------
+    DataFrame or None
+        As :data:`mic.results.schema.FRICTION` declares it; None unless both Coulomb's and the associated law were asked
+        for, the scene has friction and there are valid samples.
+    """
+    contacts = outcome.model.contacts
+    if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.frictional:
+        return None
+    numbers = outcome.with_pairs("coulomb")
+    n = len(numbers)
+    if not n or not outcome.stages:
+        return None
+    stage = outcome.stages[0]
+    chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
+    coefficient = contacts.friction_in(stage).coefficient
+    prepared = next(one for one in outcome.model.process("coulomb").stages if one.plan.name == stage)
+    rows = contacts.dimension * len(contacts)
+    response, step = prepared.response, replace(prepared.plan.steps[-1], limits=())  # stops push as they did
+    S = response.S.first(rows)
+    force, displacement = (
+        np.stack(
+            [outcome.contact("coulomb", stage, f"{quantity}_{axis}", chosen) for axis in ("n", "t1", "t2")], axis=2
+        ).reshape(len(chosen), -1)
+        for quantity in ("f", "u")
+    )
+    b = displacement - S.under(force)  # u = S f + b
+    nothing = Foreseen.nothing(len(contacts), contacts.dimension)
+    foreseen = replace(nothing, touching=(force[:, ::3] > 0).any(axis=0))
+
+    def solver(S, coefficient, **settings):
+        friction = Friction.of(coefficient, len(contacts))
+        return contact_solver(contacts, S, response.own[:rows], friction, step, foreseen, **settings)
+
+    return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS, solver=solver)
+
+
+def read_friction(folder: Path) -> pd.DataFrame | None:
+    """The study as the run stored it; None where it stored none.
+
+    Raises
+    ------
+    FormatError
+        If the file is not what :data:`mic.results.schema.FRICTION` declares.
+    """
+    return FRICTION.read(folder, "call `mic report` on the run folder")

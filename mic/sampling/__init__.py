@@ -1,1 +1,0 @@
-"""The Monte Carlo: distributions, independent streams, samples shared out in blocks."""

@@ -1,0 +1,1 @@
+"""Sampling designs, estimators with confidence intervals, capability indices, Sobol indices and the emulator."""

@@ -1,0 +1,239 @@
+r"""How often limits are missed, to first order: the nearest point at which one is, by exact derivatives (FORM).
+
+In standard normal numbers z, from which the deviations follow through their distributions and correlations, a limit is
+missed where ``g(z) > 0``. The likeliest miss is the point z* of ``g = 0`` nearest to the origin, the design point; were
+g linear there, misses would be as likely as ``Φ(−β)``, ``β = ‖z*‖``. It is found by the steps of Hasofer, Lind,
+Rackwitz and Fiessler [1]_, ``z' = (∇g·z − g) ∇g / ‖∇g‖²``, shortened until ``½‖z‖² + c |g|`` falls [2]_. Each side
+of each key characteristic is a limit of its own. How likely any of several is missed is that of a union of half-spaces
+``α·z > β`` with ``α = z*/‖z*‖``, taken from samples of these half-spaces alone [3]_.
+
+A limit that is curved, that turns where contact changes, or that has several such points, is missed more or less often
+than that: the number stands beside that of subset simulation (:mod:`mic.studies.rare`), whose samples it starts from.
+
+References
+----------
+.. [1] R. Rackwitz, B. Fiessler: Structural reliability under combined random load sequences, Comput. Struct. 9 (1978)
+       489-494.
+.. [2] Y. Zhang, A. Der Kiureghian: Two improved algorithms for reliability analysis, in: Reliability and Optimization
+       of Structural Systems, 1995, 297-304.
+.. [3] A. B. Owen, Y. Maximov, M. Chertkov: Importance sampling the union of rare events with an application to power
+       systems analysis, Electron. J. Stat. 13 (2019) 231-254.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtr, ndtri
+
+from mic.process.model import ReducedModel
+from mic.results.schema import DESIGN_POINTS
+from mic.statistics.draw import numbers
+from mic.statistics.normal_space import from_normal, normal_slopes
+
+__all__ = ["Designed", "design_points", "differentiable", "either", "first_order", "nearest"]
+
+ROUNDS = 20
+ENOUGH = 1e-3  # of the limit's own scale, and of β: nearer than that a design point is found
+HALVINGS = 8
+FALLS = 0.3  # share of what a linear limit promises that a step must bring
+FARTHEST = 8.0  # numbers beyond that are not told apart from certainty
+UNION = 100_000  # samples of half-spaces
+
+#: Of (n, d) numbers and which limit each belongs to (n,): g (n,) and its gradient (n, d), NaN where it is not known.
+Slopes = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Designed:
+    """Design points of s limits.
+
+    Attributes
+    ----------
+    z : (s, d) array
+    beta : (s,) array
+        Distance, negative where the limit is missed at the origin.
+    direction : (s, d) array
+        α, towards more misses.
+    found : (s,) bool array
+        Whether each is one: on the limit, its gradient along z.
+    """
+
+    z: np.ndarray
+    beta: np.ndarray
+    direction: np.ndarray
+    found: np.ndarray
+
+
+def nearest(slopes: Slopes, start: np.ndarray) -> Designed:
+    """The design points of s limits.
+
+    Parameters
+    ----------
+    slopes : callable
+    start : (s, d) array
+        Where to begin, for each limit, such that g is not flat there.
+    """
+    z, every = np.array(start, dtype=float), np.arange(len(start))
+    g, slope = slopes(z, every)
+    found, todo = np.zeros(len(z), dtype=bool), every
+    for _ in range(ROUNDS):
+        steep = np.linalg.norm(slope[todo], axis=1)
+        todo = todo[np.isfinite(g[todo]) & (steep > 0) & (np.linalg.norm(z[todo], axis=1) < 1.5 * FARTHEST)]
+        if not todo.size:
+            break
+        own, at, value = slope[todo], z[todo], g[todo]
+        square = (own**2).sum(axis=1)
+        step = (((own * at).sum(axis=1) - value) / square)[:, None] * own - at
+        scale = np.maximum(1.0, np.linalg.norm(at, axis=1))
+        near = (np.abs(value) < ENOUGH * np.sqrt(square) * scale) & (np.linalg.norm(step, axis=1) < ENOUGH * scale)
+        found[todo[near]] = True
+        todo, step = todo[~near], step[~near]
+        if not todo.size:
+            break
+        # c above ‖z‖/‖∇g‖, with which the step is one of descent
+        c = 2 * np.linalg.norm(z[todo], axis=1) / np.linalg.norm(slope[todo], axis=1) + 1.0
+        merit = 0.5 * (z[todo] ** 2).sum(axis=1) + c * np.abs(g[todo])
+        falls = FALLS * ((z[todo] * step).sum(axis=1) - c * np.abs(g[todo]))  # per length, were g linear
+        waiting, length = np.arange(len(todo)), 1.0
+        for _ in range(HALVINGS):
+            which = todo[waiting]
+            there = z[which] + length * step[waiting]
+            value, gradient = slopes(there, which)
+            after = 0.5 * (there**2).sum(axis=1) + c[waiting] * np.abs(value)
+            better = after <= merit[waiting] + length * falls[waiting]
+            better |= length < 2.0 ** (2 - HALVINGS)
+            better &= np.isfinite(value)
+            taken = which[better]
+            z[taken], g[taken], slope[taken] = there[better], value[better], gradient[better]
+            waiting, length = waiting[~better], length / 2
+            if not waiting.size:
+                break
+        todo = np.delete(todo, waiting)  # what no step makes better is where it can be
+    steep = np.linalg.norm(slope, axis=1, keepdims=True)
+    direction = np.divide(slope, steep, out=np.zeros_like(slope), where=steep > 0)
+    # The plane that touches the limit there, wherever on it the search ended.
+    flat = np.where(g < 0, -np.inf, np.inf)
+    beta = (direction * z).sum(axis=1) - np.divide(g, steep[:, 0], out=flat, where=steep[:, 0] > 0)
+    return Designed(z, beta, direction, found)
+
+
+def either(direction: np.ndarray, beta: np.ndarray) -> float:
+    """Probability of a union of half-spaces ``α·z > β`` of standard normal numbers.
+
+    Parameters
+    ----------
+    direction : (s, d) array
+        α, of length 1.
+    beta : (s,) array
+    """
+    p = ndtr(-beta)
+    own = p > 0
+    direction, beta, p = direction[own], beta[own], p[own]
+    if len(p) < 2:
+        return float(p.sum())
+    stream = np.random.Generator(np.random.Philox(key=len(p)))
+    which = stream.choice(len(p), UNION, p=p / p.sum())
+    along = -ndtri(stream.random(UNION) * p[which])  # standard normal beyond β
+    z = stream.standard_normal((UNION, direction.shape[1]))
+    z += (along - (z * direction[which]).sum(axis=1))[:, None] * direction[which]
+    inside = z @ direction.T > beta
+    inside[np.arange(UNION), which] = True
+    return float(p.sum() * (1 / inside.sum(axis=1)).mean())
+
+
+def design_points(
+    model: ReducedModel, law: str | None, z: np.ndarray, y: np.ndarray, progress: Callable[[int], None] = lambda n: None
+) -> tuple[pd.DataFrame, Designed, list[tuple[int, str]]]:
+    """The design point of each limit of each key characteristic.
+
+    Parameters
+    ----------
+    model : ReducedModel
+        None of whose deviations takes measured pieces as they are: they have no derivatives.
+    law : str, optional
+    z, y : (n, d), (n, k) array
+        Numbers and key characteristics of samples, from which it starts: of those that miss a limit the likeliest, or
+        the one that comes nearest to it.
+    progress : callable, optional
+        Called with the number of assemblies after each round.
+
+    Returns
+    -------
+    DataFrame
+        As :data:`mic.results.schema.DESIGN_POINTS` declares it.
+    Designed
+    list of (int, str)
+        Of each limit its characteristic, and ``upper`` or ``lower``.
+
+    Raises
+    ------
+    SceneError
+        Where parts rest by contact alone.
+    """
+    scene = model.scene
+    limits = [
+        (k, side)
+        for k, item in enumerate(scene.measurements)
+        for side, limit in zip(("lower", "upper"), item.bounds)
+        if np.isfinite(limit)
+    ]
+    number = np.array([k for k, _ in limits], dtype=int)
+    sign = np.array([-1.0 if side == "lower" else 1.0 for _, side in limits])
+    limit = np.array([getattr(scene.measurements[k], side) for k, side in limits])
+    half = np.array([(item.upper - item.lower) / 2 for item in scene.measurements])[number]
+
+    def slopes(at: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = at.clip(-FARTHEST, FARTHEST)
+        values, turned = from_normal(scene, at), normal_slopes(scene, at)
+        found = model.sensitivities(values, law)
+        progress(len(at))
+        k, rows = number[which], np.arange(len(at))
+        g = sign[which] * (found.measurements[rows, k] - limit[which]) / half[which]
+        slope = (sign / half)[which, None] * np.einsum("np,npd->nd", found.jacobian[rows, k], turned)
+        return np.where(found.failed, np.nan, g), np.nan_to_num(slope)
+
+    g = sign * (y[:, number] - limit) / half
+    g[~np.isfinite(g)] = -np.inf
+    length = np.linalg.norm(z, axis=1)[:, None]
+    first = np.where(g > 0, FARTHEST**2 - length, g - np.abs(g).max(where=np.isfinite(g), initial=1.0)).argmax(axis=0)
+    found = nearest(slopes, z[first])
+    return _tabled(scene, law or scene.report.laws[0], found, limits), found, limits
+
+
+def _tabled(scene, law: str, found: Designed, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
+    values = from_normal(scene, found.z.clip(-FARTHEST, FARTHEST))
+    rows = []
+    for i, (k, side) in enumerate(limits):
+        for j, item in enumerate(scene.deviations):
+            off = values[i, j] - item.mean
+            rows.append(
+                {
+                    "law": law,
+                    "measurement": scene.measurements[k].name,
+                    "limit": side,
+                    "beta": float(found.beta[i]),
+                    "probability": float(ndtr(-found.beta[i])),
+                    "found": bool(found.found[i]),
+                    "deviation": item.name,
+                    "value": float(values[i, j]),
+                    "sigmas": float(off / item.sigma) if item.sigma > 0 else 0.0,
+                    "share": float(found.direction[i, j] ** 2),
+                }
+            )
+    return pd.DataFrame(rows, columns=DESIGN_POINTS.names)
+
+
+def first_order(found: Designed, limits: Sequence[tuple[int, str]], own: Sequence[int]) -> float:
+    """Probability that any limit of some characteristics, by number, is missed, to first order; NaN where a design
+    point that matters was not found."""
+    some = np.isin([k for k, _ in limits], list(own)) & np.isfinite(found.beta)
+    return either(found.direction[some], found.beta[some])
+
+
+def differentiable(scene) -> bool:
+    """Whether the deviations follow smoothly from the numbers that they are drawn from."""
+    return numbers(scene) == len(scene.deviations)

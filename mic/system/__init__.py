@@ -1,0 +1,1 @@
+"""Files that survive a crash, the disk cache, locks, BLAS and compilation: everything that knows nothing of assemblies."""

@@ -1,0 +1,154 @@
+"""A first scene from nothing but meshes: what `mic init` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mic.errors import RunError, SceneError
+from mic.scene.measurement import Measurement
+from mic.scene.tables import read_rows
+from mic.scene.weld import Weld
+from mic.system.files import replacing
+from mic.wizard.bodies import Body, part_name, read_bodies
+from mic.wizard.joints import NEAR, joined
+from mic.wizard.proposal import Proposal, propose
+from mic.wizard.scene_text import scene_text
+
+__all__ = ["Proposal", "write_scene"]
+
+
+def write_scene(
+    files: Sequence[Path],
+    out: Path | None = None,
+    thickness: Mapping[str | None, float] | None = None,
+    welds: Path | None = None,
+    points: Path | None = None,
+) -> tuple[Path, Proposal]:
+    """Propose a scene for the parts that mesh files hold, and write it.
+
+    Parameters
+    ----------
+    files : sequence of Path
+    out : Path, optional
+        The scene's folder; by default one that is called after the meshes, where the program was started.
+    thickness : mapping of str or None to float, optional
+        mm, by part; under None, of all that are not named and whose mesh file tells nothing.
+    welds, points : Path, optional
+        CSV files that list the welds and the points to measure, by their coordinates.
+
+    Returns
+    -------
+    folder : Path
+    proposal : Proposal
+
+    Raises
+    ------
+    FormatError, SceneError
+        If a mesh or a list cannot be read, or a thickness is missing.
+    RunError
+        If a scene stands there already, or the folder cannot be written.
+    """
+    name = "+".join(dict.fromkeys(part_name(file.stem) for file in files))[:50]
+    folder = Path(name) if out is None else Path(out)
+    if (folder / "scene.toml").exists():
+        raise RunError(f"{folder}: a scene stands there already and is left alone; name another folder with --out")
+    bodies = read_bodies(files, thickness or {})
+    listed = _listed_welds(welds, bodies) if welds is not None else None
+    measured = _listed_points(points, bodies) if points is not None else None
+    proposal = propose(bodies, None if listed is None else _by_parts(listed))
+    text = scene_text(
+        proposal,
+        name,
+        folder,
+        None if listed is None else "welds.csv",
+        None if measured is None else "points.csv",
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for rows, file in ((listed, "welds.csv"), (measured, "points.csv")):
+            if rows is not None:
+                with replacing(folder / file) as temporary:
+                    pd.DataFrame(rows).to_csv(temporary, index=False)
+        with replacing(folder / "scene.toml") as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    except OSError as problem:
+        raise RunError(f"{folder}: cannot be written ({problem.strerror}); name another folder with --out") from problem
+    return folder, proposal
+
+
+def _listed_welds(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
+    """Rows of the list of welds, each with the two parts that it joins; a weld of three sheets is two."""
+    found: list[dict[str, Any]] = []
+    problems: list[str] = []
+    names = [body.name for body in bodies]
+    for count, (number, row) in enumerate(read_rows(file, Weld), 1):
+        where = f"{file}: row {number}"
+        point = _coordinates(where, row, problems)
+        if point is None:
+            continue
+        pairs = [tuple(row["parts"])] if len(row.get("parts", ())) == 2 else None
+        if pairs is None:
+            pairs, nearest = joined(np.array(point), bodies)
+            if not pairs:
+                near = " and ".join(f"{name} ({distance:.3g} mm off)" for name, distance in nearest[:2])
+                problems.append(f"{where}: a weld joins two parts within {NEAR:g} mm; the nearest are {near}")
+        elif not set(pairs[0]) <= set(names):
+            problems.append(f"{where}, column parts: {' '.join(pairs[0])}: the parts are {', '.join(names)}")
+        label = str(row.get("name", f"W{count}"))
+        rest = {key: value for key, value in row.items() if key not in ("name", "parts", "point")}
+        for letter, (a, b) in zip("abcdefgh", pairs):
+            own = label + letter * (len(pairs) > 1)
+            found.append({"name": own, "parts": f"{a} {b}", **dict(zip("xyz", point)), **rest})
+    if problems:
+        raise SceneError("\n".join(problems))
+    return found
+
+
+def _by_parts(rows: list[dict[str, Any]]) -> dict[tuple[str, str], np.ndarray]:
+    pairs: dict[tuple[str, str], list[list[float]]] = {}
+    for row in rows:
+        a, b = row["parts"].split()
+        pairs.setdefault((a, b), []).append([row[axis] for axis in "xyz"])
+    return {pair: np.array(points) for pair, points in pairs.items()}
+
+
+def _listed_points(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
+    """Rows of the list of points to measure, each with the part that it lies on."""
+    found: list[dict[str, Any]] = []
+    problems: list[str] = []
+    for count, (number, row) in enumerate(read_rows(file, Measurement), 1):
+        where = f"{file}: row {number}"
+        point = _coordinates(where, row, problems)
+        if point is None:
+            continue
+        distance = {body.name: float(body.surface.project(point).distance[0]) for body in bodies}
+        part = row.get("part", min(distance, key=distance.__getitem__))
+        if part not in distance:
+            problems.append(f"{where}, column part: there is no part {part!r}; the parts are {', '.join(distance)}")
+        elif distance[part] > NEAR:
+            problems.append(f"{where}: ({', '.join(f'{x:g}' for x in point)}) lies {distance[part]:.3g} mm off {part}")
+        direction = row.get("direction", "normal")
+        own = {
+            "name": row.get("name", f"M{count}"),
+            "part": part,
+            **dict(zip("xyz", point)),
+            "direction": direction if isinstance(direction, str) else " ".join(f"{x:g}" for x in direction),
+        }
+        found.append(own | {key: value for key, value in row.items() if key not in (*own, "point")})
+    if problems:
+        raise SceneError("\n".join(problems))
+    return found
+
+
+def _coordinates(where: str, row: dict[str, Any], problems: list[str]) -> list[float] | None:
+    point = row.get("point")
+    if point is None or any(isinstance(x, str) or not np.isfinite(x) for x in point):
+        given = "nothing" if point is None else ", ".join(str(x) or "nothing" for x in point)
+        problems.append(f"{where}: x, y and z must be numbers, mm; got {given}")
+        return None
+    return [float(x) for x in point]

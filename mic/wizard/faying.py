@@ -1,0 +1,164 @@
+"""Where two parts lie on each other, as they are drawn, and what the drawing says of how they do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from mic.geometry.coincident_sheets import TOLD, offsets
+from mic.geometry.pairing import Side, pair_at
+from mic.geometry.surface import Surface
+from mic.wizard.bodies import Body
+
+__all__ = ["Faying", "closer", "find_faying", "nearest_distance"]
+
+GAP = 2.0  # mm between facing surfaces, as zones have it
+ANGLE = 30.0  # degrees between two surfaces that face each other, as zones have it
+MOST = 40_000  # places that are looked at
+LEAST = 25.0  # mm²: sheets that face each other over less do not lie on each other
+
+
+@dataclass(frozen=True)
+class Faying:
+    """Where two parts lie on each other.
+
+    Attributes
+    ----------
+    first, second : Body
+    point : (n, 3) array
+        On the first part's surface, mm.
+    normal : (n, 3) array
+        Of the first part's surface.
+    height : (n,) array
+        Of the second part's drawn surface above the first one's, along the normals of the latter, mm.
+    depth : (n,) array
+        From the nearest place where they do not face each other, mm.
+    piece : (n,) int array
+        Places that hang together, the largest piece first.
+    area : float
+        mm².
+    spacing : float
+        Between neighbouring places, about, mm.
+    side : float
+        Whether the second part lies on the side of the first part's normals, +1, or on the other, −1; 0 where the
+        drawing does not tell.
+    turned : float
+        +1 where the normals of the two look the same way, −1 where they look opposite ways.
+    """
+
+    first: Body
+    second: Body
+    point: np.ndarray
+    normal: np.ndarray
+    height: np.ndarray
+    depth: np.ndarray
+    piece: np.ndarray
+    area: float
+    spacing: float
+    side: float
+    turned: float
+
+    @property
+    def coincident(self) -> bool:
+        """Whether both are drawn on the skins that touch: they meet in more places than lie a thickness apart."""
+        share = np.abs(self.height) / ((self.first.thickness + self.second.thickness) / 2)
+        meeting, apart = np.mean(share < TOLD), np.mean(np.abs(share - 1) < TOLD)
+        return bool(meeting > 0 and meeting >= apart)
+
+    def gap(self, offset: Mapping[str, float]) -> np.ndarray:
+        """(n,) gaps between the facing surfaces, mm, where each sheet lies so many thicknesses off its drawing."""
+        a, b = self.first, self.second
+        moved = self.turned * offset[b.name] * b.thickness - offset[a.name] * a.thickness
+        return (self.side or 1.0) * (self.height + moved) - (a.thickness + b.thickness) / 2
+
+
+def find_faying(first: Body, second: Body) -> Faying | None:
+    """Where two parts lie on each other; None where they nowhere do."""
+    reach = GAP + (first.thickness + second.thickness) / 2
+    a, b = first.surface, second.surface
+    if (np.maximum(a.points.min(0), b.points.min(0)) - np.minimum(a.points.max(0), b.points.max(0)) > reach).any():
+        return None
+    triangles = _near(a, b, reach)
+    spacing = max(min(first.element, second.element) / 2, float(np.sqrt(a.areas[triangles].sum() / MOST)))
+    triangle, barycentric, area = a.sample(triangles, spacing)
+    if not len(area):
+        return None
+    x, n = a.at(triangle, barycentric), a.normals[triangle]
+    foot = b.project(x, n, np.radians(ANGLE), reach)
+    near = np.isfinite(foot.distance) & (foot.distance <= reach)
+    step = np.where(near[:, None], foot.point - x, 0.0)
+    along = np.einsum("ij,ij->i", step, n)
+    beside = np.linalg.norm(step - along[:, None] * n, axis=1)
+    facing = near & (beside <= np.maximum(0.05 * min(first.thickness, second.thickness), 0.35 * np.abs(along)))
+    if area[facing].sum() < LEAST:
+        return None
+    # Where the sheets do not face each other: elsewhere on the first one, and at its free edge.
+    own = np.setdiff1d(np.arange(len(a.triangles)), triangles)
+    border = first.edge[0]
+    elsewhere = np.concatenate([x[~facing], a.corners[own].mean(1), border])
+    at = x[facing]
+    depth = cKDTree(elsewhere).query(at)[0] if len(elsewhere) else np.full(len(at), np.inf)
+    turned = np.einsum("ij,ij->i", n[facing], b.normals[foot.triangle[facing]])
+    sense = 1.0 if area[facing] @ turned >= 0 else -1.0
+    total, pieces = float(area[facing].sum()), _pieces(at, 2.5 * spacing)
+    found = Faying(first, second, at, n[facing], along[facing], depth, pieces, total, spacing, 0.0, sense)
+    side = (
+        _side(first, second, at[int(np.argmax(depth))])
+        if found.coincident
+        else float(np.sign(area[facing] @ along[facing]))
+    )
+    return replace(found, side=side)
+
+
+def closer(lap: Faying, near: np.ndarray) -> Faying | None:
+    """Those places of a lap alone, (n,) bool, as a lap of their own; None where too little is left."""
+    area = lap.area * float(near.mean())
+    if area < LEAST:
+        return None
+    point = lap.point[near]
+    depth = lap.depth[near] if near.all() else np.minimum(lap.depth[near], cKDTree(lap.point[~near]).query(point)[0])
+    return replace(
+        lap,
+        point=point,
+        normal=lap.normal[near],
+        height=lap.height[near],
+        depth=depth,
+        piece=_pieces(point, 2.5 * lap.spacing),
+        area=area,
+    )
+
+
+def nearest_distance(first: Body, second: Body) -> float:
+    """How near two parts come to each other, mm, from the points of the one to the surface of the other."""
+    points = first.surface.points[np.unique(first.surface.triangles)]
+    tree = cKDTree(second.surface.points)
+    nearest = np.argsort(tree.query(points)[0])[:50]
+    return float(second.surface.project(points[nearest]).distance.min())
+
+
+def _near(a: Surface, b: Surface, reach: float) -> np.ndarray:
+    """Triangles of one surface that may lie within reach of another."""
+    tree = cKDTree(b.corners.mean(1))
+    bound = reach + a.reach + b.reach.max()
+    return np.flatnonzero(tree.query(a.corners.mean(1))[0] <= bound)
+
+
+def _pieces(points: np.ndarray, link: float) -> np.ndarray:
+    """(n,) number of the piece that each point belongs to, the one of most points first."""
+    pairs = cKDTree(points).query_pairs(link, output_type="ndarray")
+    n = len(points)
+    label = connected_components(coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)[1]
+    rank = np.argsort(np.argsort(-np.bincount(label), kind="stable"), kind="stable")
+    return rank[label]
+
+
+def _side(first: Body, second: Body, point: np.ndarray) -> float:
+    """On which side of the first surface the second sheet lies, as the rest of the two tells; 0 where it does not."""
+    a, b = Side(first.surface, first.thickness), Side(second.surface, second.thickness)
+    (share, _), told = offsets(pair_at(point, min(first.element, second.element), a, b), a, b)
+    return -float(np.sign(share)) if told else 0.0

@@ -1,0 +1,344 @@
+"""A whole scene for parts that nothing is known of but their meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mic.wizard.bodies import Body
+from mic.wizard.faying import Faying, closer, find_faying, nearest_distance
+from mic.wizard.fixture import Support, conditioning, propose_fixture, spread
+from mic.wizard.joints import NONE, Joints, propose_joints
+
+__all__ = ["Proposal", "Shaping", "Tong", "propose"]
+
+CLOSED = 0.25  # of the thinner sheet: so much drawn overlap a zone closes unasked
+BETWEEN = 0.8  # of the thickness of a sheet that lies between two others: their gap, at least
+PAIRS = 800  # contact pairs of a first run, about
+ACROSS = 4.0  # thicknesses between two candidates, if the elements are finer
+MEASURED = 4  # points of each part, along its free edges
+AWAY = 12.0  # mm between a measured point and a lap
+SHAPE = 0.3  # mm by which a corrective force moves a flat sheet
+ROOM = 1.1  # of the deepest overlap that is found here: a zone looks closer
+
+
+@dataclass(frozen=True)
+class Shaping:
+    """A corrective force that shapes a part.
+
+    Attributes
+    ----------
+    point : (3,) array
+    sigma : float
+        N.
+    """
+
+    point: np.ndarray
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Tong:
+    """A tong that presses the outer two of the sheets that lie upon each other at its point.
+
+    Attributes
+    ----------
+    first, second : Body
+    point : (3,) array
+        mm.
+    """
+
+    first: Body
+    second: Body
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What a scene is made of, by the names of its parts.
+
+    Attributes
+    ----------
+    bodies : list of Body
+    offsets : dict of str to float
+        Thicknesses from the drawn surface to the middle of the sheet.
+    why : dict of str to str
+        Where an offset other than zero comes from.
+    laps : list of Faying
+        Where parts lie on each other, the largest first.
+    overlap : list of float
+        By lap, the drawn overlap that its zone must be told to close, mm; 0 for none.
+    spacing : float or None
+        Between the candidates of all zones, mm, where left to themselves they would be many.
+    reach : list of float
+        By lap, the gap beyond which another sheet lies between the two, mm; 0 where none does.
+    joints : list of Joints
+        By lap.
+    tongs : list of Tong
+    fixtures : dict of str to list of Support
+        The first six of each hold the part.
+    conditioned : dict of str to float
+        Ratio of the singular values of the six.
+    base : list of str
+        Of every group of parts that welds join the one whose six locators stay closed.
+    measured : dict of str to (k, 3) array
+    shaping : dict of str to Shaping
+    sentences : list of str
+        What a user should know.
+    """
+
+    bodies: list[Body]
+    offsets: dict[str, float]
+    why: dict[str, str]
+    laps: list[Faying]
+    overlap: list[float]
+    spacing: float | None
+    reach: list[float]
+    joints: list[Joints]
+    tongs: list[Tong]
+    fixtures: dict[str, list[Support]]
+    conditioned: dict[str, float]
+    base: list[str]
+    measured: dict[str, np.ndarray]
+    shaping: dict[str, Shaping]
+    sentences: list[str]
+
+    def words(self) -> str:
+        """What is proposed, in numbers."""
+        count = {
+            "part": len(self.bodies),
+            "locator": sum(map(len, self.fixtures.values())),
+            "contact zone": len(self.laps),
+            "clamp": len(self.tongs),
+            "weld": sum(len(joint.welds) for joint in self.joints),
+        }
+        return ", ".join(f"{number or 'no'} {what}{'' if number == 1 else 's'}" for what, number in count.items())
+
+
+def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] | None = None) -> Proposal:
+    """A scene for these parts.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+    welds : mapping of (str, str) to (n, 3) array, optional
+        Points of welds by the parts that they join; by default welds are proposed.
+    """
+    sentences = [
+        f"{body.file}: {body.name} is {body.surface.diameter / 1e3:.3g} long in the file's unit, plainly metres"
+        for body in bodies
+        if body.unit == "m"
+    ]
+    laps = [
+        lap
+        for i, first in enumerate(bodies)
+        for second in bodies[i + 1 :]
+        for lap in [find_faying(first, second)]
+        if lap is not None
+    ]
+    laps.sort(key=lambda lap: -lap.area)
+    offsets, why = _offsets(bodies, laps, sentences)
+    laps, reach = _touching(bodies, laps, offsets)
+    overlap = [_overlap(lap, offsets) for lap in laps]
+    joints = _joints(laps, offsets, welds)
+    taken = {
+        body.name: np.concatenate(
+            [np.zeros((0, 3))] + [_touched(lap, body) for lap in laps if body in (lap.first, lap.second)]
+        )
+        for body in bodies
+    }
+    fixtures = {body.name: propose_fixture(body, taken[body.name]) for body in bodies}
+    _tell_alone(bodies, laps, joints, sentences)
+    return Proposal(
+        list(bodies),
+        offsets,
+        why,
+        laps,
+        overlap,
+        _spacing(laps),
+        reach,
+        joints,
+        _tongs(laps, joints),
+        fixtures,
+        {name: conditioning(six[:6]) for name, six in fixtures.items()},
+        _base(bodies, laps, joints, welds),
+        {body.name: _measured(body, taken[body.name]) for body in bodies},
+        {body.name: _shaping(body, fixtures[body.name], taken[body.name]) for body in bodies},
+        sentences,
+    )
+
+
+def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float], dict[str, str]]:
+    """Where the middle of each sheet lies: as the deck tells, else beside surfaces that are drawn on the same skin."""
+    told = {body.name: body.offset for body in bodies if body.offset is not None}
+    known = dict(told)
+    why = {name: "as the mesh file tells" for name, value in told.items() if value}
+    for lap in laps:
+        a, b = lap.first, lap.second
+        if not lap.coincident or a.name in known and b.name in known:
+            continue
+        side = lap.side or 1.0
+        if a.name not in known and b.name not in known:
+            known[a.name] = -0.5 * side
+            why[a.name] = f"it is drawn on the skin that touches {b.name}, and its sheet lies on the other side"
+        if a.name in known:
+            middle = known[a.name] * a.thickness + side * (a.thickness + b.thickness) / 2
+            known[b.name] = lap.turned * middle / b.thickness
+            why[b.name] = f"it is drawn on the skin that touches {a.name}"
+        else:
+            middle = lap.turned * known[b.name] * b.thickness - side * (a.thickness + b.thickness) / 2
+            known[a.name] = middle / a.thickness
+            why[a.name] = f"it is drawn on the skin that touches {b.name}"
+        sentences.append(
+            f"{a.name} and {b.name} are drawn upon each other: offsets put their sheets side by side"
+            + ("" if lap.side else ", on which side is a guess that only you can judge")
+        )
+    return {body.name: known.get(body.name, 0.0) for body in bodies}, why
+
+
+def _touching(bodies, laps: Sequence[Faying], offsets) -> tuple[list[Faying], list[float]]:
+    """Laps without the places that other sheets keep apart, and by lap the gap that begins there, mm."""
+    found, reach = [], []
+    for lap in laps:
+        gap = lap.gap(offsets)
+        least = min((BETWEEN * body.thickness for body in bodies if _between(body, lap, gap)), default=np.inf)
+        rest = lap if np.isinf(least) else closer(lap, gap < least)
+        if rest is not None:
+            found.append(rest)
+            reach.append(0.0 if np.isinf(least) else round(least, 2))
+    return found, reach
+
+
+def _between(body: Body, lap: Faying, gap: np.ndarray) -> bool:
+    """Whether another sheet lies between those of a lap, at some of its places, so that they cannot touch there."""
+    wide = gap >= BETWEEN * body.thickness
+    if body in (lap.first, lap.second) or not wide.any():
+        return False
+    height = lap.height[wide]
+    middle = lap.point[wide] + lap.normal[wide] * height[:, None] / 2
+    distance = body.surface.project(middle, reach=float(np.abs(height).max() + body.thickness)).distance
+    return bool(np.mean(distance <= np.abs(height) / 2 + body.thickness / 4) > 0.5)
+
+
+def _joints(laps: Sequence[Faying], offsets, welds) -> list[Joints]:
+    """Welds and tongs lap by lap; what stands in a stack already is not proposed once more."""
+    joints: list[Joints] = []
+    for lap in laps:
+        pair = (lap.first.name, lap.second.name)
+        listed = None
+        if welds is not None:
+            listed = np.concatenate([welds.get(pair, NONE), welds.get(pair[::-1], NONE)])
+        upon = [one for other, one in zip(laps, joints) if {other.first.name, other.second.name} & set(pair)]
+        welded = np.concatenate([NONE, *(one.welds for one in upon)])
+        pressed = np.concatenate([NONE, *(one.tongs for one in joints)])
+        joints.append(propose_joints(lap, lap.gap(offsets), listed, welded, pressed))
+    return joints
+
+
+def _tongs(laps: Sequence[Faying], joints: Sequence[Joints]) -> list[Tong]:
+    """Tongs through all the sheets that lie upon each other where they stand."""
+    points = np.concatenate([NONE, *(joint.tongs for joint in joints)])
+    owner = [lap for lap, joint in zip(laps, joints) for _ in joint.tongs]
+    tongs = []
+    for number, (point, lap) in enumerate(zip(points, owner)):
+        stack = {lap.first.name: lap.first, lap.second.name: lap.second}
+        for other, joint in zip(laps, joints):
+            if number in joint.through and {other.first.name, other.second.name} & set(stack):
+                stack |= {other.first.name: other.first, other.second.name: other.second}
+        n = lap.normal[np.argmin(np.linalg.norm(lap.point - point, axis=1))]
+        feet = {name: body.surface.project(point).point[0] for name, body in stack.items()}
+        order = sorted(stack, key=lambda name: float((feet[name] - point) @ n) * (lap.side or 1.0))
+        first, second = order[0], order[-1]
+        tongs.append(Tong(stack[first], stack[second], (feet[first] + feet[second]) / 2 if len(order) > 2 else point))
+    return tongs
+
+
+def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:
+    """The drawn overlap that must be closed, mm, if it is more than a zone closes unasked."""
+    deepest = -float(lap.gap(offsets).min())
+    if deepest <= 0.9 * CLOSED * _thinner(lap):
+        return 0.0
+    return float(np.ceil(ROOM * deepest * 100) / 100)
+
+
+def _spacing(laps: Sequence[Faying]) -> float | None:
+    """A distance between candidates that leaves about `PAIRS` of them, if their own would leave more."""
+    if not laps:
+        return None
+    own = [max(lap.first.element, lap.second.element, ACROSS * _thinner(lap)) for lap in laps]
+    if sum(lap.area / spacing**2 for lap, spacing in zip(laps, own)) <= PAIRS:
+        return None
+    wanted = float(np.ceil(np.sqrt(sum(lap.area for lap in laps) / PAIRS)))
+    return max(wanted, *own)
+
+
+def _thinner(lap: Faying) -> float:
+    return min(lap.first.thickness, lap.second.thickness)
+
+
+def _touched(lap: Faying, body: Body) -> np.ndarray:
+    return lap.point if body is lap.first else lap.second.surface.project(lap.point).point
+
+
+def _tell_alone(bodies, laps, joints, sentences) -> None:
+    for body in bodies:
+        own = [(lap, joint) for lap, joint in zip(laps, joints) if body in (lap.first, lap.second)]
+        others = [other for other in bodies if other is not body]
+        if not own and others:
+            near = [(nearest_distance(body, other), other.name) for other in others]
+            distance, name = min(near)
+            sentences.append(
+                f"{body.name} lies on no other part, the nearest is {name}, {distance:.3g} mm away: it stands by itself"
+            )
+        elif own and not any(len(joint.welds) for _, joint in own):
+            sentences.append(f"{body.name} has no weld: where it lies on others there is no room for one")
+
+
+def _base(bodies, laps, joints, welds) -> list[str]:
+    """The largest part of every group that welds join."""
+    group = {body.name: body.name for body in bodies}
+    pairs = [(lap.first.name, lap.second.name) for lap, joint in zip(laps, joints) if len(joint.welds)]
+    for a, b in [*pairs, *(welds or {})]:
+        old, new = group[b], group[a]
+        group = {name: new if one == old else one for name, one in group.items()}
+    area = {body.name: float(body.surface.areas.sum()) for body in bodies}
+    return [
+        max((name for name, one in group.items() if one == own), key=area.__getitem__)
+        for own in dict.fromkeys(group.values())
+    ]
+
+
+def _free_edge(body: Body, taken: np.ndarray, away: float) -> np.ndarray:
+    """(n, 3) points on the edges of a part, away from where it lies on others, if any are."""
+    points = body.edge[0]
+    if not len(points):
+        points = body.surface.corners.mean(1)
+    if len(taken):
+        for least in (away, away / 3):
+            off = points[cKDTree(taken).query(points)[0] >= least]
+            if len(off) >= MEASURED:
+                return off
+    return points
+
+
+def _measured(body: Body, taken: np.ndarray) -> np.ndarray:
+    points = _free_edge(body, taken, AWAY)
+    return points[spread(points, MEASURED)]
+
+
+def _shaping(body: Body, six: Sequence[Support], taken: np.ndarray) -> Shaping:
+    """A force at the place of the free edge that is farthest from what holds the part.
+
+    A flat cantilever as wide as it is long, L, bends under F by 4 F L²/(E t³).
+    """
+    points = _free_edge(body, taken, 0.0)
+    held = np.array([one.point for one in six])
+    distance = cKDTree(held).query(points)[0]
+    best = int(np.argmax(distance))
+    length = max(float(distance[best]), 10 * body.thickness)
+    sigma = SHAPE * body.young * body.thickness**3 / (4 * length**2)
+    digit = 10.0 ** np.floor(np.log10(sigma))
+    return Shaping(points[best], float(round(sigma / digit) * digit))
