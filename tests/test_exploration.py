@@ -170,7 +170,7 @@ def test_a_run_takes_a_sample_that_was_saved(lap_model, tmp_path):
 
 def test_the_how_to_does_what_it_says(lap_model, tmp_path, monkeypatch, capsys):
     page = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
-    section = page.split("## Move an assembly and look at it\n")[1].split("\n## ")[0]
+    section = page.split("## Explore an assembly interactively\n")[1].split("\n## ")[0]
     (program,) = re.findall(r"```python\n(.*?)```", section, re.S)
     monkeypatch.chdir(tmp_path)
     lap_model.save("joint.npz")

@@ -25,11 +25,11 @@ from mic.runs import run
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
 SECTIONS = {
-    "Find out what drives a characteristic": (CONTRIBUTORS, LINEARITY),
-    "Find out what a step of each input changes": (SENSITIVITIES, SPREADS),
-    "Find out whether friction matters": (FRICTION_EFFECTS,),
-    "Find out how often a limit is missed where that is rare": (RARE, DESIGN_POINTS),
-    "Find out what would mend it": (REMEDIES, REMEDY_EFFECTS),
+    "Find the main contributors": (CONTRIBUTORS, LINEARITY),
+    "Find the sensitivity to each input": (SENSITIVITIES, SPREADS),
+    "Measure the effect of friction": (FRICTION_EFFECTS,),
+    "Estimate rare misses": (RARE, DESIGN_POINTS),
+    "Find a remedy": (REMEDIES, REMEDY_EFFECTS),
 }
 
 #: What the pages on one assembly ask, and what it leaves.
@@ -38,8 +38,8 @@ ASSEMBLIES = {
         "results/lap-joint_lap-joint-weaker/comparison.html",
         "results/lap-joint_lap-joint/comparison.html",
     ),
-    "Find out what made one assembly as it is": ("results/lap-joint_measured/explanation.html",),
-    "Foretell assemblies one by one": ("predictions.csv", "exact.csv"),
+    "Find the causes of one measured assembly": ("results/lap-joint_measured/explanation.html",),
+    "Predict individual assemblies": ("predictions.csv", "exact.csv"),
 }
 
 
@@ -52,7 +52,7 @@ def commands(section):
 
 def others(scene, cache):
     """What the pages on one assembly begin with: another run, two scenes of one's own, what was measured."""
-    text, _ = commands("Find out what made one assembly as it is")
+    text, _ = commands("Find the causes of one measured assembly")
     Path("measured.csv").write_text(re.findall(r"```\n(measurement,.*?)```", text, re.S)[0])
     Path("measured_parts.csv").write_text("F1,F2\n-5,2\n-4,\n-2,4\n")
     weaker = [zone.model_copy(update={"friction": 0.1}) for zone in scene.zones]

@@ -19,7 +19,7 @@ from mic.options import app
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "meshes" / "hat_on_plate"
 PAGE = (ROOT / "docs" / "howto.md").read_text(encoding="utf-8")
-SECTION = PAGE[PAGE.index("## Take in measured parts") :].partition("\n## ")[0]
+SECTION = PAGE[PAGE.index("## Use measured parts") :].partition("\n## ")[0]
 MEASURE = runpy.run_path(str(FOLDER / "measure.py"))
 
 

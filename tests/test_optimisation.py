@@ -573,7 +573,7 @@ def test_an_objective_takes_measurements_with_a_tolerance(tmp_path):
         read_table(less | {"optimise": {"forces": [JAW]}}, tmp_path / "scene.toml")
 
 
-SECTION = (ROOT / "docs" / "howto.md").read_text().split("## Find out what to change so that it becomes best\n")[1]
+SECTION = (ROOT / "docs" / "howto.md").read_text().split("## Optimise fixture, sequence and shims\n")[1]
 SECTION = SECTION.split("\n## ")[0]
 
 
