@@ -76,7 +76,7 @@ def test_a_stop_that_comes_where_nothing_can_be_raised_is_not_lost(where):
 
 
 def test_a_process_that_is_stopped_as_it_leaves_says_no_more():
-    program = "import os, signal; from mic import cli, options; from mic.sampling import ranks\n"
+    program = "import os, signal; from mic import cli, options; from mic.execution import ranks\n"
     program += "options.app = lambda: None; ranks.leave = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\ncli.main()"
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
     assert told.returncode == -signal.SIGTERM and not told.stderr, told.stderr

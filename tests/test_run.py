@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from support.processes import on_processes
 from support.runs import Heard
 
 from mic.compliance.blocks import Blocks
@@ -157,23 +156,6 @@ def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
     assert again.record["wall_time"]["Monte Carlo"] == before
     run(scene, tmp_path, cache, heard)
     assert "coulomb: 8 of 8 samples found finished" in " ".join(heard.sentences)
-
-
-@pytest.mark.fem
-def test_ranks_share_the_samples(lap_model, tmp_path):
-    sample_into(tmp_path / "one", lap_model, LAWS, 120, 4)
-    lap_model.save(tmp_path / "model.npz")
-    script = (
-        "import sys; from pathlib import Path\n"
-        "from mic.process.model import ReducedModel; from mic.runs import sample_into\n"
-        "folder = Path(sys.argv[1]); model = ReducedModel.load(folder / 'model.npz')\n"
-        "sample_into(folder / 'two', model, sys.argv[2:], 120, 4)"
-    )
-    done = on_processes(2, "-c", script, tmp_path, *LAWS)
-    assert done.returncode == 0, done.stderr
-    for table in ("samples", "measurements"):
-        pd.testing.assert_frame_equal(read(tmp_path / "one", table), read(tmp_path / "two", table))
-    assert np.isfinite(read(tmp_path / "two", "measurements")["value"]).all()
 
 
 def keeping(model, contacts, **report):

@@ -1,7 +1,8 @@
 """Runs that are killed at a given file operation, for `tests/test_robustness_kill.py`.
 
-``python -m support.killed MODEL FOLDER`` runs a saved model into new folders below FOLDER and prints one JSON document:
-how many file operations a run makes, and for each of them what the resumed run is not the uninterrupted one in.
+``python -m support.killed MODEL FOLDER [STRIDE]`` runs a saved model into new folders below FOLDER, killed at every
+STRIDE-th file operation, and prints one JSON document: the number of operations tried, and for each the files in which
+the resumed run differs from an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ def content(folder: Path) -> dict[str, str]:
     return found
 
 
-def main(model_file: str, where: str) -> None:
+def main(model_file: str, where: str, stride: str = "1") -> None:
     provider.find = no_fields
     os.fsync = lambda file: None  # dear, and nothing to a killed process: what it wrote is the kernel's
     model, where = ReducedModel.load(model_file), Path(where)
@@ -84,6 +85,7 @@ def main(model_file: str, where: str) -> None:
     whole, folder = where / "whole", where / "killed"
     assert in_child(lambda: run(whole, model)) == 0
     expected, wrong, at = content(whole), {}, 0
+    # The operations of one table repeat those of another: a stride prime to their number meets all kinds.
     while True:
 
         def killed(at=at):
@@ -100,7 +102,7 @@ def main(model_file: str, where: str) -> None:
             wrong[at] = sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
             wrong[at] += [str(path) for path in folder.rglob("*") if PARTIAL in path.name or path.name == LOCK]
         shutil.rmtree(folder)
-        at += 1
+        at += int(stride)
     print(json.dumps({"operations": at, "wrong": {at: names for at, names in wrong.items() if names}}))
 
 

@@ -56,7 +56,6 @@ class Undrawn:
 PLANTS = {
     "nothing": lambda: None,
     "bug": lambda: second_block(lambda: fail(RuntimeError("planted bug"))),
-    "sentence": lambda: second_block(lambda: fail(RunError("planted sentence"))),
     "interrupt": lambda: second_block(lambda: os.kill(os.getpid(), signal.SIGINT)),
     "death": lambda: second_block(lambda: os.kill(os.getpid(), signal.SIGKILL)),
     "folder": lambda: setattr(RunFolder, "write_record", refuse),
