@@ -81,7 +81,7 @@ def test_a_finer_mesh_costs_more_and_is_measured(tmp_path, cache):
     (found,) = estimate_accuracy(curved_assembly(tmp_path, cache, size=4.0), cache)
     assert found.finer.nodes > 3.5 * found.mesh.nodes and found.ratio == pytest.approx(2, rel=0.01)
     assert found.finer.seconds > found.mesh.seconds > 0 and found.finer.memory > 3 * found.mesh.memory > 0
-    reached = found.reach(found.worst / 4)
+    reached = found.mesh_for(found.worst / 4)
     assert reached.nodes == pytest.approx(4 * found.mesh.nodes) and reached.seconds >= 3.99 * found.mesh.seconds
     assert reached.memory == pytest.approx(found.finer.memory, rel=0.1)
 
@@ -128,7 +128,7 @@ def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
 
 
 def test_an_accuracy_out_of_reach_is_refused_before_a_mesh_that_large_is_solved(tmp_path, cache):
-    with pytest.raises(SceneError, match="part 'sheet': accuracy: 1e-06 is not reached: .* ask for less"):
+    with pytest.raises(SceneError, match="part 'sheet': accuracy: 1e-06 is not reached: .* state a"):
         curved_assembly(tmp_path, cache, accuracy=1e-6)
 
 

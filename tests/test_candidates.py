@@ -231,9 +231,9 @@ def test_once_a_weld_is_made_what_lies_within_its_nugget_carries_nothing(model):
     found = model.evaluate(samples).resolutions
     assert found["clamp"].force[:, inside, 0].any()  # before the weld they press
     assert not found["release"].force[:, inside].any()
-    assert not model.contacts.out([]).any()
+    assert not model.contacts.excluded([]).any()
     for weld in range(len(model.scene.welds)):
-        np.testing.assert_array_equal(model.contacts.out([weld]), model.contacts.nugget == weld)
+        np.testing.assert_array_equal(model.contacts.excluded([weld]), model.contacts.nugget == weld)
 
 
 def test_a_model_is_read_back_with_its_candidates(model, tmp_path):

@@ -195,8 +195,8 @@ def test_a_placed_scene_comes_back_from_its_own_text(assembled):
         (between("gap") | {"to": None}, "between two points: give the other as to"),
         (POINT | LIMITS | {"to": {"part": "upper", "point": [90, 12.5, 1]}}, "point has no other point, remove it"),
         (between("flush", part="uper"), "there is no part called 'uper'"),
-        (between("gap", point=[80, 12.5, 1]), "tells no direction; give a gap with a direction"),
-        (between("distance", point=[80, 12.5, 0], part="lower"), "tells no direction"),
+        (between("gap", point=[80, 12.5, 1]), "defines no direction; give a gap with a direction"),
+        (between("distance", point=[80, 12.5, 0], part="lower"), "defines no direction"),
         (between("distance", direction=[0, 0, 1]), "a distance is read along the line between its points"),
         (between("flush", point=[90, 12.5, 40]), "M0): [90.0, 12.5, 40.0] lies 39 mm off part 'upper'"),
         (between("flush") | {"to": {"part": "upper"}}, "give point = [x, y, z], or node or set or hole"),
@@ -212,7 +212,7 @@ def test_a_placed_scene_comes_back_from_its_own_text(assembled):
         ({"part": "upper", "kind": "profile", "spacing": 9.0, "box": [[0, 0, 0], [1, 1, 1]], "upper": 1}, "0 points"),
         (LINE | {"kind": "roundness"} | LIMITS, "kind"),
         (POINT | LIMITS | {"best_fit": ["M9"]}, "there is no measurement called 'M9'"),
-        (POINT | LIMITS | {"best_fit": ["M0"]}, "takes away all that this reads"),
+        (POINT | LIMITS | {"best_fit": ["M0"]}, "removes everything that this measurement reads"),
     ],
 )
 def test_what_cannot_be_read_is_told_in_one_sentence(assembled, item, said):

@@ -116,7 +116,7 @@ def test_fixtures_are_drawn_and_those_that_cannot_be_are_left_out(tmp_path, cach
     there = ('mesh = "block.stl"', f'mesh = "{tmp_path / "block.stl"}"')
     _, data, output = checked(tmp_path / "a", cache, edit, there, page=tmp_path / "a.html")
     assert [part["name"] for part in data["parts"]] == ["lower", "upper", "pad", "block"]
-    assert "touches lower at (60, 12.5, -0.5), looking along (0, 0, 1)" in output
+    assert "touches lower at (60, 12.5, -0.5), facing along (0, 0, 1)" in output
     html, data, _ = checked(tmp_path / "b", cache, edit, page=tmp_path / "b.html")
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and "there is no file" in html
 

@@ -104,20 +104,20 @@ def test_a_batch_a_saved_model_and_a_sample_beyond_belief(built, tmp_path):
     samples = model.deviations({}) + np.array([[0.0, 0.0], [1.0, 0.5], [1.0, -0.5], [-7.6, 0.0], [2.0, 0.0]])
     found = model.process().attempt(samples)
     assert found.failed.tolist() == [False, False, False, True, False]
-    assert "F is -12.6, beyond -12.5 to 2.5" in found.resolutions["clamp"].status[3]
+    assert "F is -12.6, outside the range -12.5 to 2.5" in found.resolutions["clamp"].status[3]
     model.save(tmp_path / "model.npz")
     again = ReducedModel.load(tmp_path / "model.npz")
     for i in (0, 1, 2, 4):
         for one in (model, again):
             np.testing.assert_array_equal(one.evaluate(samples[i]).measurements[0], found.measurements[i])
     with pytest.raises(ImpossibleSample, match="give it a larger sigma"):
-        model.changed(samples[3])
+        model.with_deviations(samples[3])
 
 
 def test_what_a_sample_changes_is_known_from_wherever_it_is_asked(built):
     model = built[0]["first-order"]
     there, back = np.array([-6.0, 41.0]), model.deviations({})[0]
-    again = model.changed(there).changed(back)
+    again = model.with_deviations(there).with_deviations(back)
     for H, G, own, rigid in zip(again.compliance.H, again.compliance.G, model.compliance.H, model.compliance.G):
         np.testing.assert_allclose(H, own, atol=1e-12 * np.abs(own).max())
         np.testing.assert_allclose(G, rigid, atol=1e-12 * np.abs(rigid).max())
@@ -145,7 +145,7 @@ def test_candidates_and_forces_with_limits_are_those_of_the_sample(cache):
     table["deviations"].append(table["deviations"][0] | {"name": "E", "part": "lower", "point": [95, 5, 0]})
     model, _ = reduced_and_assembly(read(table), cache)
     sample = np.array([-6.5, 40.0, -3.5])
-    alone = replace(model.changed(sample), slopes=None).evaluate(sample)
+    alone = replace(model.with_deviations(sample), slopes=None).evaluate(sample)
     found = model.process().attempt(np.array([model.deviations({})[0], sample]))
     assert model.contacts.watched.all() and not found.failed.any()
     needed = alone.resolutions["weld"].needed[0]
@@ -170,7 +170,7 @@ def test_derivatives_are_those_of_differences(built):
         np.testing.assert_allclose(found.jacobian[0, :, i], between, rtol=1e-5, atol=1e-9)
         force = (high.resolutions["clamp"].force - low.resolutions["clamp"].force) / (2 * step)
         np.testing.assert_allclose(found.contacts["clamp"].force_slope[..., i], force, atol=1e-4 * np.abs(force).max())
-    without = models["first-order"].changed(at)
+    without = models["first-order"].with_deviations(at)
     frozen = replace(without, slopes=None).sensitivities(at).jacobian[0, :, 0]
     assert np.abs(frozen / found.jacobian[0, :, 0] - 1).max() > 0.01
     np.testing.assert_array_equal(found.sides[0, :, 0], np.repeat(found.jacobian[0, :, :1], 2, axis=1))

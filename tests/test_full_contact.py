@@ -14,7 +14,7 @@ from fem_reference.full.model import ContactFailure, FullModel
 from mic.compliance.cache import influence_coefficients
 from mic.contact.working_set import PENETRATION
 from mic.model.assembly import assemble
-from mic.model.deviated_geometry import deviated_parts, opening
+from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.statistics.draw import draw
@@ -314,9 +314,9 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
             part.surface.corner_normals, np.broadcast_to(turned, (len(part.surface.triangles), 3, 3))
         )
     read = np.ones(lap.rows["contact"].shape[0])  # no row of a contact reads a rotation
-    assert np.abs(opening(lap, "contact", parts, read)[::3]).max() < 1e-9
+    assert np.abs(gap_change(lap, "contact", parts, read)[::3]).max() < 1e-9
     fields["upper"][:, :3] += 0.1 * turned
-    np.testing.assert_allclose(opening(lap, "contact", deviated_parts(lap, fields), read)[::3], 0.1, rtol=1e-9)
+    np.testing.assert_allclose(gap_change(lap, "contact", deviated_parts(lap, fields), read)[::3], 0.1, rtol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -335,7 +335,7 @@ def test_a_pair_with_a_fixture_opens_by_what_its_part_leaves_it(bracket, cache, 
     fields["base"][:, :3] = (base.surface.points - c) @ (turn - np.eye(3)).T
     fields["base"][:, 4] = np.tan(angle)
     read = np.ones(rested.rows["contact"].shape[0])
-    found = opening(rested, "contact", deviated_parts(rested, fields), read)[::3]
+    found = gap_change(rested, "contact", deviated_parts(rested, fields), read)[::3]
     own = np.array(["rest" in zone.parts for zone in zones])[rested.contacts.zone]
     normal, foot = rested.contacts.frame[own, :, 0], rested.contacts.point[own].copy()
     foot[:, 2] = c[2]
@@ -349,7 +349,7 @@ def test_how_an_averaged_weld_tilts_on_deviated_meshes_is_what_the_shape_reads(s
     welds = [weld.model_copy(update={"fused": False}) for weld in scene.welds]
     lap = assemble(scene.model_copy(update={"welds": welds}), cache)
     read = 1.0 + np.arange(lap.rows["weld"].shape[0])
-    found = opening(lap, "weld", lap.parts, read).reshape(-1, 6)
+    found = gap_change(lap, "weld", lap.parts, read).reshape(-1, 6)
     np.testing.assert_array_equal(found[:, 3:], read.reshape(-1, 6)[:, 3:])
     assert not found[:, :3].any()
 

@@ -45,7 +45,7 @@ def test_gaps_that_are_open_stay(cache):
 
 
 def test_overlap_beyond_the_limit_is_refused_naming_zone_depth_place_and_remedy(cache):
-    with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.4 mm at \(.*up to 0\.35 mm.*half a thickness.*keep"):
+    with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.4 mm at \(.*at most 0\.35 mm.*half a thickness.*keep"):
         assemble(lap(1.4, nominal_overlap=0.35), cache)
     assert (assemble(lap(1.4, nominal_overlap=0.41), cache).contacts.gap == 0).all()
     assert (assemble(lap(1.4), cache).contacts.gap == 0).all()  # 0.29 of the sheet
@@ -53,11 +53,11 @@ def test_overlap_beyond_the_limit_is_refused_naming_zone_depth_place_and_remedy(
     for thickness, refused in ((2.0, False), (2.02, True)):  # of one sheet: overlap by 0.5 and 0.51 of the other
         thicker.parts[0] = thicker.parts[0].model_copy(update={"thickness": thickness})
         if refused:
-            with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.51 mm at \(.*up to 0\.5 mm"):
+            with pytest.raises(SceneError, match=r"zones\[0\] \(lap\).*0\.51 mm at \(.*at most 0\.5 mm"):
                 assemble(thicker, cache)
         else:
             assert (assemble(thicker, cache).contacts.gap == 0).all()
-    with pytest.raises(SceneError, match=r"up to 0\.05 mm"):
+    with pytest.raises(SceneError, match=r"at most 0\.05 mm"):
         assemble(lap(1.06, nominal_overlap=0.05), cache)
 
 

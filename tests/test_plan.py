@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 import mic
 from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
-from mic.model.assembly import Between, Contacts
+from mic.model.assembly import GapPoints, Contacts
 from mic.model.rows import KINDS
 from mic.process.actions import tongs
 from mic.process.description import opening, sentences
@@ -300,7 +300,7 @@ class Meaning:
     contacts = one_pair(0.3, 0.05)
     weld_size = WELD_SIZE
     weld_gap = np.array([0.1, *[0.0] * 5, 0.2, 0.0, 0.0])
-    between = Between(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
+    between = GapPoints(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
 
 
 def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
@@ -372,7 +372,7 @@ def springs(drag=0.0, gap=GAP, settle=True, **close):
     labels = {kind: [f"{kind}{i}" for i in range(rows[kind].shape[0])] for kind in KINDS}
     contacts = one_pair(0.2, gap)
     none = np.zeros((width, 0))
-    nowhere = Between(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
+    nowhere = GapPoints(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
     return ReducedModel(scene, compliance, rows, labels, contacts, nowhere, (), np.zeros(0), none, none, {})
 
 

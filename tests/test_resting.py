@@ -10,7 +10,7 @@ from support.springs import six
 
 import mic
 from mic.contact.states import OPEN, SLIP, STICK
-from mic.model.rest_rows import put_down
+from mic.model.rest_rows import separating_motion
 from mic.process.description import sentences
 from mic.process.plan import plan_assembly, plan_stages
 from mic.process.resting_parts import Rest
@@ -431,7 +431,7 @@ def loose(force, state, bound, stopped=0.0, free=3):
     directions = np.vstack([np.eye(3)[[2, 0, 1]][:free], np.eye(3)[:1]])
     rest = Rest(np.arange(1, free + 2), soft, directions, (*"bbb"[:free], "c"))
     read = np.vstack([ALONG_Z, STOPS_X])[:, :free]
-    response = SimpleNamespace(own=np.ones(4), T=np.column_stack([np.full(4, 9.0), read, np.full(4, 9.0)]))
+    response = SimpleNamespace(diagonal=np.ones(4), T=np.column_stack([np.full(4, 9.0), read, np.full(4, 9.0)]))
     arrays = np.array([[force]]), np.array([[state]]), np.array([[bound]]), np.array([[stopped]])
     return rest.loose(response, *arrays).get(0)
 
@@ -546,12 +546,12 @@ def test_the_process_in_words_says_what_rests():
 
 def test_put_down_moves_a_part_least_so_that_nothing_overlaps():
     """By hand: one foot, the level of two, and a groove's two sides."""
-    np.testing.assert_allclose(put_down(np.array([-0.3, 0.1]), np.eye(2)), [0.3, 0.0], atol=2e-9)
+    np.testing.assert_allclose(separating_motion(np.array([-0.3, 0.1]), np.eye(2)), [0.3, 0.0], atol=2e-9)
     sides = np.array([[1.0, 1.0], [-1.0, 1.0]])
-    np.testing.assert_allclose(put_down(np.array([-0.2, -0.2]), sides), [0.0, 0.2], atol=2e-9)
-    np.testing.assert_allclose(put_down(np.array([-0.2, 0.2]), sides), [0.1, 0.1], atol=2e-9)
-    np.testing.assert_array_equal(put_down(np.array([0.0, 0.4]), sides), [0.0, 0.0])
+    np.testing.assert_allclose(separating_motion(np.array([-0.2, -0.2]), sides), [0.0, 0.2], atol=2e-9)
+    np.testing.assert_allclose(separating_motion(np.array([-0.2, 0.2]), sides), [0.1, 0.1], atol=2e-9)
+    np.testing.assert_array_equal(separating_motion(np.array([0.0, 0.4]), sides), [0.0, 0.0])
     aside = np.array([[1.0, 0.0], [0.0, 0.0]])  # a gap that nothing changes does not count
-    np.testing.assert_allclose(put_down(np.array([-0.3, -0.1]), aside), [0.3, 0.0], atol=2e-9)
+    np.testing.assert_allclose(separating_motion(np.array([-0.3, -0.1]), aside), [0.3, 0.0], atol=2e-9)
     walls = np.array([[1.0], [-1.0]])  # too narrow for it: it stays as it is drawn
-    np.testing.assert_array_equal(put_down(np.array([-0.2, -0.1]), walls), [0.0])
+    np.testing.assert_array_equal(separating_motion(np.array([-0.2, -0.1]), walls), [0.0])

@@ -12,7 +12,7 @@ from support.random_scenes import random_case
 
 import mic
 from mic.model.assembly import assemble
-from mic.model.shape_modes import MODES
+from mic.model.shape_modes import EXPANDED
 from mic.model.sources import SOURCES
 from mic.process.actions import SUGAR
 from mic.scene import SETTINGS, schema
@@ -400,7 +400,7 @@ def test_the_words_of_the_schema_are_those_of_the_registries():
     """A kind that the schema names and no room implements would fail long after `mic check`."""
     words = lambda table, key: set(get_args(table.model_fields[key].annotation))
     kinds = [words(table, "kind") for table in get_args(get_args(schema.Deviation)[0])]
-    assert set().union(*kinds) == {*SOURCES, *MODES}
+    assert set().union(*kinds) == {*SOURCES, *EXPANDED}
     assert words(schema.Stage, "kind") == set(SUGAR)
     assert words(schema.MonteCarlo, "design") == set(DESIGNS)
     settings = {word for option in words(schema.Scene, "setting") for word in get_args(option)}

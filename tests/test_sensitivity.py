@@ -19,7 +19,7 @@ from mic.contact.laws import find
 from mic.contact.path_record import Trail
 from mic.contact.tangent import Contact, Varied, retrace
 from mic.errors import SceneError
-from mic.model.rest_rows import put_down, put_down_slope
+from mic.model.rest_rows import separating_motion, separating_motion_slope
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
@@ -445,12 +445,12 @@ def test_where_a_part_is_put_down_follows_the_gaps_that_it_closes():
     G, gap = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, -0.5]]), np.array([-0.03, -0.05, 0.2])
     rng = np.random.default_rng(0)
     slope = rng.standard_normal((3, 4))
-    found = put_down_slope(gap, slope, G, put_down(gap, G))
+    found = separating_motion_slope(gap, slope, G, separating_motion(gap, G))
     assert np.abs(found).max() > 0.1
     for i in range(4):
-        up, down = (put_down(gap + way * slope[:, i], G) for way in (1e-5, -1e-5))
+        up, down = (separating_motion(gap + way * slope[:, i], G) for way in (1e-5, -1e-5))
         np.testing.assert_allclose(found[:, i], (up - down) / 2e-5, rtol=1e-6, atol=1e-8)
-    assert not put_down_slope(gap + 1, slope, G, put_down(gap + 1, G)).any()
+    assert not separating_motion_slope(gap + 1, slope, G, separating_motion(gap + 1, G)).any()
 
 
 def test_what_lies_loose_has_no_derivative():

@@ -17,8 +17,8 @@ from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
 from mic.model.shape import controlling_forces
-from mic.model.shape_modes import write_modes
-from mic.model.sources import Control
+from mic.model.shape_modes import expand_modes
+from mic.model.sources import KnownShape
 from mic.statistics.draw import draw
 
 X = np.array([0.0, 7.0, 11.0, 30.0, 42.0, 55.0, 71.0, 80.0, 100.0])  # mm along a beam
@@ -43,7 +43,7 @@ def held(x):
 
 def known(values, noise=0.0, loose=True):
     values = np.asarray(values, dtype=float)
-    return Control(None, values, np.full(len(values), noise), loose)
+    return KnownShape(None, values, np.full(len(values), noise), loose)
 
 
 def curve(f, at):
@@ -95,7 +95,7 @@ def test_noise_of_each_point_weighs_it():
     values = 0.3 * np.sin(X / 15)
     values[4] += 0.5
     doubted = np.where(np.arange(len(X)) == 4, 0.5, 0.005)
-    one = Control(None, values, doubted, True)
+    one = KnownShape(None, values, doubted, True)
     f = controlling_forces(C, G, [one], "S")[:, 0]
     at = np.delete(X, 4)
     found, true = curve(f, X), 0.3 * np.sin(X / 15)
@@ -282,19 +282,19 @@ def pieces(angle, tmp_path):
 
 def test_pieces_become_their_mean_and_modes_that_span_them(angle, pieces):
     folder, at, values = pieces
-    written = write_modes(scene_of(folder, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
+    written = expand_modes(scene_of(folder, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
     mean, *modes = written.scene.deviations
     assert [mean.name, *(item.name for item in modes)] == ["S.mean", "S.1", "S.2"]
     np.testing.assert_allclose(mean.known, values.mean(axis=1), atol=1e-10)
     Φ = np.array([item.known for item in modes]).T
     np.testing.assert_allclose(Φ @ Φ.T, np.cov(values), atol=1e-9)
-    assert "12 pieces at" in written.sentences[0] and len(written.inputs) == 12
+    assert "12 pieces at" in written.messages[0] and len(written.inputs) == 12
 
 
 def test_samples_are_the_pieces_where_that_is_asked(angle, pieces):
     folder, _, values = pieces
     asked = scene_of(folder, kind="measured", files="p*.csv", pieces=True)
-    scene = write_modes(asked, {"a": angle}, {"a": None}).scene
+    scene = expand_modes(asked, {"a": angle}, {"a": None}).scene
     samples = draw(scene, 7, 0, 60)
     shapes = samples @ np.array([item.known for item in scene.deviations])
     nearest = np.abs(shapes[:, None] - values.T[None]).max(axis=2)
@@ -305,7 +305,7 @@ def test_samples_are_the_pieces_where_that_is_asked(angle, pieces):
 
 def test_few_points_of_one_piece_are_taken_as_they_are(angle, pieces):
     folder, at, values = pieces
-    written = write_modes(scene_of(folder, kind="measured", files="p03.csv", mean=2.0), {"a": angle}, {"a": None})
+    written = expand_modes(scene_of(folder, kind="measured", files="p03.csv", mean=2.0), {"a": angle}, {"a": None})
     (only,) = written.scene.deviations
     assert (only.name, only.mean, only.sigma) == ("S", 2.0, 0.0)
     np.testing.assert_allclose(only.known, values[:, 3], atol=1e-10)
@@ -316,7 +316,7 @@ def test_a_scan_is_taken_at_points_spread_over_the_part_each_side_of_a_bend_for_
     cloud, _, _ = scanned(angle, rng, 20000, noise=0.05)
     write(tmp_path, cloud)
     item = {"kind": "measured", "files": "piece.csv", "spacing": 12.0, "noise": 0.05, "align": False}
-    (only,) = write_modes(scene_of(tmp_path, **item), {"a": angle}, {"a": None}).scene.deviations
+    (only,) = expand_modes(scene_of(tmp_path, **item), {"a": angle}, {"a": None}).scene.deviations
     at, noise = np.array(only.points), np.array(only.noise)
     assert only.radius == 0.0 and 0.05 / 20 < np.median(noise) < 0.05 / 4
     border = angle.border_vertices[np.argmin(np.linalg.norm(at[:, None] - angle.points, axis=2), axis=1)]
@@ -330,19 +330,19 @@ def test_points_lie_as_near_to_each_other_as_measured_ones_allow(angle, tmp_path
     cloud, _, _ = scanned(angle, np.random.default_rng(6), 700)
     write(tmp_path, cloud)
     keys = {"kind": "measured", "files": "piece.csv", "align": False}
-    (found,) = write_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None}).scene.deviations
+    (found,) = expand_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None}).scene.deviations
     assert 30 < len(found.points) < 150
     with pytest.raises(SceneError, match="measured points of every piece within 4.5 mm; give a larger spacing"):
-        write_modes(scene_of(tmp_path, **keys, spacing=6.0), {"a": angle}, {"a": None})
+        expand_modes(scene_of(tmp_path, **keys, spacing=6.0), {"a": angle}, {"a": None})
 
 
 def test_a_folder_of_another_part_is_one_mistake(angle, tmp_path):
     for i in range(9):
         write(tmp_path, np.random.default_rng(i).uniform(200, 300, (50, 3)), name=f"p{i}.csv")
     with pytest.raises(SceneError) as refused:
-        write_modes(scene_of(tmp_path, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
+        expand_modes(scene_of(tmp_path, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
     lines = str(refused.value).splitlines()
-    assert len(lines) == 4 and lines[-1].endswith("files: 6 more files are at fault; correct these first")
+    assert len(lines) == 4 and lines[-1].endswith("files: 6 more files have errors; correct these first")
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])
@@ -356,7 +356,7 @@ def test_what_noise_alone_would_do_is_no_mode(angle, offset, tmp_path):
     for i in range(15):
         write(tmp_path, at, planted[:, i] + noise * rng.standard_normal(len(at)), f"p{i:02}.csv")
     keys = {"kind": "measured", "files": "p*.csv", "noise": noise, "share": 0.999}
-    written = write_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None})
+    written = expand_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None})
     mean, *found = written.scene.deviations
     assert len(at) > 100 and len(found) == 3
     σ = np.sqrt(sum(np.array(one.known) ** 2 for one in found))
@@ -364,13 +364,13 @@ def test_what_noise_alone_would_do_is_no_mode(angle, offset, tmp_path):
     assert np.sqrt(np.mean((np.array(mean.known) - planted.mean(axis=1)) ** 2)) < 1.2 * np.mean(mean.noise)
     assert np.mean(mean.noise) <= noise / np.sqrt(15) * (1 + 1e-9)
     assert max(np.max(one.noise) for one in found) <= noise / np.sqrt(14) * (1 + 1e-9)
-    assert "what is left scatters by 0.02 mm at a point and is taken for noise" in written.sentences[0]
-    raw = write_modes(scene_of(tmp_path, **keys | {"pieces": True}), {"a": angle}, {"a": None}).scene.deviations
+    assert "the residual scatters by 0.02 mm at a point and is treated as noise" in written.messages[0]
+    raw = expand_modes(scene_of(tmp_path, **keys | {"pieces": True}), {"a": angle}, {"a": None}).scene.deviations
     assert len(raw) == 1 + 14  # as they were measured
 
 
 def test_a_field_has_its_variance_and_correlation_in_its_samples(angle):
-    scene = write_modes(scene_of(None, kind="field", sigma=0.2, length=45.0), {"a": angle}, {"a": None}).scene
+    scene = expand_modes(scene_of(None, kind="field", sigma=0.2, length=45.0), {"a": angle}, {"a": None}).scene
     shapes = draw(scene, 1, 0, 4000) @ np.array([item.known for item in scene.deviations])
     np.testing.assert_allclose(shapes.std(axis=0), 0.2, rtol=0.06)
     R = correlation(angle, spread(angle, 15.0), 45.0)
@@ -381,7 +381,7 @@ def test_a_field_of_control_points_has_their_sigma_and_correlation(angle):
     at = angle.points[spread(angle, 40.0)]
     values = np.linspace(0.5, 2.0, len(at)).tolist()
     keys = {"kind": "field", "sigma": 0.1, "length": 80.0, "points": at.tolist(), "values": values, "share": 0.999}
-    written = write_modes(scene_of(None, **keys), {"a": angle}, {"a": None}).scene
+    written = expand_modes(scene_of(None, **keys), {"a": angle}, {"a": None}).scene
     assert not any(item.loose for item in written.deviations)
     np.testing.assert_allclose(np.array(written.deviations[0].points), at, atol=1e-9)
     Φ = np.array([item.known for item in written.deviations]).T
@@ -406,7 +406,7 @@ BAD_FILES = {
         "x,y,z\n" + "\n".join(f"{x / 25.4},{x / 50},0" for x in range(900, 4000, 10)),
         r"points lie more",
     ),
-    "few points": ("x,y,z,deviation\n0,0,0,0\n10,0,0,0\n", r"2 measured points do not tell a shape"),
+    "few points": ("x,y,z,deviation\n0,0,0,0\n10,0,0,0\n", r"2 measured points do not determine a shape"),
 }
 
 
@@ -416,7 +416,7 @@ def test_a_malformed_file_of_points_is_refused_with_the_remedy(case, angle, tmp_
     (tmp_path / "piece.csv").write_text(text)
     scene = scene_of(tmp_path, kind="measured", files="piece.csv", align=False)
     with pytest.raises(SceneError, match=said) as refused:
-        write_modes(scene, {"a": angle}, {"a": None})
+        expand_modes(scene, {"a": angle}, {"a": None})
     assert str(refused.value).startswith("deviations[0] (S)") and "\n" not in str(refused.value)
 
 
@@ -436,13 +436,13 @@ BAD_ITEMS = {
     "no reader": ({"kind": "measured", "files": "p00.pdf"}, r"no reader of .pdf for measured points"),
     "too fine": (
         {"kind": "measured", "files": "p00.csv", "spacing": 1.0},
-        r"spacing: 1 mm takes more than 400",
+        r"spacing: 1 mm needs more than 400",
     ),
     "few about each": (
         {"kind": "measured", "files": "p00.csv", "spacing": 15.0},
         r"only \d+ % of part 'a' has 6 measured",
     ),
-    "twice": ({"kind": "measured", "files": "q*.csv"}, r"q1.csv holds what q0.csv holds; remove one"),
+    "twice": ({"kind": "measured", "files": "q*.csv"}, r"q1.csv and q0.csv have the same content; remove one"),
     "a short field": ({"kind": "field", "sigma": 1.0, "length": 10.0}, r"length: 10 mm is less than 4 elements"),
     "control points in one place": (
         {"kind": "field", "sigma": 1.0, "length": 90.0, "points": [[0, 10, 10], [0, 10, 10.01]]},
@@ -471,7 +471,7 @@ def test_what_cannot_be_written_out_is_refused_with_the_remedy(case, angle, piec
     for name in ("q0.csv", "q1.csv"):
         write(folder, at, values[:, 0], name)
     with pytest.raises(SceneError, match=said):
-        write_modes(scene_of(folder, **keys), {"a": angle}, {"a": None})
+        expand_modes(scene_of(folder, **keys), {"a": angle}, {"a": None})
 
 
 BAD_KEYS = [

@@ -10,9 +10,9 @@ from support.shipped import places
 import mic
 from mic.compliance.cache import influence_coefficients
 from mic.compliance.part import Part
-from mic.model import assembly as assemblies
+from mic.model import assembly_rows as assemblies
 from mic.model.assembly import assemble
-from mic.model.refined_mesh import resolved
+from mic.model.refined_mesh import refined_part
 from mic.process.model import ReducedModel
 
 SCENE = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
@@ -54,7 +54,7 @@ def test_everything_reads_where_it_did(assembly):
     """Each functional has the place, the size and the first moment that it has on the mesh as it is drawn."""
     scene = lap_joint(5.0, fused=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assemblies, "resolved", lambda part, *_: part)
+        patch.setattr(assemblies, "refined_part", lambda part, *_: part)
         drawn = assemble(scene, mic.cache_folder())
     for part, before in zip(assembly.parts, drawn.parts):
         assert len(part.surface.points) > len(before.surface.points)
@@ -63,14 +63,14 @@ def test_everything_reads_where_it_did(assembly):
 
 def test_averaged_welds_superelements_and_fine_meshes_are_left_as_they_are(assembly, cache):
     part, scene = assembly.parts[0], assembly.scene
-    assert resolved(part, scene, *NONE) is part  # what has been divided is fine
+    assert refined_part(part, scene, *NONE) is part  # what has been divided is fine
     drawn: Part = replace(part, surface=assembly.surfaces[part.name], functionals=replace(part.functionals, patches=()))
     averaged = scene.model_copy(update={"welds": [one.model_copy(update={"fused": False}) for one in scene.welds]})
-    assert resolved(drawn, averaged, *NONE) is drawn
-    assert resolved(drawn, scene.model_copy(update={"welds": []}), *NONE) is drawn
+    assert refined_part(drawn, averaged, *NONE) is drawn
+    assert refined_part(drawn, scene.model_copy(update={"welds": []}), *NONE) is drawn
     body = replace(drawn, superelement=object())
-    assert resolved(body, scene, *NONE) is body
-    assert resolved(drawn, scene, *NONE) is not drawn
+    assert refined_part(body, scene, *NONE) is body
+    assert refined_part(drawn, scene, *NONE) is not drawn
 
 
 def test_elements_are_as_dense_as_the_candidates(assembly):
@@ -79,12 +79,12 @@ def test_elements_are_as_dense_as_the_candidates(assembly):
     bare = assembly.scene.model_copy(update={"welds": []})
     drawn = replace(part, surface=assembly.surfaces[part.name], functionals=replace(part.functionals, patches=()))
     zone, point = assembly.contacts.zone, assembly.contacts.point
-    assert resolved(drawn, bare, zone, point, np.full(len(zone), 5.0)) is drawn
-    assert resolved(drawn, bare, zone, point, np.full(len(zone), np.nan)) is drawn
+    assert refined_part(drawn, bare, zone, point, np.full(len(zone), 5.0)) is drawn
+    assert refined_part(drawn, bare, zone, point, np.full(len(zone), np.nan)) is drawn
     few = np.full(len(zone), 5.0)
     few[:3] = 2.5  # as under a pad
-    assert 0 < len(resolved(drawn, bare, zone, point, few).surface.points) - len(drawn.surface.points) < 60
-    dense = resolved(drawn, bare, zone, point, np.full(len(zone), 2.5)).surface
+    assert 0 < len(refined_part(drawn, bare, zone, point, few).surface.points) - len(drawn.surface.points) < 60
+    dense = refined_part(drawn, bare, zone, point, np.full(len(zone), 2.5)).surface
     size = np.sqrt(2 * dense.areas)
     under = (dense.corners.mean(axis=1)[:, 0] > 61) & (dense.corners.mean(axis=1)[:, 0] < 99)
     assert size[under].max() <= 3.75
@@ -102,7 +102,7 @@ def test_key_characteristics_on_elements_of_two_radii_are_those_of_fine_ones(cac
 
     fine, coarse = found(1.25), found(5.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assemblies, "resolved", lambda part, *_: part)
+        patch.setattr(assemblies, "refined_part", lambda part, *_: part)
         tied = found(5.0, tmp_path)  # where no assembly is kept
     off = lambda one: np.abs(one / fine - 1)
     assert (off(coarse) < 0.05).all()

@@ -16,7 +16,7 @@ from mic.compliance.thickness import ERROR, Thicknesses, chebyshev
 from mic.model.assembly import assemble
 from mic.model.one_sigma import one_sigma
 from mic.model.shape import thickening
-from mic.model.sources import changed
+from mic.model.sources import with_deviations
 from mic.process.model import ReducedModel
 from mic.scene.load import read_table
 from mic.studies import thickness
@@ -80,9 +80,9 @@ def test_beyond_what_was_computed_no_compliance_is_made_up():
 def test_what_reads_a_face_goes_with_it():
     side = np.array([0.0, 1.0, -1.0, 1.4, -1.4])
     rows = Functionals((), np.zeros(5, int), np.zeros((5, 3)), np.zeros(5, bool), side, ("",) * 5)
-    part = Part("p", None, 2.0, 1.0, 0.3, "e", rows, range=(1.0, 3.0)).at(2.5)
+    part = Part("p", None, 2.0, 1.0, 0.3, "e", rows, thickness_range=(1.0, 3.0)).at(2.5)
     np.testing.assert_allclose(part.functionals.side * part.thickness / 2, [0, 1.25, -1.25, 1.65, -1.65])
-    assert part.range is None and part.functionals.side[1] == 1.0
+    assert part.thickness_range is None and part.functionals.side[1] == 1.0
 
 
 @pytest.fixture(scope="module")
@@ -114,12 +114,12 @@ def test_what_yields_through_the_sheets_follows(cache):
     table["zones"][0].pop("pairs")
     table["parts"][0]["thickness"] = 0.8
     assembly = assemble(read(table), cache)
-    before, after = assembly.contacts, changed(assembly, np.array([0.06])).contacts
+    before, after = assembly.contacts, with_deviations(assembly, np.array([0.06])).contacts
     assert before.watched.all() and len(before) > 20
     np.testing.assert_allclose(before.layer, 1.8 / 2 / (210e3 * before.area))
     np.testing.assert_allclose(after.layer, 1.86 / 2 / (210e3 * before.area))
     assert replace(after, layer=before.layer).gap is before.gap and (after.friction == before.friction).all()
-    assert changed(assembly, np.array([0.0])) is assembly
+    assert with_deviations(assembly, np.array([0.0])) is assembly
 
 
 @pytest.mark.fem
@@ -220,8 +220,9 @@ def test_what_the_interpolation_leaves_is_told(varied, cache, monkeypatch):
 def test_coefficients_are_cached_at_every_thickness_or_not_at_all(varied, cache):
     assembly, _ = varied
     (lower, upper), lines = assembly.parts, []
-    assert is_cached(upper, cache) and lower.range is None and upper.range == pytest.approx((0.88, 1.12))
-    wider = replace(assembly, parts=(lower, replace(upper, range=(0.8, 1.2))))
+    assert is_cached(upper, cache) and lower.thickness_range is None
+    assert upper.thickness_range == pytest.approx((0.88, 1.12))
+    wider = replace(assembly, parts=(lower, replace(upper, thickness_range=(0.8, 1.2))))
     assert not is_cached(wider.parts[1], cache)
     found, cached = influence_coefficients(wider, cache, lines.append)
     assert cached == {"lower": True, "upper": False} and all("upper at" in line for line in lines)
@@ -243,7 +244,7 @@ BAD = {
     "without spread": ({"sigma": None}, r"sigma \(T\): required key is missing"),
     "negative spread": ({"sigma": -0.1}, "sigma"),
     "in micrometres": ({"sigma": 20.0}, r"lead from -119 to 121 mm, and part 'upper' is 1 mm thick.*all in mm"),
-    "in metres, as a whole": ({"mean": 1.0, "sigma": 0.001}, r"lead from 1.994 to 2.006 mm.*correct them"),
+    "in metres, as a whole": ({"mean": 1.0, "sigma": 0.001}, r"lead from 1.994 to 2.006 mm.*correct the values"),
     "a sheet that is not there": ({"mean": -0.9}, "lead from -0.02 to 0.22 mm"),
     "the thickness itself": ({"mean": 1.0, "sigma": 0.02}, r"lead from 1.88 to 2.12 mm"),
     "a face of no name": ({"skin": "top"}, "skin"),
@@ -268,7 +269,7 @@ def test_two_of_one_sheet_and_maps_are_refused(cache):
         read(lap([T, T | {"name": "U"}]))
     table = lap([T], pairs=2)
     table["report"]["fields"] = True
-    with pytest.raises(mic.SceneError, match=r"T\): fields are those of the thickness .* leave fields out of .report"):
+    with pytest.raises(mic.SceneError, match=r"T\): fields are computed at the nominal thickness .* leave fields out"):
         assemble(read(table), cache)
 
 
@@ -287,7 +288,7 @@ def test_a_sheet_whose_matrix_is_given_keeps_its_thickness(key, assembled, cache
 
 def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
     cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}])), cache)
-    assert cut.parts[1].range == pytest.approx((0.9, 1.1))
+    assert cut.parts[1].thickness_range == pytest.approx((0.9, 1.1))
     listed = lap([T], pairs=2)
     listed["monte_carlo"] = {"values": [[1.02], [0.98]]}  # the thickness itself
     with pytest.raises(
@@ -295,6 +296,6 @@ def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
     ):
         assemble(read(listed), cache)
     listed["monte_carlo"] = {"values": [[0.3], [-0.02]]}
-    assert assemble(read(listed), cache).parts[1].range == pytest.approx((0.88, 1.3))
+    assert assemble(read(listed), cache).parts[1].thickness_range == pytest.approx((0.88, 1.3))
     fixed = assemble(read(lap([T | {"sigma": 0.0, "mean": 0.2}])), cache)
-    assert fixed.parts[1].range == pytest.approx((1.19, 1.21))
+    assert fixed.parts[1].thickness_range == pytest.approx((1.19, 1.21))

@@ -440,9 +440,9 @@ def kept(folder):
 
 
 def frame_sign(monkeypatch):
-    from mic.model import assembly
+    from mic.model import zone_pairs
 
-    find = assembly.find_pairs
+    find = zone_pairs.find_pairs
 
     def flipped(*arguments, **options):
         pairs = find(*arguments, **options)
@@ -450,16 +450,16 @@ def frame_sign(monkeypatch):
             pair.frame[:, 0] *= -1
         return pairs
 
-    monkeypatch.setattr(assembly, "find_pairs", flipped)
+    monkeypatch.setattr(zone_pairs, "find_pairs", flipped)
 
 
 def surface_side(monkeypatch):
     """Each pair reads the sheets' averted faces."""
-    from mic.model import assembly
+    from mic.model import zone_pairs
 
-    find = assembly.find_pairs
+    find = zone_pairs.find_pairs
     monkeypatch.setattr(
-        assembly,
+        zone_pairs,
         "find_pairs",
         lambda *a, **k: [replace(pair, sides=(-pair.sides[0], -pair.sides[1])) for pair in find(*a, **k)],
     )

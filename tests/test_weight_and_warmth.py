@@ -188,7 +188,7 @@ BAD = {
         "no locator called 'A9'",
     ),
     "a pin of no direction": (PIN | {"name": "p", "direction": [0, 0, 0]}, "direction.* must not be zero"),
-    "a pin along its axis": (PIN | {"name": "p", "direction": [0, 0, 1]}, "square to that of upper-C1 and upper-B1"),
+    "a pin along its axis": (PIN | {"name": "p", "direction": [0, 0, 1]}, "perpendicular to that of upper-C1 and upper-B1"),
     "a pin of nothing": (PIN | {"name": "p", "direction": [1, 0, 0], "where": "air"}, "where"),
     "no weight": (GRAVITY | {"density": 1}, r"density \(g\): unknown key"),
     "down to nowhere": (GRAVITY | {"direction": [0, 0, 0]}, "must not be zero"),
@@ -223,7 +223,7 @@ def test_what_a_material_lacks_is_asked_for(kind, key, cache):
 def test_maps_of_displacement_do_not_pass_over_what_grows(cache):
     table = lap([{"name": "T", "kind": "temperature", "sigma": 1.0}])
     table["report"]["fields"] = True
-    with pytest.raises(mic.SceneError, match="T.: fields hold no expansion; leave fields out of .report."):
+    with pytest.raises(mic.SceneError, match="T.: fields do not include expansion; leave fields out of .report."):
         assemble(read(table), cache)
 
 

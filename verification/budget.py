@@ -34,7 +34,7 @@ from mic.contact.laws import LAWS
 from mic.contact.path import Increments
 from mic.errors import MicError, SceneError
 from mic.model.assembly import Assembly, assemble
-from mic.model.mesh_accuracy import on_halved_meshes
+from mic.model.mesh_accuracy import with_halved_elements
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.path_error import tighter
@@ -365,7 +365,7 @@ def _every_node(case: Case) -> tuple[str, pd.DataFrame]:
 
 
 def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
-    finer = on_halved_meshes(case.assembly)
+    finer = with_halved_elements(case.assembly)
     if all(part.superelement is not None for part in finer.parts):
         return "superelements have no mesh", case.none()
     model = reduced_model(finer, case.cache)

@@ -146,7 +146,7 @@ class Discretisation:
         if key not in self._systems:
             functional_rows = vstack([self.assembly.rows[kind][i] for kind, i in held], format="csr")
             if step.resting:
-                place = self.rest.completing(functional_rows, self.rigid)
+                place = self.rest.completing_rows(functional_rows, self.rigid)
             else:
                 statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
                 place = np.zeros(0, dtype=int)

@@ -23,9 +23,9 @@ from fem_reference.full.friction import friction_of
 from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
 from mic.contact import laws
 from mic.model.characteristics import Characteristics
-from mic.model.deviated_geometry import deviated_parts, opening
+from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.shape import controlling_forces, datum_rows, known_shapes, thickening
-from mic.model.sources import changed, sources, thicker
+from mic.model.sources import sources, thickness_changes, with_deviations
 from mic.process.drive import drive
 from mic.process.plan import plan_assembly
 
@@ -204,7 +204,7 @@ class FullModel:
             raise ValueError(f"law {law!r}: the full solve knows {' and '.join(LAWS)}")
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
-        made = changed(assembly, deviations)
+        made = with_deviations(assembly, deviations)
         contacts = made.contacts
         mesh, asked = self._driven(made, deviations)
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
@@ -226,12 +226,12 @@ class FullModel:
     def _driven(self, made, deviations):
         """The meshes to solve on, of an assembly as its deviations make it, and what the deviations ask of them."""
         assembly, mesh = self.assembly, self.nominal
-        u, more = self.unit_shapes @ deviations, thicker(assembly.scene, deviations)
+        u, more = self.unit_shapes @ deviations, thickness_changes(assembly.scene, deviations)
         shape = {kind: (rows @ u)[None] for kind, rows in mesh.rows.items()}
         parts = assembly.parts
         if self.deviated:
             parts = deviated_parts(assembly, mesh.vertex_fields(u))
-            shape |= {kind: opening(assembly, kind, parts, shape[kind][0])[None] for kind in ("contact", "weld")}
+            shape |= {kind: gap_change(assembly, kind, parts, shape[kind][0])[None] for kind in ("contact", "weld")}
         if more:
             parts = [part.at(part.thickness + more[part.name]) if part.name in more else part for part in parts]
             faces = self._faces @ deviations

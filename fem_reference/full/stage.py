@@ -31,7 +31,7 @@ from fem_reference.full.friction import ContactFriction
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares, transition
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
-from mic.model.rest_rows import put_down
+from mic.model.rest_rows import separating_motion
 from mic.process.actions import Joints, Row, Settle
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, yielding
@@ -294,14 +294,14 @@ class FullStage:
         touched = np.abs(G).max(axis=(0, 2), initial=0.0) > TOUCHING
         if state.solution.force[touched].any():
             return state
-        by = put_down(drive.gap[0] + mesh.contact(start.u)[:, 0], G[:, :, 0].T)
+        by = separating_motion(drive.gap[0] + mesh.contact(start.u)[:, 0], G[:, :, 0].T)
         slid = np.einsum("k,kmd->md", by, G)
         solution = replace(state.solution, u=state.solution.u + np.tensordot(by, np.array(moved), 1))
         return replace(state, solution=solution, left=state.left + slid, anchor=state.anchor + slid[:, 1:])
 
     def _out(self, step) -> np.ndarray:
         """(m,) contacts that take no part any more."""
-        return self.mesh.assembly.contacts.out(step.welds, step.away)
+        return self.mesh.assembly.contacts.excluded(step.welds, step.away)
 
     def _loads(self, step, state, drive):
         """Nodal forces (N,) at the step's start and at its end."""

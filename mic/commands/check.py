@@ -309,7 +309,7 @@ def _print_normals(console, assembly):
 
 def _coefficients(part):
     """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
-    many = "" if part.range is None else f", at {len(chebyshev(*part.range))} thicknesses"
+    many = "" if part.thickness_range is None else f", at {len(chebyshev(*part.thickness_range))} thicknesses"
     if is_cached(part, cache_folder()):
         return "cached" + many
     if part.superelement is None:
@@ -432,7 +432,7 @@ def _print_accuracy(console, assembly, say):
             table.add_row(part.part, name, percent(one.set_down, 1), percent(one.located, 1))
     console.print(table)
     for part in found:
-        for words, mesh in (("half the size", part.finer), (f"{percent(ENOUGH, 0)} at most", part.reach(ENOUGH))):
+        for words, mesh in (("half the size", part.finer), (f"{percent(ENOUGH, 0)} at most", part.mesh_for(ENOUGH))):
             memory = f" and {mesh.memory:.0f} MB" if mesh.memory else ""
             if mesh is part.finer or part.worst > ENOUGH:
                 console.print(

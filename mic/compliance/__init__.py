@@ -1,1 +1,1 @@
-"""How parts yield: what is retained of them, influence coefficients, who provides them, how a fixture takes hold."""
+"""Compliance of the parts: retained functionals, influence coefficients, their providers, and eliminated fixtures."""

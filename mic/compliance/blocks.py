@@ -1,8 +1,8 @@
-"""The compliance of all parts, kept part by part: H and G of an assembly are block-diagonal and never made dense.
+"""Block-diagonal compliance: H and G of an assembly, stored part by part and never made dense.
 
 Under forces f on the stacked functionals and rigid motions q the readings are ``y = H f + G q`` with ``Gᵀ f = 0``.
-Whatever an assembly needs of H is a *gather*, ``L H Rᵀ`` for two sets of rows: each entry costs what the two rows
-hold, and two rows of different parts cost nothing.
+An assembly uses H only through *gathers*, ``L H Rᵀ`` for two sets of rows: the cost of each entry depends on the
+nonzeros of the two rows, and two rows of different parts cost nothing.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class Blocks:
 
     @property
     def functionals(self) -> list[slice]:
-        """Each part's share of the stacked functionals."""
+        """Slice of the stacked functionals for each part."""
         return [slice(int(a), int(b)) for a, b in zip(self.offsets, self.offsets[1:])]
 
     @property
     def motions(self) -> list[slice]:
-        """Each part's share of the stacked rigid motions."""
+        """Slice of the stacked rigid motions for each part."""
         return [slice(6 * p, 6 * p + 6) for p in range(len(self))]
 
     def part(self, p: int) -> Blocks:
@@ -74,7 +74,7 @@ class Blocks:
         return out
 
     def diagonal(self, rows: csr_matrix) -> np.ndarray:
-        """(r,) each row's own compliance, the diagonal of ``rows H rowsᵀ``."""
+        """(r,) compliance of each row alone, the diagonal of ``rows H rowsᵀ``."""
         out = np.zeros(rows.shape[0])
         if out.size:
             for first, H in zip(self.offsets, self.H):
@@ -82,19 +82,19 @@ class Blocks:
         return out
 
     def displace(self, forces: np.ndarray) -> np.ndarray:
-        """(n, F) elastic readings ``f H`` of forces (n, F), one sample a row."""
+        """(n, F) elastic readings ``f H`` of forces (n, F), one sample per row."""
         return np.hstack([forces[:, own] @ H for own, H in zip(self.functionals, self.H)])
 
     def carry(self, motions: np.ndarray) -> np.ndarray:
-        """(n, F) readings ``q Gᵀ`` of rigid motions (n, 6P), one sample a row."""
+        """(n, F) readings ``q Gᵀ`` of rigid motions (n, 6P), one sample per row."""
         return np.hstack([motions[:, own] @ G.T for own, G in zip(self.motions, self.G)])
 
     def resultants(self, forces: np.ndarray) -> np.ndarray:
-        """(n, 6P) resultants ``f G`` of forces (n, F) on each part, one sample a row; zero in equilibrium."""
+        """(n, 6P) resultants ``f G`` of forces (n, F) on each part, one sample per row; zero in equilibrium."""
         return np.hstack([forces[:, own] @ G for own, G in zip(self.functionals, self.G)])
 
     def fit(self, readings: np.ndarray) -> np.ndarray:
-        """(n, 6P) rigid motions nearest to readings (n, F), by least squares part by part."""
+        """(n, 6P) least-squares rigid motions of each part for readings (n, F)."""
         return np.hstack(
             [np.linalg.lstsq(G, readings[:, own].T, rcond=None)[0].T for own, G in zip(self.functionals, self.G)]
         )
@@ -105,14 +105,14 @@ class Blocks:
 
     @classmethod
     def single(cls, H: np.ndarray, G: np.ndarray, edges: Sequence[int] | None = None) -> Blocks:
-        """Blocks of dense H (F, F) and G (F, 6P) that are cut at `edges` (default: one part)."""
+        """Blocks of dense H (F, F) and G (F, 6P), split at `edges` (default: one part)."""
         edges = [0, len(H)] if edges is None else edges
         own = [slice(a, b) for a, b in zip(edges, edges[1:])]
         return cls(tuple(H[s, s] for s in own), tuple(G[s, 6 * p : 6 * p + 6] for p, s in enumerate(own)))
 
 
 def _entries(rows: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each row begins, and columns, ascending, and values of its entries."""
+    """Start of each row, and ascending columns and values of its entries."""
     if not rows.has_sorted_indices:
         rows = rows.sorted_indices()
     return rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data.astype(float)
@@ -120,8 +120,10 @@ def _entries(rows: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @cache
 def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
-    """What adds one part's share to ``L H Rᵀ``, and to its diagonal where L is R; slicing sparse matrices would take
-    most of the time of setting up an assembly."""
+    """Functions that add one part's share to ``L H Rᵀ``, and to its diagonal for L = R.
+
+    Compiled, because slicing sparse matrices would take most of the time of setting up an assembly.
+    """
     from numba import njit  # slow to import, and most commands gather nothing
 
     def gather(H, first, L_start, L_column, L_value, R_start, R_column, R_value, out):
@@ -172,5 +174,5 @@ def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
     settings = {"nogil": True, "error_model": "numpy"}
     try:
         return njit(gather, cache=True, **settings), njit(diagonal, cache=True, **settings)
-    except RuntimeError:  # where no folder can be written, neither here nor at home
+    except RuntimeError:  # no folder for the compiled code is writable
         return njit(gather, **settings), njit(diagonal, **settings)

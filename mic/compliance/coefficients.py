@@ -1,4 +1,4 @@
-"""Influence coefficients of a part, the only thing that the production path needs from the finite elements."""
+"""Influence coefficients of a part, the only result that production needs from the finite elements."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 
 from mic.compliance.thickness import Thicknesses
 
-__all__ = ["InfluenceCoefficients", "Slope"]
+__all__ = ["InfluenceCoefficients", "InfluenceDerivative"]
 
 
 @dataclass(frozen=True)
-class Slope:
-    """How a part's coefficients go with one of the scene's deviations.
+class InfluenceDerivative:
+    """Derivative of a part's coefficients with respect to one of the scene's deviations.
 
     Attributes
     ----------
     step : float
-        By how much the deviation is more, and less, between the two shapes that tell.
+        Step of the deviation to either side in the finite difference.
     field : (v, 6) array
-        What a step adds to the shape at the part's vertices, displacements and rotations, mm and rad.
+        Change of shape at the part's vertices for one step, displacements and rotations, mm and rad.
     H : (n, n) array
         Derivative of the compliance per unit of the deviation.
     G : (n, 6) array
-        Likewise of the rigid-body readings.
+        Derivative of the rigid-body readings.
     """
 
     step: float
@@ -51,14 +51,14 @@ class InfluenceCoefficients:
         Readings of the six rigid-body modes (translations along x, y, z, rotations about x, y, z through the
         centroid).
     provenance : dict
-        What the coefficients were computed from (element, sizes, versions), for the record.
+        Element, mesh sizes and versions, for the record.
     thicknesses : Thicknesses, optional
-        Those at other thicknesses, of a part whose thickness varies.
+        Coefficients at other thicknesses, for a part whose thickness varies.
     deviated : ((v, 6) array, InfluenceCoefficients), optional
-        A shape at the part's vertices, displacements and rotations, mm and rad, and the coefficients of the part that
-        carries it.
-    slopes : mapping of str to Slope, optional
-        About that shape, by the name of the deviation, of those that change the part's coefficients.
+        A shape at the part's vertices, displacements and rotations, mm and rad, and the coefficients of the part with
+        this shape.
+    slopes : mapping of str to InfluenceDerivative, optional
+        Derivatives about that shape, by name of the deviations that change the part's coefficients.
 
     Raises
     ------
@@ -72,7 +72,7 @@ class InfluenceCoefficients:
     provenance: dict = field(default_factory=dict)
     thicknesses: Thicknesses | None = None
     deviated: tuple[np.ndarray, InfluenceCoefficients] | None = None
-    slopes: Mapping[str, Slope] | None = None
+    slopes: Mapping[str, InfluenceDerivative] | None = None
 
     def __post_init__(self):
         n = len(self.H)

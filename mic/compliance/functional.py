@@ -1,7 +1,7 @@
-"""Retained functionals: what of a part the stages may ever touch.
+"""Retained functionals: the displacements and rotations of a part that the stages use.
 
 A functional is a row ``ℓ`` with ``ℓ·u`` = the average over a patch of a displacement or rotation component. The same
-weights spread a unit load, so a part's influence coefficients ``H = L K⁻¹ Lᵀ`` are symmetric.
+weights distribute a unit load, so a part's influence coefficients ``H = L K⁻¹ Lᵀ`` are symmetric.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class Functionals:
 
     Row i reads, averaged over ``patches[patch[i]]``,
 
-    - ``d · (u + θ × (s t/2) n)`` where ``rotation[i]`` is false (mm): the motion of a point that stands off the
-      mid-surface by ``s`` half-thicknesses,
-    - ``d · θ`` where it is true (rad),
+    - ``d · (u + θ × (s t/2) n)`` if ``rotation[i]`` is false (mm): the motion of a point off the mid-surface by ``s``
+      half-thicknesses,
+    - ``d · θ`` if it is true (rad),
 
     with ``d = direction[i]``, ``s = side[i]``, ``t`` the part's thickness and ``n`` the unit normal of the triangle
     that holds the quadrature point. A load of one N (or N mm) on the row is the transpose of the reading.
@@ -31,15 +31,15 @@ class Functionals:
     Attributes
     ----------
     patches : tuple of Patch
-        Patches; several rows may share one.
+        Several rows may share one.
     patch : (n,) int array
         Patch of each row.
     direction : (n, 3) array
         Unit directions.
     rotation : (n,) bool array
     side : (n,) array
-        Where the row reads, in half-thicknesses along the triangle normals: 0 the mid-surface, -1 and +1 the sheet's
-        two surfaces, beyond that a point off the sheet (the middle of a nominal gap).
+        Distance of the reading from the mid-surface, in half-thicknesses along the triangle normals: -1 and +1 are
+        the sheet's two surfaces, larger values lie off the sheet (the middle of a nominal gap).
     label : tuple of str
         One name per row, such as ``"weld W1 x"``.
     """

@@ -1,13 +1,12 @@
-"""Files of reduced stiffness or compliance on named nodes, as other finite-element programs write them.
+"""Reads reduced stiffness or compliance matrices on named nodes from files of other finite-element programs.
 
 - Matrix Market (``.mtx``), with a node table beside it: ``lower.mtx`` and ``lower.csv``, a line ``node, x, y, z`` for
-  each node. The matrix has six freedoms a node in the order of the table, u_x, u_y, u_z, θ_x, θ_y, θ_z, or the three
-  displacements alone.
-- Nastran ``OUTPUT4`` (``.op4``), text or binary, with a node table as the former has it: one matrix, or one that is
-  called K… among others.
+  each node. The matrix has six degrees of freedom per node in the order of the table, u_x, u_y, u_z, θ_x, θ_y, θ_z, or
+  the three displacements only.
+- Nastran ``OUTPUT4`` (``.op4``), text or binary, with the same node table: one matrix, or one named K… among others.
 - Nastran ``DMIG`` (punch files of superelements, ``KAAX``), and Abaqus ``*MATRIX GENERATE`` output in the format of
-  matrix input (``node, freedom, node, freedom, value``). Both name their nodes by number; where these stand, a node
-  table beside the file tells, or ``GRID`` cards in it, or the part's own mesh file.
+  matrix input (``node, freedom, node, freedom, value``). Both name their nodes by number; the coordinates come
+  from a node table beside the file, from its ``GRID`` cards, or from the part's own mesh file.
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ from mic.geometry.readers import nastran
 __all__ = ["NodalMatrix", "read_matrix"]
 
 NASTRAN = (".bdf", ".dat", ".dmig", ".nas", ".pch")
-SYMMETRIC = 1e-6  # of the largest entry: what the two halves of a matrix may differ by
+SYMMETRIC = 1e-6  # allowed asymmetry, relative to the largest entry
 
 
 @dataclass(frozen=True)
 class NodalMatrix:
-    """A symmetric matrix over freedoms of nodes.
+    """A symmetric matrix over degrees of freedom of nodes.
 
     Attributes
     ----------
     node : (m,) int array
-        Number of the node of each freedom.
+        Node number of each degree of freedom.
     component : (m,) int array
         0, 1, 2 for displacements along x, y, z, 3, 4, 5 for rotations about them.
     matrix : (m, m) csr_matrix
     places : dict of int to (3,) tuple
-        Coordinates of nodes, in the unit of the file, where it or the table beside it tells them.
+        Coordinates of nodes, in the unit of the file, if it or the table beside it states them.
     """
 
     node: np.ndarray
@@ -58,7 +57,7 @@ def read_matrix(path: Path) -> NodalMatrix:
     ------
     FormatError
         Naming the file, if it is missing, of another kind, no square symmetric matrix of real numbers, or its table
-        does not fit to it.
+        does not match it.
     """
     if not path.is_file():
         raise FormatError(f"{path}: there is no such file; correct the name")
@@ -67,19 +66,17 @@ def read_matrix(path: Path) -> NodalMatrix:
         places = _table(table) if table.is_file() else {}
         with open(path, "rb") as file:
             market = file.read(14) == b"%%MatrixMarket"
-        if market:
-            found = _market(path, places, table)
-        elif path.suffix.lower() in NASTRAN:
-            found = _dmig(path, places)
-        elif path.suffix.lower() == ".op4":
-            found = _output4(path, places, table)
-        elif path.suffix.lower() == ".sim":
+        suffix = path.suffix.lower()
+        if market or suffix == ".op4":
+            kind = "a Matrix Market" if market else "an OUTPUT4"
+            if not places:
+                raise FormatError(f"{kind} file needs the table of its nodes, node, x, y, z, beside it: {table.name}")
+            return _by_table(_market(path) if market else _output4(path), places, table)
+        if suffix == ".sim":
             raise FormatError("Abaqus' own binary matrices are not read; write matrix input or a Matrix Market file")
-        else:
-            found = _labelled(path, places)
+        return _dmig(path, places) if suffix in NASTRAN else _labelled(path, places)
     except FormatError as problem:
         raise FormatError(f"{path}: {problem}") from problem
-    return found
 
 
 def _table(path: Path) -> dict[int, tuple[float, ...]]:
@@ -92,7 +89,7 @@ def _table(path: Path) -> dict[int, tuple[float, ...]]:
                 number, place = int(row[0]), tuple(float(text) for text in row[1:4])
             except ValueError:
                 if line == 1:
-                    continue  # names of the columns
+                    continue  # header
                 number, place = 0, ()
             if len(place) != 3 or not np.isfinite(place).all():
                 raise FormatError(f"line {line} of its node table {path.name} is not a number with x, y and z")
@@ -102,25 +99,20 @@ def _table(path: Path) -> dict[int, tuple[float, ...]]:
     return places
 
 
-def _market(path: Path, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
-    if not places:
-        raise FormatError(f"a Matrix Market file needs the table of its nodes, node, x, y, z, beside it: {table.name}")
+def _market(path: Path) -> csr_matrix:
     try:
-        matrix = csr_matrix(mmread(path))
-    except Exception as problem:  # SciPy raises whatever its parsing trips over
+        return csr_matrix(mmread(path))
+    except Exception as problem:  # SciPy raises various exceptions
         raise FormatError(f"it cannot be read ({' '.join(str(problem).split())}); write it again") from problem
-    return _by_table(matrix, places, table)
 
 
-def _output4(path: Path, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
-    if not places:
-        raise FormatError(f"an OUTPUT4 file needs the table of its nodes, node, x, y, z, beside it: {table.name}")
+def _output4(path: Path) -> csr_matrix:
     found = matrices(path.read_bytes())
-    return _by_table(found[_only(list(found), "no matrix")], places, table)
+    return found[_only(list(found), "no matrix")]
 
 
 def _only(names: list[str], nothing: str) -> str:
-    """The one matrix of a file, or the one stiffness among several."""
+    """Name of the only matrix of a file, or of the only stiffness among several."""
     chosen = [name for name in names if name.upper().startswith("K")] or names
     if not names:
         raise FormatError(f"it holds {nothing}")
@@ -130,7 +122,7 @@ def _only(names: list[str], nothing: str) -> str:
 
 
 def _by_table(matrix: csr_matrix, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
-    """A matrix whose freedoms follow the order of the node table."""
+    """A matrix in the order of the node table."""
     n, m = len(places), matrix.shape[0]
     each = {6 * n: 6, 3 * n: 3}.get(m)
     if each is None or matrix.shape != (m, m):
@@ -190,7 +182,7 @@ def _labelled(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
 
 
 def _of_entries(entries, places) -> NodalMatrix:
-    """A matrix of entries by freedoms (node, component from 1); half of it stands for all."""
+    """A matrix from entries by degree of freedom (node, component from 1); one triangle is sufficient."""
     freedoms = sorted({freedom for pair in entries for freedom in pair})
     wrong = next((freedom for freedom in freedoms if not 1 <= freedom[1] <= 6), None)
     if wrong is not None:
@@ -213,7 +205,7 @@ def _symmetric(matrix: csr_matrix) -> csr_matrix:
     if not largest > 0:
         raise FormatError("all its entries are zero")
     if abs(matrix - matrix.T).max() > SYMMETRIC * largest:
-        raise FormatError("it is not symmetric, as every stiffness and compliance is; write it again")
+        raise FormatError("it is not symmetric, as every stiffness and compliance must be; write it again")
     return csr_matrix(0.5 * (matrix + matrix.T))
 
 

@@ -1,11 +1,11 @@
-"""Nastran OUTPUT4 files (``.op4``): matrices by columns, as text or binary.
+"""Reads Nastran OUTPUT4 files (``.op4``): matrices by columns, as text or binary.
 
-A matrix begins with its numbers of columns and rows, form and type (1, 2 real of one or two words a value, 3, 4
-complex), and name. Each column follows with its number, its first row and how much it holds; one past the last ends
-the matrix. A first row of 0 says that only strings of the column follow, each with its length in words and its first
-row: as two integers where the number of rows is stated negative, or is 65536 and more, else as one,
-``65536 (length + 1) + row``. Text has so many numbers of such a width in a line as its first line says; a binary file
-has each of these records between its lengths in bytes, in the byte order of the machine that wrote it.
+A matrix begins with its numbers of columns and rows, form and type (1, 2: real with one or two words per value, 3, 4:
+complex), and name. Each column follows with its number, its first row and its length; a column past the last ends the
+matrix. A first row of 0 means that the column is stored as strings, each with its length in words and its first row:
+as two integers if the number of rows is negative or at least 65536, else as one, ``65536 (length + 1) + row``. In a
+text file the first line of a matrix states how many numbers of which width a line holds; in a binary file each record
+stands between its lengths in bytes, in the byte order of the machine that wrote it.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from mic.errors import FormatError
 
 __all__ = ["matrices"]
 
-BIG = 65536  # rows from which on strings have two integers
+BIG = 65536  # number of rows from which strings have two integers
 LAYOUT = re.compile(r"(\d+)[ED](\d+)\.")  # of a line of text, such as 1P,3E23.16
 HEADER = 24  # bytes of a binary matrix's first record
 
 
 def matrices(data: bytes) -> dict[str, csr_matrix]:
-    """The matrices of a file by name.
+    """The matrices of a file, by name.
 
     Raises
     ------
@@ -56,12 +56,12 @@ def matrices(data: bytes) -> dict[str, csr_matrix]:
     except FormatError:
         raise
     except (ValueError, IndexError, struct.error):
-        raise FormatError("it is cut short, or no OUTPUT4 file; let Nastran write it again") from None
+        raise FormatError("it is cut short, or no OUTPUT4 file; write it again with Nastran") from None
     return found
 
 
 def _strings(source, columns: int, rows: int, kind: int) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Column, first row and values (n,) of what a matrix holds, numbered from 1."""
+    """Column, first row and values (n,) of the strings of a matrix, numbered from 1."""
     two = rows < 0 or rows >= BIG
     while True:
         column, row, size = source.column()
@@ -80,14 +80,14 @@ def _strings(source, columns: int, rows: int, kind: int) -> Iterator[tuple[int, 
                 length = (packed >> 16) - 1
                 row, size = packed - ((length + 1) << 16), size - length - 1
             if length < kind:
-                raise ValueError("a string of nothing")
+                raise ValueError("an empty string")
             yield column, row, source.values(length // kind, kind)
 
 
 class _Text:
-    """A file of text, read line by line."""
+    """A text file, read line by line."""
 
-    counts_values = True  # a whole column says how many numbers it has, not how many words
+    counts_values = True  # a full column states its length in values, not in words
 
     def __init__(self, data: bytes):
         self._lines = data.decode("ascii", errors="replace").splitlines()
@@ -141,7 +141,7 @@ class _Binary:
         (size,) = struct.unpack_from(f"{self._order}i", self._data, self._at)
         start, self._at = self._at + 4, self._at + size + 8
         if size < 0 or struct.unpack_from(f"{self._order}i", self._data, self._at - 4) != (size,):
-            raise ValueError("the lengths before and behind a record differ")
+            raise ValueError("the lengths before and after a record differ")
         return self._data[start : start + size]
 
     def header(self) -> tuple[int, int, int, str]:
@@ -157,11 +157,11 @@ class _Binary:
         return struct.unpack_from(f"{self._order}{number}i", self._own, 4 * (self._word - number))
 
     def end(self) -> None:
-        """The record of the column past the last is read whole already."""
+        """Nothing: the record of the column past the last is already read."""
 
     def values(self, number: int, kind: int) -> np.ndarray:
         start = 4 * self._word
         self._word += number * kind
         if 4 * self._word > len(self._own):
-            raise ValueError("a string that is longer than its column")
+            raise ValueError("a string is longer than its column")
         return np.frombuffer(self._own, f"{self._order}f{4 * kind}", number, start)

@@ -1,4 +1,4 @@
-"""One sheet as the finite elements see it: surface, thickness, material and the functionals retained of it."""
+"""One sheet with its surface, thickness, material and retained functionals: the input of a provider."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GENERATION", "Part"]
 
-#: Raised whenever the coefficients of the same part come out otherwise than before, by another formulation of its
-#: element or another meaning of a functional: caches then hold none of them.
+#: Increased whenever the coefficients of the same part change, by another formulation of its element or another
+#: meaning of a functional: cached coefficients then become invalid.
 GENERATION = 7
 
 
@@ -35,12 +35,12 @@ class Part:
         MPa.
     poisson : float
     element : str
-        Shell element, a name that the part's provider knows (:mod:`mic.compliance.provider`).
+        Name of the shell element, known to the part's provider (:mod:`mic.compliance.provider`).
     functionals : Functionals
     superelement : Superelement, optional
-        The part as a matrix on nodes, where its finite-element model lives elsewhere.
-    range : tuple of float, optional
-        Smallest and largest thickness, mm, of a part whose thickness varies.
+        The part as a matrix on nodes, if its finite-element model comes from another program.
+    thickness_range : tuple of float, optional
+        Smallest and largest thickness, mm, if the thickness varies.
     """
 
     name: str
@@ -51,10 +51,10 @@ class Part:
     element: str
     functionals: Functionals
     superelement: Superelement | None = None
-    range: tuple[float, float] | None = None
+    thickness_range: tuple[float, float] | None = None
 
     def at(self, thickness: float) -> Part:
-        """The part at another thickness, mm: its middle surface stays, what reads a face goes with that face."""
+        """The part at another thickness, mm: its mid-surface stays, readings of a face move with that face."""
         f, more = self.functionals, thickness - self.thickness
         off = np.abs(f.side)
         moved = np.sign(f.side) * (off * self.thickness + more) / thickness
@@ -63,7 +63,7 @@ class Part:
             name=f"{self.name} at {thickness:.6g} mm",
             thickness=thickness,
             functionals=replace(f, side=np.where((off == 0.0) | (off == 1.0), f.side, moved)),
-            range=None,
+            thickness_range=None,
         )
 
     def fingerprint(self) -> str:
@@ -72,7 +72,7 @@ class Part:
         f = self.functionals
         digest.update(repr((GENERATION, self.element, self.thickness, self.young, self.poisson)).encode())
         arrays = [self.surface.points, self.surface.triangles, f.patch, f.direction, f.rotation, f.side]
-        if self.surface.given_normals is not None:  # estimated ones follow from points and triangles
+        if self.surface.given_normals is not None:  # estimated normals follow from points and triangles
             arrays.append(self.surface.given_normals)
         arrays += [array for patch in f.patches for array in (patch.triangle, patch.barycentric, patch.weight)]
         if self.superelement is not None:

@@ -1,7 +1,7 @@
-"""Who computes compliance: the border between the production path and any finite-element code.
+"""Interface between production and finite-element programs that compute compliance.
 
-A provider is found by its entry point in the group ``mic.compliance``; `fem_reference` registers one there as any other
-package may. The production path names none of them.
+A provider is found by its entry point in the group ``mic.compliance``; `fem_reference` registers one, and any other
+package may. Production names none of them.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ REMEDY = "on Debian: apt-get install python3-dolfinx; or copy a cache folder fro
 
 @runtime_checkable
 class Provider(Protocol):
-    """What computes the compliance of parts."""
+    """A finite-element program that computes the compliance of parts."""
 
     @property
     def elements(self) -> Collection[str]:
-        """Names of the shell elements that it knows: what a scene's ``element`` may be."""
+        """Names of its shell elements, the possible values of a scene's ``element``."""
         ...
 
     def accepts(self, part: Part) -> bool:
@@ -38,13 +38,13 @@ class Provider(Protocol):
         ...
 
     def coefficients(self, parts: Sequence[Part], comm: Any = None) -> dict[str, InfluenceCoefficients]:
-        """Influence coefficients of the parts by name, whole on every process.
+        """Influence coefficients of all parts by name, on every process.
 
         Parameters
         ----------
         parts : sequence of Part
         comm : mpi4py.MPI.Comm, optional
-            Processes that call together and share the parts out; default: this one alone.
+            Processes that call together and share the work; default: this one alone.
         """
         ...
 
@@ -60,7 +60,7 @@ class Provider(Protocol):
         Returns
         -------
         solved : (v, 6, r) array
-            On the support that the coefficients were computed on.
+            On the support of the influence coefficients.
         rigid : (v, 6, 6) array
             Of each rigid-body mode, mode last.
         """
@@ -69,8 +69,7 @@ class Provider(Protocol):
 
 @cache
 def installed() -> tuple[dict[str, Provider], dict[str, str]]:
-    """The providers that can be loaded, by name, and for each of the others why it cannot; superelements need no other
-    package."""
+    """The providers that can be loaded, by name, and the error of each other one; superelements need no package."""
     found: dict[str, Provider] = {"superelements": Superelements()}
     broken = {}
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
@@ -82,12 +81,12 @@ def installed() -> tuple[dict[str, Provider], dict[str, str]]:
 
 
 def check_element(element: str) -> None:
-    """Refuse an element that nobody knows; where a provider cannot be loaded, what it knows cannot be told.
+    """Refuse an unknown element, unless a provider cannot be loaded: its elements are then unknown.
 
     Raises
     ------
     SceneError
-        Naming the elements that there are.
+        Naming the known elements.
     """
     found, broken = installed()
     known = sorted({name for provider in found.values() for name in provider.elements if name != ELEMENT})
@@ -101,9 +100,9 @@ def find(part: Part) -> Provider:
     Raises
     ------
     SceneError
-        If nobody knows the part's element.
+        If no provider knows the part's element.
     MissingProvider
-        If there is none; the message says what is missing and how to install it.
+        If there is none; the message says what to install.
     """
     found, broken = installed()
     for provider in found.values():
@@ -114,6 +113,6 @@ def find(part: Part) -> Provider:
     refusing = [f"{name} does not accept it" for name in found if name != "superelements"]
     reasons += refusing or ["no package registers one"] * (not broken)
     raise MissingProvider(
-        f"part {part.name!r}: its compliance must be computed by finite elements, and no provider of them is at hand "
+        f"part {part.name!r}: its compliance must be computed by finite elements, and no provider is installed "
         f"({'; '.join(reasons)}); {REMEDY}"
     )

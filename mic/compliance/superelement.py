@@ -1,13 +1,13 @@
-"""Parts whose finite-element model lives elsewhere: a reduced stiffness K or compliance C on named nodes.
+"""Parts given as a reduced stiffness K or compliance C on named nodes, from another finite-element program.
 
-A functional is read at the superelement's own nodes: between the three of a mesh's triangle where all of them are
-nodes of it, else at the nearest one, which carries the place as a rigid arm. With the shape functions b_i there,
-the place p on the sheet's surface, and the nodes' places x_i,
+A functional is read at the superelement's own nodes: by interpolation within a mesh triangle if all its vertices are
+such nodes, else at the nearest node through a rigid arm. With the shape functions b_i there, the point p on the
+sheet's surface, and the nodes' points x_i,
 
     u(p) = Σ b_i u_i + (Σ b_i θ_i) × (p − Σ b_i x_i),
 
 which is exact for every rigid motion. The readings L give H = L K⁻¹ Lᵀ on six pinned freedoms, or H = L C Lᵀ, and
-G = L R with the rigid motions R of the nodes. A free K resists none of them, K R = 0; that is checked.
+G = L R with the rigid motions R of the nodes. The K of a free part resists none of them, K R = 0; this is checked.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from mic.geometry.surface import Surface
 __all__ = ["ELEMENT", "Superelement", "Superelements", "superelement"]
 
 ELEMENT = "superelement"  #: the element of such parts
-FREE = 1e-5  # of the energy that its diagonal would store in a rigid motion: what K may store, by rounding
+FREE = 1e-5  # allowed energy of K in a rigid motion, relative to that of its diagonal: rounding errors of the file
 SINGULAR = 1e-11  # of the scaled diagonal: a smaller pivot is a further free motion
-SAME = 1e-5  # of a part's diameter: nodes that lie nearer to a vertex of the mesh are that vertex
+SAME = 1e-5  # relative to a part's diameter: nodes this near to a mesh vertex coincide with it
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,16 @@ class Superelement:
     Attributes
     ----------
     points : (n, 3) array
-        Places of the nodes.
+        Of the nodes.
     numbers : (n,) int array
-        In the file.
+        Node numbers in the file.
     freedom : (n, 6) int array
-        Row of the matrix of each freedom u_x, u_y, u_z, θ_x, θ_y, θ_z; -1 where the node has none.
+        Matrix row of each degree of freedom u_x, u_y, u_z, θ_x, θ_y, θ_z; -1 if the node lacks it.
     matrix : (m, m) csr_matrix
     stiffness : bool
         Whether the matrix is K; else it is C, on a statically determinate support.
     of_vertex : (v,) int array
-        The node that each vertex of the part's surface is; -1 for none.
+        The node at each vertex of the part's surface; -1 for none.
     """
 
     points: np.ndarray
@@ -72,25 +72,25 @@ class Superelement:
         return found
 
     def readings(self, part: Any) -> csr_matrix:
-        """(F, m) L: what the functionals of a part read of the freedoms.
+        """(F, m) L: readings of a part's functionals by degree of freedom.
 
         Raises
         ------
         SceneError
-            If a patch has no node near it, or its node lacks a freedom that is read.
+            If a patch has no node near it, or its node lacks a degree of freedom that is read.
         """
         f, surface = part.functionals, part.surface
         tree = cKDTree(self.points)
         rows, columns, values = [], [], []
         for row in range(len(f)):
             patch, d = f.patches[f.patch[row]], f.direction[row]
-            nodes, share = self._between(part, patch, tree, f.label[row])
+            nodes, share = self._interpolation(part, patch, tree, f.label[row])
             if f.rotation[row]:
                 turns, moves = np.broadcast_to(d, (len(nodes), 3)), np.zeros(3)
             else:
                 off = f.side[row] * part.thickness / 2 * surface.normals[patch.triangle]
-                place = surface.at(patch.triangle, patch.barycentric) + off
-                arm = place - np.einsum("qi,qij->qj", share, self.points[nodes])
+                point = surface.at(patch.triangle, patch.barycentric) + off
+                arm = point - np.einsum("qi,qij->qj", share, self.points[nodes])
                 turns, moves = np.cross(arm, d), d
             for first, lever in ((0, np.broadcast_to(moves, (len(nodes), 3))), (3, turns)):
                 value = (patch.weight[:, None] * share)[:, :, None] * lever[:, None, :]
@@ -109,16 +109,16 @@ class Superelement:
         shape = (len(f), self.matrix.shape[0])
         return coo_matrix((entries[0], (entries[1].astype(int), entries[2].astype(int))), shape=shape).tocsr()
 
-    def _between(self, part, patch, tree, label):
-        """Nodes (q, 3) that each point of a patch is read between, and their shares."""
+    def _interpolation(self, part, patch, tree, label):
+        """Nodes (q, 3) between which each point of a patch is interpolated, and their weights."""
         surface = part.surface
         nodes, share = self.of_vertex[surface.triangles[patch.triangle]], patch.barycentric.copy()
         lacking = ((nodes < 0) & (np.abs(share) > 1e-12)).any(axis=1)
         if lacking.any():
-            place = surface.at(patch.triangle, patch.barycentric)
-            centre = place.mean(axis=0)
-            size = np.linalg.norm(place - centre, axis=1).max()
-            away, nearest = tree.query(place)
+            points = surface.at(patch.triangle, patch.barycentric)
+            centre = points.mean(axis=0)
+            size = np.linalg.norm(points - centre, axis=1).max()
+            away, nearest = tree.query(points)
             if away.min() > size + SAME * surface.diameter + part.thickness:
                 number, distance = self.numbers[nearest[np.argmin(away)]], away.min()
                 where = ", ".join(f"{x:.1f}" for x in centre)
@@ -134,7 +134,7 @@ class Superelement:
 def superelement(
     name: str, given: NodalMatrix, stiffness: bool, unit: tuple[float, float], drawn: Surface, numbered: dict[int, Any]
 ) -> Superelement:
-    """A superelement of a matrix, in mm and N, its nodes found on the part's surface.
+    """A superelement from a matrix, in mm and N, with its nodes located on the part's surface.
 
     Parameters
     ----------
@@ -146,14 +146,14 @@ def superelement(
     unit : tuple of float
         mm and MPa of the file's units of length and stress (`mic.geometry.deck.UNITS`).
     drawn : Surface
-        The part's mesh as it is drawn, mm.
+        The part's mesh as drawn, mm.
     numbered : dict of int to (3,) array
-        Places of nodes of the part's mesh file by number, mm.
+        Points of the nodes of the part's mesh file by number, mm.
 
     Raises
     ------
     SceneError
-        If a node stands nowhere, or the matrix is not that of a free elastic body.
+        If the coordinates of a node are unknown, or the matrix is not that of a free elastic body.
     """
     length, stress = unit
     key = "stiffness" if stiffness else "compliance"
@@ -166,8 +166,8 @@ def superelement(
             places.append(np.asarray(numbered[number]))
         else:
             raise SceneError(
-                f"part {name!r}: {key}: nothing tells where node {number} stands: it is neither in a node table beside "
-                "the file nor a node of the mesh; add the table, node, x, y, z"
+                f"part {name!r}: {key}: the coordinates of node {number} are unknown: it is neither in a node table "
+                "beside the file nor a node of the mesh; add the table, node, x, y, z"
             )
     points = np.array(places)
     freedom = np.full((len(numbers), 6), -1)
@@ -180,12 +180,14 @@ def superelement(
         matrix = diags(scale) @ given.matrix @ diags(scale) / (force * length)
     matrix = csr_matrix(matrix)
     if (matrix.diagonal() < 0).any():
-        raise SceneError(f"part {name!r}: {key}: its diagonal has negative entries; no elastic body has")
+        raise SceneError(
+            f"part {name!r}: {key}: its diagonal has negative entries, which no elastic body has; export it again"
+        )
     stiff = np.asarray(abs(matrix).sum(axis=1)).ravel() > 0
-    if stiffness and not stiff.all():  # freedoms without stiffness, such as rotations of solids, are none
-        there = freedom >= 0
-        kept = np.cumsum(stiff) - 1
-        freedom[there] = np.where(stiff[freedom[there]], kept[freedom[there]], -1)
+    if stiffness and not stiff.all():  # drop degrees of freedom without stiffness, such as rotations of solids
+        present = freedom >= 0
+        number = np.cumsum(stiff) - 1
+        freedom[present] = np.where(stiff[freedom[present]], number[freedom[present]], -1)
         matrix = matrix[stiff][:, stiff]
     away, nearest = cKDTree(points).query(drawn.points)
     of_vertex = np.where(away <= SAME * drawn.diameter, nearest, -1)
@@ -218,12 +220,12 @@ class Superelements:
         return part.superelement is not None
 
     def coefficients(self, parts: Any, comm: Any = None) -> dict[str, InfluenceCoefficients]:
-        """By part name; every process computes all, which takes one small factorisation each.
+        """Coefficients by part name; every process computes all of them, with one small factorisation each.
 
         Raises
         ------
         SceneError
-            If a patch has no node near it, or a stiffness leaves more than the rigid motions free.
+            If a patch has no node near it, or a stiffness leaves other than rigid motions free.
         """
         found = {}
         for part in parts:
@@ -235,12 +237,12 @@ class Superelements:
         return found
 
     def field(self, part: Any, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A superelement knows its own nodes alone."""
+        """Refused: a superelement has displacements at its own nodes only."""
         raise MissingProvider(f"part {part.name!r}: a superelement has no displacement field; leave report.fields out")
 
 
 def _solved(name: str, body: Superelement, L: csr_matrix, R: np.ndarray) -> np.ndarray:
-    """(F, F) L K⁻¹ Lᵀ on six pinned displacements, scaled so that all freedoms have a diagonal of one."""
+    """(F, F) L K⁻¹ Lᵀ on six pinned displacements, with the diagonal scaled to one."""
     moves = np.sort(body.freedom[:, :3][body.freedom[:, :3] >= 0])
     size = np.repeat([1.0, max(float(np.ptp(body.points, axis=0).max()), 1e-9)], 3)
     pinned = moves[statically_determinate(R[moves], size)]
@@ -248,18 +250,18 @@ def _solved(name: str, body: Superelement, L: csr_matrix, R: np.ndarray) -> np.n
     K = body.matrix[free][:, free]
     scale = diags(1 / np.sqrt(K.diagonal()))
     try:
-        # in symmetric mode the pivots are those of the diagonal: their signs are those of the eigenvalues
-        how: Any = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        factor = splu((scale @ K @ scale).tocsc(), **how)
+        # in symmetric mode the pivots come from the diagonal: their signs are those of the eigenvalues
+        options: Any = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        factor = splu((scale @ K @ scale).tocsc(), **options)
         pivot = factor.U.diagonal()
     except RuntimeError:
         pivot = np.zeros(1)
     if np.abs(pivot).min() < SINGULAR:
         raise SceneError(
-            f"part {name!r}: stiffness: it leaves more motions free than the six of a rigid body: a node hangs on "
-            "nothing, or the part is in pieces; retain what connects it"
+            f"part {name!r}: stiffness: it leaves more motions free than the six of a rigid body: a node is "
+            "unconnected, or the part is in pieces; retain the connecting nodes"
         )
     if pivot.min() < 0:
-        raise SceneError(f"part {name!r}: stiffness: some motion has a negative one; export it again")
+        raise SceneError(f"part {name!r}: stiffness: it is negative for some motion; export it again")
     load = (L[:, free] @ scale).T.toarray()
     return load.T @ factor.solve(load)

@@ -1,13 +1,13 @@
-"""The compliance of a sheet whose thickness varies: interpolated between thicknesses at which it was computed.
+"""Interpolates the compliance of a sheet over its thickness.
 
-The stiffness of a sheet of thickness t is ``t K_m + t³ K_b``, membrane and bending, and a functional that reads a face
-reads ``L_0 + t L_1``. With ``a_j(t) = t²/(t² + λ_j)`` of the sheet's modes,
+The stiffness of a sheet of thickness t is ``t K_m + t³ K_b``, membrane and bending, and a functional of a face is
+``L_0 + t L_1``. With ``a_j(t) = t²/(t² + λ_j)`` of the sheet's modes,
 
     t³ H(t) = Σ_j ℓ_j(t) ℓ_j(t)ᵀ a_j(t),        ℓ_j linear in t, λ_j ≥ 0,                                   (1)
 
-is constant or of second degree where bending or stretching rules. Its poles lie on the imaginary axis, no nearer than t
-itself: the polynomial through k Chebyshev points of ``c ± w`` errs by some ``(w/2c)^k``. The rigid readings G are
-linear in t.
+is constant or of second degree if bending or stretching dominates. Its poles lie on the imaginary axis, no nearer than
+t itself: the polynomial through k Chebyshev points of ``c ± w`` has an error of about ``(w/2c)^k``. The rigid readings
+G are linear in t.
 
 References
 ----------
@@ -24,15 +24,15 @@ from mic.errors import ImpossibleSample
 
 __all__ = ["Thicknesses", "chebyshev"]
 
-ERROR = 1e-5  # of H: what the interpolation may leave, by the estimate above
+ERROR = 1e-5  # allowed relative interpolation error of H, by the estimate above
 FEWEST, MOST = 3, 9  # thicknesses
-BEYOND = 1.001  # of the range of the thicknesses: how far the compliance is known
+BEYOND = 1.001  # factor on the largest thickness up to which the compliance is extrapolated
 
 
 def chebyshev(low: float, high: float) -> tuple[float, ...]:
-    """As many Chebyshev points between two thicknesses, mm, ascending, as interpolation to :data:`ERROR` takes.
+    """Chebyshev points between two thicknesses, mm, ascending: as many as :data:`ERROR` requires, an odd number.
 
-    An odd number, so that the middle is one of them.
+    With an odd number the middle is one of them.
     """
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     count = int(np.clip(np.ceil(np.log(ERROR) / np.log(half / (2 * middle))), FEWEST, MOST))
@@ -52,9 +52,9 @@ class Thicknesses:
     t : (k,) array
         Ascending, mm.
     low, high : float
-        Between which thicknesses the compliance is asked for, mm.
+        Range of thicknesses, mm.
     H : (k, n, n) array
-        As :class:`mic.compliance.coefficients.InfluenceCoefficients` has it, at each.
+        Compliance at each, as in :class:`mic.compliance.coefficients.InfluenceCoefficients`.
     G : (k, n, 6) array
     """
 
@@ -70,13 +70,13 @@ class Thicknesses:
         Raises
         ------
         ImpossibleSample
-            Beyond the thicknesses that were asked for.
+            If the thickness is out of range.
         """
         slack = (BEYOND - 1) * self.high
         if not self.low - slack <= thickness <= self.high + slack:
             raise ImpossibleSample(
-                f"a thickness of {thickness:.6g} mm lies beyond {self.low:.6g} to {self.high:.6g} mm, for which the "
-                "compliance is known; give the deviation a larger sigma, or truncated"
+                f"a thickness of {thickness:.6g} mm lies beyond {self.low:.6g} to {self.high:.6g} mm, the range of the "
+                "computed compliance; give the deviation a larger sigma, or truncated"
             )
         share = self._shares(thickness)
         scaled = share * (self.t / thickness) ** 3

@@ -1,18 +1,18 @@
-"""Key characteristics: what a scene's measurements make of the points that they read.
+"""Key characteristics: functions of the readings at a scene's measured points.
 
 A *reading* ``r = u(x) · d`` is the mean displacement u of a disc, or of a hole's rim, about x along a unit vector d.
 
 - ``point`` is its reading.
-- ``flush``, ``gap`` and ``distance`` are ``u(x_to) · d − u(x) · d``: how far the second point moves away from the first
-  along d. Displacements are small, so a distance changes by what its ends move along the line between them.
+- ``flush``, ``gap`` and ``distance`` are ``u(x_to) · d − u(x) · d``: the motion of the second point away from the first
+  along d. Displacements are small, so a distance changes by the motion of its ends along the line between them.
 - ``parallelism`` over points x_i is ``max_i r_i − min_i r_i``.
 - ``profile`` is ``2 max_i |r_i|``, d the normal at each point.
 
 Under a rigid motion ``a + ω × x`` of the assembly a point reads ``N_i (a, ω)`` with ``N_i = [d, x × d]``. *Best fit*:
-the assembly is moved, as a rigid body, to where the sum of squares of the readings F to be fitted is least, before i is
-read. That takes away ``N_i N_F⁺ r_F``; of the motions that the readings F do not tell, none is made.
+before reading i, the assembly moves as a rigid body to the position with the least sum of squares of the fitted
+readings F. That subtracts ``N_i N_F⁺ r_F``; motions that the readings F do not see are not made.
 
-All but ``max``, ``min`` and ``|·|`` is linear and stands in the rows (:mod:`mic.model.rows`).
+Except for ``max``, ``min`` and ``|·|`` everything is linear and part of the rows (:mod:`mic.model.rows`).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from mic.scene.checks import entry
 __all__ = ["Characteristics", "retain"]
 
 Term = tuple[str, int, float]  #: part, functional of the part, coefficient
-NOTHING = 1e-9  # of a reading, left after a best fit: it is fitted away
-UNTOLD = 1e-9  # of the largest singular value of N_F: a motion that the fitted readings do not tell
+NOTHING = 1e-9  # remaining coefficient below which a best fit has removed a reading
+UNSEEN = 1e-9  # relative to the largest singular value of N_F: a motion that the fitted readings do not see
 
 
 @dataclass(frozen=True)
@@ -53,73 +53,73 @@ def retain(rows: Rows, scene: Scene, problems) -> None:
     rows : Rows
     scene : Scene
     problems : context manager
-        Collects each :class:`SceneError`: of points off their part, of characteristics that their best fit takes away.
+        Collects each :class:`SceneError`: points off their part, characteristics that their best fit removes.
     """
-    own: dict[str, list[_Reading]] = {}
+    readings: dict[str, list[_Reading]] = {}
     for i, item in enumerate(scene.measurements):
         with problems:
-            own[item.name] = _readings(rows, f"measurements[{i}]", item)
+            readings[item.name] = _readings(rows, f"measurements[{i}]", item)
     for i, item in enumerate(scene.measurements):
-        if any(name not in own for name in (item.name, *(item.best_fit or ()))):
-            continue  # which is told above
-        fitted = [reading for name in item.best_fit or () for reading in own[name]]
+        if any(name not in readings for name in (item.name, *(item.best_fit or ()))):
+            continue  # its error is already reported
+        fitted = [reading for name in item.best_fit or () for reading in readings[name]]
         with problems:
-            for label, terms in _fit(entry("measurements", i, item, "best_fit"), own[item.name], fitted):
+            for label, terms in _fit(entry("measurements", i, item, "best_fit"), readings[item.name], fitted):
                 rows.add("measurement", label, *terms)
 
 
 def _readings(rows: Rows, key: str, item: Measurement) -> list[_Reading]:
-    """What one measurement reads, before any best fit."""
+    """The readings of one measurement, before any best fit."""
     if item.points is not None:
         points = np.array(item.points)
-        foot, n = sheet_normals(rows.surfaces[item.part], points)
-        rows.near(key, item.name, item.part, points, foot)
+        feet, n = sheet_normals(rows.surfaces[item.part], points)
+        rows.check_points_on_part(key, item.name, item.part, points, feet)
         along = n if item.kind == "profile" else np.tile(item.direction, (len(points), 1))
-        discs = [rows.disc(item.part, x, item.radius) for x in foot]
+        discs = [rows.disc(item.part, x, item.radius) for x in feet]
         return [
             _reading(rows, f"{item.name} at {k}", item.part, patch, d) for k, (patch, d) in enumerate(zip(discs, along))
         ]
-    first = _reading(rows, item.name, item.part, rows.place(key, item.name, item), np.array(item.direction))
+    d = np.array(item.direction)
+    first = _reading(rows, item.name, item.part, rows.item_patch(key, item.name, item), d)
     if item.to is None:
         return [first]
-    patch = rows.place(f"{key}.to", item.name, item.to)
-    second = _reading(rows, f"{item.name} to", item.to.part, patch, np.array(item.direction))
-    apart = (*second.terms, *((part, functional, -value) for part, functional, value in first.terms))
-    return [_Reading(item.name, apart, second.rigid - first.rigid, (first.point + second.point) / 2)]
+    patch = rows.item_patch(f"{key}.to", item.name, item.to)
+    second = _reading(rows, f"{item.name} to", item.to.part, patch, d)
+    difference = (*second.terms, *((part, functional, -value) for part, functional, value in first.terms))
+    return [_Reading(item.name, difference, second.rigid - first.rigid, (first.point + second.point) / 2)]
 
 
 def _reading(rows: Rows, label: str, part: str, patch: int, d: np.ndarray) -> _Reading:
     functional = rows.functional(part, patch, d, f"measurement {label}")
-    x = rows.middle(part, patch)
+    x = rows.mean_point(part, patch)
     return _Reading(label, ((part, functional, 1.0),), np.concatenate([d, np.cross(x, d)]), x)
 
 
 def _fit(key: str, own: list[_Reading], fitted: list[_Reading]) -> list[tuple[str, tuple[Term, ...]]]:
-    """Rows of a measurement, less what the best fit on other readings takes away: ``r_i − N_i N_F⁺ r_F``."""
+    """Rows of a measurement after a best fit of other readings: ``r_i − N_i N_F⁺ r_F``."""
     if not fitted:
         return [(reading.label, reading.terms) for reading in own]
-    # About the middle of the fitted points, in lengths of their spread: then a shift and a turn weigh alike.
+    # About the centre of the fitted points, in units of their spread: then translations and rotations weigh alike.
     points = np.array([reading.point for reading in fitted])
-    middle = points.mean(axis=0)
-    spread = np.sqrt(((points - middle) ** 2).sum(axis=1).mean()) or 1.0
-    N, N_F = (np.array([reading.rigid for reading in each]) for each in (own, fitted))
-    for each in (N, N_F):
-        each[:, 3:] = (each[:, 3:] - np.cross(middle, each[:, :3])) / spread
-    taken = N @ np.linalg.pinv(N_F, rcond=UNTOLD)
-    found, left = [], 0.0
-    for reading, shares in zip(own, taken):
+    centre = points.mean(axis=0)
+    spread = np.sqrt(((points - centre) ** 2).sum(axis=1).mean()) or 1.0
+    N, N_F = (np.array([reading.rigid for reading in readings]) for readings in (own, fitted))
+    for matrix in (N, N_F):
+        matrix[:, 3:] = (matrix[:, 3:] - np.cross(centre, matrix[:, :3])) / spread
+    rows, largest = [], 0.0
+    for reading, shares in zip(own, N @ np.linalg.pinv(N_F, rcond=UNSEEN)):
         terms: dict[tuple[str, int], float] = {(part, f): value for part, f, value in reading.terms}
         for other, share in zip(fitted, shares):
             for part, f, value in other.terms:
                 terms[part, f] = terms.get((part, f), 0.0) - share * value
-        left = max([left, *map(abs, terms.values())])
-        found.append((reading.label, tuple((part, f, value) for (part, f), value in terms.items())))
-    if left < NOTHING:
+        largest = max([largest, *map(abs, terms.values())])
+        rows.append((reading.label, tuple((part, f, value) for (part, f), value in terms.items())))
+    if largest < NOTHING:
         raise SceneError(
-            f"{key}: the best fit takes away all that this reads, which is then always 0; fit on more points, or on "
-            "others"
+            f"{key}: the best fit removes everything that this measurement reads, so it is always 0; fit on more "
+            "points, or on others"
         )
-    return found
+    return rows
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,9 @@ class Characteristics:
     Attributes
     ----------
     kind : tuple of str
-        Of each, in the scene's order.
+        Of each characteristic, in the scene's order.
     start : (k + 1,) int array
-        Where the readings of each begin among all r, and where the last ends.
+        First of the readings of each among all r, and the end of the last.
     """
 
     kind: tuple[str, ...]
@@ -139,12 +139,12 @@ class Characteristics:
 
     @classmethod
     def of(cls, scene: Scene) -> Self:
-        """Those of a placed scene."""
+        """The characteristics of a placed scene."""
         count = [len(item.points) if item.points is not None else 1 for item in scene.measurements]
         return cls(tuple(item.kind for item in scene.measurements), np.concatenate([[0], np.cumsum(count)]).astype(int))
 
     def readings(self, k: int) -> slice:
-        """Which readings are those of a characteristic."""
+        """The readings of a characteristic."""
         return slice(self.start[k], self.start[k + 1])
 
     def values(self, readings: np.ndarray) -> np.ndarray:
@@ -161,7 +161,7 @@ class Characteristics:
         return found
 
     def tangent(self, readings: np.ndarray) -> np.ndarray:
-        """(n, k, r) derivatives of the characteristics by their readings; of the first point where two are extreme."""
+        """(n, k, r) derivatives of the characteristics by their readings; for the first of several extreme points."""
         found = np.zeros((len(readings), len(self.kind), readings.shape[1]))
         sample = np.arange(len(readings))
         for k, kind in enumerate(self.kind):

@@ -1,4 +1,4 @@
-"""The deviated geometry: meshes that carry the deviation of the parts' shapes."""
+"""The deviated geometry: meshes that carry the shape deviation of the parts."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from mic.compliance.part import Part
 from mic.geometry.surface import Surface
 
-__all__ = ["deviated_parts", "opening"]
+__all__ = ["deviated_parts", "gap_change"]
 
 
 def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
-    """Parts on the meshes that carry the shape deviation, normals and frames of contacts and welds turned with it.
+    """Parts on meshes that carry the shape deviation; normals and frames of contacts and welds rotate with it.
 
-    Patches keep their material points. What the fixture prescribes (locators, clamps, measurements) keeps its direction
-    in space.
+    Patches keep their material points. Directions prescribed by the fixture (locators, clamps, measurements) stay
+    fixed in space.
 
     Parameters
     ----------
-    assembly : mic.model.assembly.Assembly
+    assembly : mic.model.assembly_types.Assembly
     fields : mapping of str to (n_points, 6) array
         Displacements and rotations of the deviation at the vertices of each part, mm and rad.
     """
@@ -29,15 +29,15 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
     direction = [part.functionals.direction.copy() for part in assembly.parts]
     for kind in ("contact", "weld"):
         rows = assembly.rows[kind]
-        for group in _joints(assembly, kind):
-            p, first = _owner(assembly, rows.indices[rows.indptr[group.start]])
+        for joint in _joints(assembly, kind):
+            p, first = _part_and_number(assembly, rows.indices[rows.indptr[joint.start]])
             part = assembly.parts[p]
             patch = part.functionals.patches[part.functionals.patch[first]]
             turn = _rotation(
                 *(patch.weight @ surface.normals[patch.triangle] for surface in (part.surface, surfaces[p]))
             )
-            for column in np.unique(rows.indices[rows.indptr[group.start] : rows.indptr[group.stop]]):
-                q, i = _owner(assembly, column)
+            for column in np.unique(rows.indices[rows.indptr[joint.start] : rows.indptr[joint.stop]]):
+                q, i = _part_and_number(assembly, column)
                 direction[q][i] = turn @ assembly.parts[q].functionals.direction[i]
     return [
         replace(part, surface=surface, functionals=replace(part.functionals, direction=d))
@@ -45,20 +45,20 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
     ]
 
 
-def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndarray:
+def gap_change(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndarray:
     """(r,) change of the distance between the two mid-surfaces along each row of a kind, nominal to deviated, mm.
 
-    Of a pair with a rigid fixture, which no row reads, it is that of the part from where the fixture stands,
-    d·(x − x_f).
+    For a pair with a rigid fixture, which no row reads, it is the change of the part's distance from the fixture's
+    point, d·(x − x_f).
 
     Parameters
     ----------
-    assembly : mic.model.assembly.Assembly
+    assembly : mic.model.assembly_types.Assembly
     kind : {"contact", "weld"}
     parts : list of Part
-        As :func:`deviated_parts` made them.
+        Result of :func:`deviated_parts`.
     read : (r,) array
-        What the rows read of the deviations of shape: it is the answer of those that read rotations.
+        Readings of the shape deviations; returned for rows that read rotations.
     """
     rows = assembly.rows[kind]
     turns = abs(rows) @ np.concatenate([part.functionals.rotation for part in parts]) > 0
@@ -68,23 +68,23 @@ def opening(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.ndar
         return after - before
 
     found = change(_position)
-    if kind == "contact":  # a fixture is all that a row's directions, turned, do not cancel for
+    if kind == "contact":  # rotated directions cancel in a row, except in one with a fixture
         turned = change(_direction).reshape(len(assembly.contacts), -1, 3)
-        found -= np.einsum("kdi,ki->kd", turned, _standing(assembly)).ravel()
+        found -= np.einsum("kdi,ki->kd", turned, _fixture_points(assembly)).ravel()
     return np.where(turns, read, found)
 
 
-def _standing(assembly) -> np.ndarray:
-    """(m, 3) where at each contact the fixture's face stands, mm, if one body is a fixture."""
+def _fixture_points(assembly) -> np.ndarray:
+    """(m, 3) point of the fixture's face at each contact, mm, if one body is a fixture."""
     contacts, half = assembly.contacts, {part.name: 0.5 * part.thickness for part in assembly.parts}
     zones = [zone.parts for zone in assembly.scene.zones]
     sheet = np.array([half.get(first, half.get(second, 0.0)) for first, second in zones])[contacts.zone]
-    ahead = np.array([1.0 if first in half else -1.0 for first, _ in zones])[contacts.zone]
-    return contacts.point + (ahead * (sheet + contacts.gap))[:, None] * contacts.frame[:, :, 0]
+    sign = np.array([1.0 if first in half else -1.0 for first, _ in zones])[contacts.zone]
+    return contacts.point + (sign * (sheet + contacts.gap))[:, None] * contacts.frame[:, :, 0]
 
 
 def _deviated(surface, field):
-    """A surface displaced at its vertices, its normals turned by the rotations there: n + θ × n, to first order."""
+    """A surface displaced at its vertices, its normals rotated by the rotations there: n + θ × n, to first order."""
     if not field.any():
         return surface
     normals, rotation = surface.corner_normals, field[surface.triangles, 3:]
@@ -92,7 +92,7 @@ def _deviated(surface, field):
 
 
 def _position(part):
-    """(F,) where each functional's patch stands along its direction, mm; zero for rotations."""
+    """(F,) position of each functional's patch along its direction, mm; zero for rotations."""
     f = part.functionals
     patches = [f.patches[i] for i in f.patch]
     return np.array(
@@ -104,7 +104,7 @@ def _position(part):
 
 
 def _direction(part):
-    """(F, 3) direction along which each functional reads where its patch stands; zero for rotations."""
+    """(F, 3) direction of each functional; zero for rotations."""
     return np.where(part.functionals.rotation[:, None], 0.0, part.functionals.direction)
 
 
@@ -115,8 +115,8 @@ def _joints(assembly, kind):
     return [slice(lo, hi) for lo, hi in zip(edges, edges[1:])]
 
 
-def _owner(assembly, column):
-    """Part and own number of a stacked functional."""
+def _part_and_number(assembly, column):
+    """Part of a stacked functional, and its number within the part."""
     p = int(np.searchsorted(assembly.offsets, column, side="right") - 1)
     return p, int(column - assembly.offsets[p])
 

@@ -1,4 +1,4 @@
-"""Which points of a contact zone lie at which weld."""
+"""Assigns points of contact zones to the nuggets of welds."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ __all__ = ["nuggets"]
 
 
 def nuggets(scene: Scene, zone: np.ndarray, point: np.ndarray, normal: np.ndarray, radii: float = 1.0) -> np.ndarray:
-    """The weld at which each point lies: sideways, seen along the normal, within so many radii of its nugget.
+    """The weld whose nugget contains each point, seen along the normal, with its radius scaled by `radii`.
 
     Parameters
     ----------
     scene : Scene
     zone : (m,) int array
-        Zone of each point; a weld is looked for among those that join the zone's parts.
+        Zone of each point; only welds that join the zone's parts count.
     point, normal : (m, 3) array
-        mm; of length 1.
+        mm; unit vectors.
     radii : float
 
     Returns
     -------
     (m,) int array
-        Its number in the scene, of the last where several are as near; -1 for none.
+        Number of the weld in the scene, the last of several; -1 for none.
     """
     found = np.full(len(zone), -1)
     for i, weld in enumerate(scene.welds):
-        alike = [z for z, one in enumerate(scene.zones) if set(one.parts) == set(weld.parts)]
+        same_parts = [z for z, one in enumerate(scene.zones) if set(one.parts) == set(weld.parts)]
         step = point - np.array(weld.point)
         along = np.einsum("ij,ij->i", step, normal)
         sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
         reach = max(part.sheet[0] for part in scene.parts if part.name in weld.parts) + weld.radius
-        found[np.isin(zone, alike) & (sideways <= radii * weld.radius) & (np.abs(along) <= reach)] = i
+        found[np.isin(zone, same_parts) & (sideways <= radii * weld.radius) & (np.abs(along) <= reach)] = i
     return found

@@ -1,4 +1,4 @@
-r"""Random fields on a sheet: Matérn's correlation by the sheet's own Laplacian.
+r"""Random fields on a sheet: Matérn correlation by the Laplacian of the surface.
 
 A field x on the surface with
 
@@ -9,15 +9,15 @@ A field x on the surface with
 .. math::  ρ(r) = κ r\, K_1(κ r),            \qquad κ = \sqrt 8 / L,                                   (1)
 
 which has fallen to 0.14 at the correlation length L. On the triangles of the mesh, with the mass M and the stiffness K
-of linear elements, ``A = κ² M + K`` and the covariance of the vertices is ``A⁻¹ M A⁻¹`` but for a factor. It follows
-the sheet round its bends and stops at its holes, and only the columns that are wanted are computed. At the border the
-variance would be double: every point is scaled to have the same. Between vertices linear elements leave out what varies
-within them, which makes points more alike than (1) has them, by 0.02 to 0.05 where elements are a tenth to a quarter of
-L: the mesh is halved until they are a twentieth, which leaves less than 0.01.
+of linear elements, ``A = κ² M + K`` and the covariance of the vertices is ``A⁻¹ M A⁻¹`` up to a factor. The field
+follows the sheet round its bends and ends at its holes, and only the required columns are computed. At the border the
+variance would double: every point is scaled to the same variance. Linear elements leave out variation between their
+vertices, which makes points more alike than (1), by 0.02 to 0.05 for elements of a tenth to a quarter of L: the mesh is
+halved until elements are a twentieth of L, with an error below 0.01.
 
-Along a direction d, laid into the sheet, the correlation length may be s L instead:
-:math:`(κ² - ∇·(1 + (s² - 1)\, d dᵀ)∇)\, x = \mathcal W`, which is (1) of the distance with its part along d divided
-by s. Where d is square to the sheet there is none.
+Along a direction d, projected into the sheet, the correlation length may be s L instead:
+:math:`(κ² - ∇·(1 + (s² - 1)\, d dᵀ)∇)\, x = \mathcal W`, which is (1) of the distance with its component along d
+divided by s. Where d is perpendicular to the sheet the field is isotropic.
 
 References
 ----------
@@ -38,10 +38,10 @@ from mic.geometry.surface import Surface
 
 __all__ = ["correlation", "modes_of"]
 
-SQUARE = 0.1  # cosine between a direction and a sheet below which it has none there
-AT_ONCE = 64  # columns that are solved for together
+PERPENDICULAR = 0.1  # cosine between a direction and a sheet below which the field is isotropic
+BLOCK = 64  # columns that are solved together
 RESOLVED = 20.0  # elements within the shortest correlation length
-LARGEST = 400_000  # triangles: a mesh is not halved beyond
+LARGEST = 400_000  # largest number of triangles after halving
 
 
 def correlation(
@@ -60,30 +60,30 @@ def correlation(
     length : float
         Correlation length L, mm.
     direction : (3,) array, optional
-        d; laid into each triangle.
+        d; projected into each triangle.
     stretch : float
         s: the correlation length along d, as a multiple of L.
     """
     κ = np.sqrt(8.0) / length
-    surface = _resolved(surface, length * min(1.0, stretch))
+    surface = _fine_mesh(surface, length * min(1.0, stretch))
     K, M = _laplacian(surface, direction, stretch)
-    used = M.diagonal() > 0.0  # vertices of no triangle take no part
+    used = M.diagonal() > 0.0  # vertices without triangles are left out
     number = np.cumsum(used) - 1
     K, M = K[used][:, used], M[used][:, used]
     solver = splu(csc_matrix(κ**2 * M + K))
     columns = np.zeros((M.shape[0], len(vertices)))
-    for first in range(0, len(vertices), AT_ONCE):
-        some = number[vertices[first : first + AT_ONCE]]
+    for first in range(0, len(vertices), BLOCK):
+        some = number[vertices[first : first + BLOCK]]
         unit = np.zeros((M.shape[0], len(some)))
         unit[some, np.arange(len(some))] = 1.0
-        columns[:, first : first + AT_ONCE] = solver.solve(unit)
+        columns[:, first : first + BLOCK] = solver.solve(unit)
     covariance = columns.T @ (M @ columns)
     scale = 1.0 / np.sqrt(np.diag(covariance))
     return scale[:, None] * covariance * scale
 
 
-def _resolved(surface: Surface, shortest: float) -> Surface:
-    """A mesh of the same surface whose elements resolve a length, mm; the vertices that were there come first."""
+def _fine_mesh(surface: Surface, shortest: float) -> Surface:
+    """A mesh of the same surface whose elements resolve a length, mm; the original vertices come first."""
     points, triangles, normals = surface.points, surface.triangles, None
     edge = float(np.median(surface.edge_lengths))
     while shortest < RESOLVED * edge and 4 * len(triangles) <= LARGEST:
@@ -96,9 +96,9 @@ def _resolved(surface: Surface, shortest: float) -> Surface:
 def _laplacian(surface: Surface, direction, stretch: float):
     """Stiffness and mass (n, n) of the surface's linear triangles, for ``∫∇x·∇y`` and ``∫x y``.
 
-    Of the edges e_i opposite to its corners, a triangle of area A has the stiffness ``e_i·e_j / 4A``, and the mass
-    ``(1 + δ_ij) A/12``. Lumped, the mass would leave three times the error in the correlation. The gradient of the
-    hat of corner i is ``n × e_i / 2A``, so that d adds ``(s² − 1) (d·n×e_i)(d·n×e_j) / 4A``.
+    A triangle of area A with edges e_i opposite to its corners has the stiffness ``e_i·e_j / 4A`` and the mass
+    ``(1 + δ_ij) A/12``. A lumped mass would triple the error of the correlation. The gradient of the shape function of
+    corner i is ``n × e_i / 2A``, so that d adds ``(s² − 1) (d·n×e_i)(d·n×e_j) / 4A``.
     """
     corners, triangles, n = surface.corners, surface.triangles, len(surface.points)
     edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
@@ -107,24 +107,24 @@ def _laplacian(surface: Surface, direction, stretch: float):
         n_t = surface.normals
         d = np.asarray(direction, dtype=float) - (n_t @ np.asarray(direction, dtype=float))[:, None] * n_t
         size = np.linalg.norm(d, axis=1, keepdims=True)
-        d = np.where(size > SQUARE, d / np.maximum(size, SQUARE), 0.0)
+        d = np.where(size > PERPENDICULAR, d / np.maximum(size, PERPENDICULAR), 0.0)
         slope = np.einsum("tc,tic->ti", d, np.cross(n_t[:, None], edges))
         values += (stretch**2 - 1) * slope[:, :, None] * slope[:, None] / (4.0 * surface.areas)[:, None, None]
     rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
     mass = surface.areas[:, None, None] / 12.0 * (1.0 + np.eye(3))
-    return tuple(coo_matrix((each.ravel(), (rows, columns)), shape=(n, n)).tocsr() for each in (values, mass))
+    return tuple(coo_matrix((entries.ravel(), (rows, columns)), shape=(n, n)).tocsr() for entries in (values, mass))
 
 
 def modes_of(correlation: np.ndarray, share: float) -> np.ndarray:
-    """(c, k) principal modes of a correlation matrix, as few as keep a share of the variance of every point.
+    """(c, k) principal modes of a correlation matrix: as few as hold a share of the variance of every point.
 
-    Every point is scaled so that its variance stays 1; ``Φ Φᵀ`` is then the correlation to ``2 (1 − share)``.
+    Every point is scaled to variance 1; ``Φ Φᵀ`` then equals the correlation within ``2 (1 − share)``.
     """
     value, vector = np.linalg.eigh(correlation)
     value, vector = value[::-1].clip(0.0), vector[:, ::-1]
-    found = vector * np.sqrt(value)
-    least = np.cumsum(found**2, axis=1).min(axis=0)
-    kept = min(int(np.searchsorted(least, share)) + 1, len(value))
-    found = found[:, :kept]
-    sign = np.where(found[np.argmax(np.abs(found), axis=0), np.arange(kept)] < 0, -1.0, 1.0)
-    return sign * found / np.linalg.norm(found, axis=1)[:, None]
+    modes = vector * np.sqrt(value)
+    least = np.cumsum(modes**2, axis=1).min(axis=0)
+    count = min(int(np.searchsorted(least, share)) + 1, len(value))
+    modes = modes[:, :count]
+    sign = np.where(modes[np.argmax(np.abs(modes), axis=0), np.arange(count)] < 0, -1.0, 1.0)
+    return sign * modes / np.linalg.norm(modes, axis=1)[:, None]

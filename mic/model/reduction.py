@@ -1,6 +1,6 @@
-"""The reduction of an assembly: all that a Monte Carlo needs, and nothing of the finite elements.
+"""The reduction of an assembly: all data that a Monte Carlo simulation needs, without the finite elements.
 
-It can be saved, carried to a machine without any finite elements, loaded and evaluated there
+It can be saved, carried to a machine without a finite-element package, loaded and evaluated there
 (:class:`mic.process.model.ReducedModel`).
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -19,18 +19,23 @@ from scipy.sparse import csr_matrix
 from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.thickness import Thicknesses
-from mic.model.assembly import Assembly, Between, Contacts
+from mic.model.assembly_types import Assembly, Contacts, GapPoints
 from mic.model.characteristics import Characteristics
 from mic.model.shape import shape_readings
-from mic.model.shape_derivatives import Slopes
-from mic.model.sources import changed, thicker
+from mic.model.shape_derivatives import ShapeDerivatives
+from mic.model.sources import thickness_changes, with_deviations
 from mic.scene import Scene
 from mic.system import files
 from mic.system.matrix_product import one_thread
+from mic.system.memoise import pack, unpack
 
 __all__ = ["Reduction"]
 
-FORMAT = files.Format("reduced model", 7, "build the model again")
+FORMAT = files.Format("reduced model", 8, "build the model again")
+#: Classes in the file of a model.
+CLASSES = (Blocks, Contacts, GapPoints, Thicknesses, ShapeDerivatives)
+#: Attributes that a reduction takes over from its assembly.
+FROM_ASSEMBLY = tuple("scene rows labels contacts between weld_size weld_gap inputs position_gap centres".split())
 
 
 @dataclass(frozen=True)
@@ -41,22 +46,22 @@ class Reduction:
     ----------
     scene : Scene
     compliance : Blocks
-        H and G of the free parts at their retained functionals (equation (2)), F in all.
+        H and G of the free parts at their retained functionals (equation (2)), F in total.
     rows, labels, contacts, between, weld_size, weld_gap
-        As in :class:`mic.model.assembly.Assembly`.
+        As in :class:`mic.model.assembly_types.Assembly`.
     shape : (F, p) array
-        Readings of the deviation of the parts' shapes per unit of each of the scene's p deviations (zero columns for
-        those that give no shape).
+        Readings of the stress-free shape per unit of each of the scene's p deviations (zero columns for deviations
+        that do not change shapes).
     shape_forces : (F, p) array
-        Forces that make these shapes, reactions included, N and N mm.
+        Forces that cause these shapes, reactions included, N and N mm.
     inputs : dict of str to str
-        As in :class:`mic.model.assembly.Assembly`: with the scene, all that the model was made from.
+        Hashes of all input files, as in :class:`mic.model.assembly_types.Assembly`.
     thicknesses : dict of str to Thicknesses
         Compliance of the parts whose thickness varies, by name.
     position_gap, centres
-        As in :class:`mic.model.assembly.Assembly`.
-    slopes : Slopes, optional
-        How compliance and gaps go with the sources, where the stiffness follows each sample's shape.
+        As in :class:`mic.model.assembly_types.Assembly`.
+    slopes : ShapeDerivatives, optional
+        Derivatives of compliance and gaps along the sources, if the stiffness follows each sample's shape.
     """
 
     scene: Scene
@@ -64,7 +69,7 @@ class Reduction:
     rows: dict[str, csr_matrix]
     labels: dict[str, list[str]]
     contacts: Contacts
-    between: Between
+    between: GapPoints
     weld_size: tuple[int, ...]
     weld_gap: np.ndarray
     shape: np.ndarray
@@ -73,18 +78,12 @@ class Reduction:
     thicknesses: Mapping[str, Thicknesses] = field(default_factory=dict)
     position_gap: np.ndarray = field(default_factory=lambda: np.zeros(0))
     centres: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    slopes: Slopes | None = None
+    slopes: ShapeDerivatives | None = None
 
     @classmethod
     @one_thread
     def build(cls, assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> Self:
-        """Put the parts' influence coefficients together.
-
-        Parameters
-        ----------
-        assembly : Assembly
-        influence : dict
-            By part name.
+        """Combine the influence coefficients of the parts, given by name, with an assembly.
 
         Raises
         ------
@@ -101,20 +100,11 @@ class Reduction:
         compliance = Blocks(tuple(one.H for one in own), tuple(one.G for one in own))
         shape, forces = shape_readings(assembly, compliance)
         return cls(
-            assembly.scene,
-            compliance,
-            assembly.rows,
-            assembly.labels,
-            assembly.contacts,
-            assembly.between,
-            assembly.weld_size,
-            assembly.weld_gap,
-            shape,
-            forces,
-            assembly.inputs,
-            {one.part: one.thicknesses for one in own if one.thicknesses is not None},
-            assembly.position_gap,
-            assembly.centres,
+            compliance=compliance,
+            shape=shape,
+            shape_forces=forces,
+            thicknesses={one.part: one.thicknesses for one in own if one.thicknesses is not None},
+            **{name: getattr(assembly, name) for name in FROM_ASSEMBLY},
         )
 
     @property
@@ -124,7 +114,7 @@ class Reduction:
 
     @cached_property
     def characteristics(self) -> Characteristics:
-        """What the scene's measurements make of their readings."""
+        """The key characteristics as functions of their readings."""
         return Characteristics.of(self.scene)
 
     def deviations(self, values: Any) -> np.ndarray:
@@ -142,10 +132,7 @@ class Reduction:
                 raise ValueError(
                     f"deviations: {unknown[0]!r} is not a deviation of this scene; known: {', '.join(self.parameters)}"
                 )
-            row = mean.copy()
-            for name, value in values.items():
-                row[self.parameters.index(name)] = value
-            values = row
+            values = [values.get(name, m) for name, m in zip(self.parameters, mean)]
         array = np.atleast_2d(np.asarray(values, dtype=float))
         if array.ndim != 2 or array.shape[1] != len(mean):
             raise ValueError(
@@ -160,55 +147,48 @@ class Reduction:
             )
         return array
 
-    def changed(self, deviations: np.ndarray) -> Self:
-        """With the contacts, the weights and the compliance that a sample's deviations (p,) make; what shapes give
-        stays.
+    def with_deviations(self, deviations: np.ndarray) -> Self:
+        """The model with the contacts, weights and compliance of a sample's deviations (p,); its shapes stay the same.
 
         Raises
         ------
         ImpossibleSample
         """
-        made = changed(self, deviations)
-        if self.slopes is not None:
-            return self.slopes.followed(made, deviations)  # no thickness varies beside them
-        more = thicker(self.scene, deviations)
+        model = with_deviations(self, deviations)
+        if self.slopes is not None:  # then no thickness varies
+            value = self.slopes.values(deviations, self.parameters)
+            change = value - self.slopes.about
+            if not change.any():
+                return model
+            return replace(
+                model,
+                compliance=self.slopes.compliance(model.compliance, change),
+                contacts=replace(model.contacts, gap=model.contacts.gap + change @ self.slopes.gap),
+                weld_gap=model.weld_gap + change @ self.slopes.weld_gap,
+                slopes=replace(self.slopes, about=value),
+            )
+        more = thickness_changes(self.scene, deviations)
         if not more:
-            return made
+            return model
         blocks = list(zip(self.compliance.H, self.compliance.G))
         for p, part in enumerate(self.scene.parts):
             if part.name in more:
                 blocks[p] = self.thicknesses[part.name].at(part.sheet[0] + more[part.name])
-        return replace(made, compliance=Blocks(tuple(H for H, _ in blocks), tuple(G for _, G in blocks)))
+        return replace(model, compliance=Blocks(tuple(H for H, _ in blocks), tuple(G for _, G in blocks)))
 
     def save(self, path) -> None:
         """Write to one ``.npz`` file."""
-        arrays = {"weld_gap": self.weld_gap, "shape": self.shape, "shape_forces": self.shape_forces}
-        arrays |= {"position_gap": self.position_gap, "centres": self.centres}
-        arrays |= {f"H_{p}": H for p, H in enumerate(self.compliance.H)}
-        arrays |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
-        arrays |= {
-            f"rows_{kind}_{name}": getattr(matrix, name)
-            for kind, matrix in self.rows.items()
-            for name in ("data", "indices", "indptr")
-        }
-        arrays |= {f"contacts_{name}": getattr(self.contacts, name) for name in Contacts.__dataclass_fields__}
-        arrays |= {f"between_{name}": getattr(self.between, name) for name in Between.__dataclass_fields__}
-        for name, one in self.thicknesses.items():
-            p = [part.name for part in self.scene.parts].index(name)
-            arrays |= {f"thicknesses_{p}_{key}": np.asarray(value) for key, value in vars(one).items()}
-        if self.slopes is not None:
-            arrays |= {f"slopes_{name}": array for name, array in self.slopes.arrays().items()}
-        header = {
-            "scene": json.loads(self.scene.model_dump_json()),
-            "labels": self.labels,
-            "weld_size": self.weld_size,
-            "inputs": self.inputs,
-        }
-        files.save_arrays(Path(path), FORMAT, header, arrays)
+        large = {"shape": self.shape, "shape_forces": self.shape_forces}  # stored as arrays of their own
+        large |= {f"H_{p}": H for p, H in enumerate(self.compliance.H)}
+        large |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
+        content = {item.name: getattr(self, item.name) for item in fields(self)}
+        packed, arrays = pack(content, {"scene": self.scene, **large})
+        header = {"scene": json.loads(self.scene.model_dump_json()), "content": packed}
+        files.save_arrays(Path(path), FORMAT, header, large | arrays)
 
     @classmethod
     def load(cls, path) -> Self:
-        """Read what :meth:`save` wrote.
+        """Read a file of :meth:`save`.
 
         Raises
         ------
@@ -216,41 +196,6 @@ class Reduction:
         FormatError
             If the file was written by an incompatible version, is something else, or is damaged.
         """
-        header, data = files.load_arrays(Path(path), FORMAT)
-        parts = range(len(header["scene"]["parts"]))
-        compliance = Blocks(tuple(data[f"H_{p}"] for p in parts), tuple(data[f"G_{p}"] for p in parts))
-        slopes = {name.removeprefix("slopes_"): data[name] for name in data if name.startswith("slopes_")}
-        rows = {
-            kind: csr_matrix(
-                tuple(data[f"rows_{kind}_{name}"] for name in ("data", "indices", "indptr")),
-                shape=(len(labels), compliance.size),
-            )
-            for kind, labels in header["labels"].items()
-        }
-        own: dict[str, Any] = {name: data[f"contacts_{name}"] for name in Contacts.__dataclass_fields__}
-        return cls(
-            Scene(**header["scene"]),
-            compliance,
-            rows,
-            header["labels"],
-            Contacts(**own | {"dimension": int(own["dimension"])}),
-            Between(**{name: data[f"between_{name}"] for name in Between.__dataclass_fields__}),
-            tuple(header["weld_size"]),
-            data["weld_gap"],
-            data["shape"],
-            data["shape_forces"],
-            header["inputs"],
-            {
-                part["name"]: _thicknesses(data, p)
-                for p, part in enumerate(header["scene"]["parts"])
-                if f"thicknesses_{p}_t" in data
-            },
-            data["position_gap"],
-            data["centres"],
-            Slopes.of(slopes, len(parts)) if slopes else None,
-        )
-
-
-def _thicknesses(data: Mapping[str, np.ndarray], p: int) -> Thicknesses:
-    t, low, high, H, G = (data[f"thicknesses_{p}_{key}"] for key in ("t", "low", "high", "H", "G"))
-    return Thicknesses(t, float(low), float(high), H, G)
+        header, arrays = files.load_arrays(Path(path), FORMAT)
+        known = {"scene": Scene(**header["scene"]), **arrays}
+        return cls(**unpack(header["content"], arrays, CLASSES, known))

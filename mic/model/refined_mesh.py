@@ -1,15 +1,15 @@
-"""The mesh that a part is solved on: as it is drawn, its elements divided where they are large for what reads them.
+"""Refines the mesh that a part is solved on: under nuggets and under dense contact candidates.
 
-A fused nugget ties what two sheets move over a disc, up to linear fields. On elements as large as the disc that is
-nearly all that they can do, and whole elements are tied. Elements of half the radius mend that, for some sixty nodes a
-weld; divided further, or farther out, they change little more.
+A fused nugget ties the motion of two sheets over a disc, up to linear fields. On elements as large as the disc these
+are nearly all motions that the elements have, and whole elements are tied. Elements of half the radius remove that
+error, for about sixty more nodes a weld; further refinement changes little.
 
-Candidates for contact that stand much nearer to each other than the nodes do read the same few freedoms: their
-compliance is all but singular, and friction among them takes a thousand times as long to solve. Where candidates are
-denser than so, under clamps above all, elements become as dense.
+Contact candidates that are much closer to each other than the nodes read the same few degrees of freedom: their
+compliance is almost singular, and friction among them takes a thousand times as long to solve. So elements become as
+dense as the candidates, mostly under clamps.
 
-Where contact is looked for, and where everything else stands, is found on the mesh as it is drawn: dividing leaves the
-sheet where it was. What is spread over all of a sheet, its weight, is spread over the elements that are solved.
+Contact pairs and all other positions are found on the mesh as drawn: refinement leaves the surface unchanged. Loads on
+a whole sheet, such as its weight, are spread over the refined elements.
 """
 
 from __future__ import annotations
@@ -23,62 +23,48 @@ from mic.geometry.refinement import divided
 from mic.geometry.surface import Patch, Surface
 from mic.scene import Scene
 
-__all__ = ["resolved"]
+__all__ = ["refined_part"]
 
-NUGGET = 0.5  # of a nugget's radius: elements that it touches are no larger
-CANDIDATES = 1.5  # distances between candidates: elements about these are no larger
+NUGGET = 0.5  # largest element at a nugget, relative to its radius
+CANDIDATES = 1.5  # largest element at candidates, relative to their distance
 
 
-def resolved(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, apart: np.ndarray) -> Part:
-    """The part, its elements divided at the nuggets of fused welds and under dense candidates; itself where they are
-    small enough.
+def refined_part(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, apart: np.ndarray) -> Part:
+    """The part with elements divided at the nuggets of fused welds and under dense candidates.
 
-    A superelement has no elements of its own, and an averaged weld no limit that finer ones would come to.
+    It is the same object if its elements are small enough, or if it is a superelement. Averaged welds need no
+    refinement: their result has no limit for fine elements.
 
     Parameters
     ----------
     part : Part
     scene : Scene
-        Placed on its meshes.
+        With all items placed.
     zone, point : (m,) int array, (m, 3) array
-        Zone of each contact pair, and where it stands, mm.
+        Zone and point, mm, of each contact pair.
     apart : (m,) array
-        How far from its neighbours each was to stand, mm; NaN where a zone states its pairs.
+        Intended distance of each candidate from its neighbours, mm; NaN for pairs that a zone states.
     """
     if part.superelement is not None:
         return part
     welds = [weld for weld in scene.welds if part.name in weld.parts and weld.fused and weld.radius > 0]
-    places = [np.reshape([weld.point for weld in welds], (-1, 3))]
-    reach = [np.array([weld.radius for weld in welds])]
-    size = [NUGGET * reach[0]]
-    touching = np.array([part.name in one.parts for one in scene.zones], dtype=bool)
-    own = np.isfinite(apart) & touching[zone]
-    places.append(point[own])
-    reach.append(apart[own] / 2)
-    size.append(CANDIDATES * apart[own])
-    wanted, surface = np.concatenate(size), part.surface
-    if not len(wanted):
+    radius = np.array([weld.radius for weld in welds])
+    own = np.isfinite(apart) & np.array([part.name in one.parts for one in scene.zones], dtype=bool)[zone]
+    places = np.concatenate([np.reshape([weld.point for weld in welds], (-1, 3)), point[own]])
+    size = np.concatenate([NUGGET * radius, CANDIDATES * apart[own]])
+    if not len(size):
         return part
-    place = surface.project(np.concatenate(places)).point
-    found = divided(surface.points, surface.triangles, surface.corner_normals, place, np.concatenate(reach), wanted)
-    if len(found.triangles) == len(surface.triangles):
+    drawn = part.surface
+    reach = np.concatenate([radius, apart[own] / 2])
+    fine = divided(drawn.points, drawn.triangles, drawn.corner_normals, drawn.project(places).point, reach, size)
+    if len(fine.triangles) == len(drawn.triangles):
         return part
-    rows = part.functionals
-    patches = tuple(Patch(*found.carried(one.triangle, one.barycentric), one.weight) for one in rows.patches)
-    return replace(
-        part,
-        surface=(solved := Surface(found.points, found.triangles, found.normals)),
-        functionals=replace(rows, patches=_spread(rows.patches, patches, surface, solved)),
-    )
+    surface, whole = Surface(fine.points, fine.triangles, fine.normals), drawn.whole()
 
+    def transferred(patch: Patch) -> Patch:
+        if np.array_equal(patch.triangle, whole.triangle) and np.array_equal(patch.weight, whole.weight):
+            return surface.whole()  # a load on the whole sheet
+        return Patch(*fine.carried(patch.triangle, patch.barycentric), patch.weight)
 
-def _spread(
-    before: tuple[Patch, ...], carried: tuple[Patch, ...], drawn: Surface, solved: Surface
-) -> tuple[Patch, ...]:
-    """The carried patches, but for those that read all of the drawn surface, as a weight does: these read all of the
-    divided one, whose every element bears its share."""
-    all_of = drawn.whole()
-    same = [
-        np.array_equal(one.triangle, all_of.triangle) and np.array_equal(one.weight, all_of.weight) for one in before
-    ]
-    return tuple(solved.whole() if everywhere else one for everywhere, one in zip(same, carried))
+    patches = tuple(transferred(patch) for patch in part.functionals.patches)
+    return replace(part, surface=surface, functionals=replace(part.functionals, patches=patches))

@@ -1,9 +1,8 @@
-"""Rows over retained functionals, collected while a scene is put on its meshes.
+"""Collects the rows of an assembly over its retained functionals.
 
 Each locator, clamp, weld, contact pair, corrective force and measurement becomes one or more *rows*: sparse
 combinations of the parts' retained functionals. A joint's row reads *second body minus first*. The reduced model and
-the full finite-element reference both work from these rows, so they mean the same thing on both sides. A row that no
-stage uses and no report asks for is not made.
+the full finite-element reference both use these rows. Rows that no stage and no report needs are left out.
 """
 
 from __future__ import annotations
@@ -20,38 +19,40 @@ from mic.geometry.surface import Patch, Surface
 
 __all__ = ["AXES", "KINDS", "NORMAL", "REACH", "Rows"]
 
-#: What rows stand for; a position's reads by how much another grows as its item moves in the sheet.
+#: Kinds of rows. "between": points between contact pairs; "position": growth of other rows as an item moves.
 KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
 AXES = ("n", "t1", "t2")  #: of a joint's frame
-#: Rows of a weld that read along its normal, by how many it has: of means, with rotations, with moments.
+#: Rows of a weld that read along its normal, by its number of rows: means only, with rotations, with moments.
 NORMAL = {3: (0,), 6: (0, 4, 5), 9: (0, 3, 6)}
-REACH = 5.0  # mm: farther than this from its part, a point of the scene is refused rather than projected
+REACH = 5.0  # mm: a point of the scene farther than this from its part is refused, not projected
 
 
 class _Retained:
     """Collects the functionals of one part."""
 
     def __init__(self):
-        self.patches, self.patch, self.direction, self.rotation, self.side, self.label = [], [], [], [], [], []
+        self.patches: list[Patch] = []
+        self.entries: list[tuple] = []  # patch, direction, rotation, side, label
 
-    def freeze(self) -> Functionals:
+    def functionals(self) -> Functionals:
+        patch, direction, rotation, side, label = zip(*self.entries) if self.entries else ((),) * 5
         return Functionals(
             tuple(self.patches),
-            np.array(self.patch, dtype=np.int64),
-            np.array(self.direction, dtype=float).reshape(-1, 3),
-            np.array(self.rotation, dtype=bool),
-            np.array(self.side, dtype=float),
-            tuple(self.label),
+            np.array(patch, dtype=np.int64),
+            np.array(direction, dtype=float).reshape(-1, 3),
+            np.array(rotation, dtype=bool),
+            np.array(side, dtype=float),
+            tuple(label),
         )
 
 
 class Rows:
-    """The rows of an assembly while they are collected.
+    """The rows of an assembly, collected item by item.
 
     Parameters
     ----------
     surfaces : mapping of str to Surface
-        The parts' surfaces by name, in the order in which their functionals are stacked.
+        The parts' surfaces by name, in the stacking order of their functionals.
     """
 
     def __init__(self, surfaces: Mapping[str, Surface]):
@@ -62,19 +63,15 @@ class Rows:
 
     def patch(self, part: str, patch: Patch) -> int:
         """Retain a patch of a part; returns its number."""
-        own = self._retained[part]
-        own.patches.append(patch)
-        return len(own.patches) - 1
+        patches = self._retained[part].patches
+        patches.append(patch)
+        return len(patches) - 1
 
     def functional(self, part: str, patch: int, direction, label: str, rotation: bool = False, side: float = 0) -> int:
         """Retain a functional on a retained patch; returns its number in the part. Arguments as `Functionals`."""
-        own = self._retained[part]
-        own.patch.append(patch)
-        own.direction.append(np.asarray(direction, dtype=float))
-        own.rotation.append(rotation)
-        own.side.append(side)
-        own.label.append(label)
-        return len(own.patch) - 1
+        entries = self._retained[part].entries
+        entries.append((patch, np.asarray(direction, dtype=float), rotation, side, label))
+        return len(entries) - 1
 
     def add(self, kind: str, label: str, *terms: tuple[str, int, float]) -> None:
         """Add a row: the sum of (part, functional, coefficient)."""
@@ -82,78 +79,78 @@ class Rows:
         self.labels[kind].append(label)
 
     def point(self, kind: str, key: str, item) -> None:
-        """Add the row that reads one part at one point along one direction, over a disc.
+        """Add the row that reads one part at one point along one direction, averaged over a disc.
 
         Parameters
         ----------
         kind : str
         key : str
-            Where the item stands in the scene, for messages.
+            Scene key of the item, for messages.
         item
-            With ``name``, ``part``, ``point``, ``direction``, ``radius`` and ``hole``: with the latter, over the rim of
-            the hole whose centre it is.
+            With ``name``, ``part``, ``point``, ``direction``, ``radius`` and ``hole``; with ``hole``, the centre of a
+            hole, the row is averaged over its rim.
 
         Raises
         ------
         SceneError
             If the point lies off the part.
         """
-        functional = self.functional(item.part, self.place(key, item.name, item), item.direction, f"{kind} {item.name}")
+        functional = self.functional(
+            item.part, self.item_patch(key, item.name, item), item.direction, f"{kind} {item.name}"
+        )
         self.add(kind, item.name, (item.part, functional, 1.0))
 
-    def place(self, key: str, name: str, item) -> int:
-        """Retain the patch where an item of this name reads its part; arguments and errors as :meth:`point`."""
+    def item_patch(self, key: str, name: str, item) -> int:
+        """Retain the patch over which an item reads its part; arguments and errors as :meth:`point`."""
         surface = self.surfaces[item.part]
         if item.hole is not None:
             return self.patch(item.part, _rim(surface, item.hole))
-        self.on_part(key, name, item.point, item.part)
+        self.check_on_part(key, name, item.point, item.part)
         return self.disc(item.part, item.point, item.radius)
 
     def disc(self, part: str, point, radius: float) -> int:
         """Retain the patch of a part within a radius of a point; returns its number."""
         return self.patch(part, self.surfaces[part].patch(point, radius))
 
-    def middle(self, part: str, patch: int) -> np.ndarray:
-        """(3,) the mean point of a retained patch, mm."""
+    def mean_point(self, part: str, patch: int) -> np.ndarray:
+        """(3,) weighted mean point of a retained patch, mm."""
         own = self._retained[part].patches[patch]
         return own.weight @ self.surfaces[part].at(own.triangle, own.barycentric)
 
-    def on_part(self, key: str, name: str, point, part: str) -> None:
-        """Raise :class:`SceneError` for an item whose point lies farther than `REACH` from a part."""
+    def check_on_part(self, key: str, name: str, point, part: str) -> None:
+        """Raise :class:`SceneError` if the point of an item is farther than `REACH` from its part."""
         foot = self.surfaces[part].project(point)
-        distance = float(foot.distance[0])
-        if distance > REACH:
-            nearest = ", ".join(f"{x:.6g}" for x in foot.point[0])
-            raise SceneError(
-                f"{key}.point ({name}): {list(point)} lies {distance:.3g} mm off part {part!r} (at most "
-                f"{REACH} mm is allowed), its nearest point is [{nearest}]; correct the coordinates or the part"
-            )
+        _check_reach(f"{key}.point ({name})", part, list(point), foot.point[0], float(foot.distance[0]))
 
-    def near(self, key: str, name: str, part: str, points: np.ndarray, foot: np.ndarray) -> None:
-        """Raise :class:`SceneError` for the first of several points (n, 3) that lies off its part, its foot beside."""
-        away = np.linalg.norm(points - foot, axis=1)
-        worst = int(np.argmax(away))
-        if away[worst] > REACH:
-            nearest = ", ".join(f"{x:.6g}" for x in foot[worst])
-            raise SceneError(
-                f"{key}.points[{worst}] ({name}): {points[worst].tolist()} lies {away[worst]:.3g} mm off part "
-                f"{part!r} (at most {REACH} mm is allowed), its nearest point is [{nearest}]; correct the "
-                "coordinates or the part"
-            )
+    def check_points_on_part(self, key: str, name: str, part: str, points: np.ndarray, feet: np.ndarray) -> None:
+        """Raise :class:`SceneError` if the farthest of several points (n, 3) is too far from its foot on the part."""
+        distance = np.linalg.norm(points - feet, axis=1)
+        worst = int(np.argmax(distance))
+        at = f"{key}.points[{worst}] ({name})"
+        _check_reach(at, part, points[worst].tolist(), feet[worst], float(distance[worst]))
 
     def functionals(self, part: str) -> Functionals:
-        """What the rows read of a part."""
-        return self._retained[part].freeze()
+        """The retained functionals of a part."""
+        return self._retained[part].functionals()
 
     def matrices(self) -> dict[str, csr_matrix]:
         """The rows of every kind over the stacked functionals of all parts."""
-        lengths = [len(own.patch) for own in self._retained.values()]
+        lengths = [len(own.entries) for own in self._retained.values()]
         start = dict(zip(self._retained, np.concatenate([[0], np.cumsum(lengths)])))
         return {kind: _matrix(terms, start, sum(lengths)) for kind, terms in self._terms.items()}
 
 
+def _check_reach(key: str, part: str, point: list[float], foot: np.ndarray, distance: float) -> None:
+    if distance > REACH:
+        nearest = ", ".join(f"{x:.6g}" for x in foot)
+        raise SceneError(
+            f"{key}: {point} lies {distance:.3g} mm off part {part!r} (at most {REACH} mm is allowed), its nearest "
+            f"point is [{nearest}]; correct the coordinates or the part"
+        )
+
+
 def _rim(surface: Surface, centre) -> Patch:
-    """The rim of the hole that has this centre."""
+    """The rim of the hole with this centre."""
     return min(find_holes(surface), key=lambda hole: float(np.linalg.norm(hole.centre - np.array(centre)))).rim
 
 

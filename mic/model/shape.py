@@ -1,27 +1,27 @@
 """The stress-free shape that each source gives its part, as readings of the retained functionals.
 
-The part is held on a statically determinate choice of the locators that it is set down on, or of these and contacts on
-which it rests, while the source's force f⁰ acts; the deformed shape is then the part's stress-free shape. A deviation
-is measured from there, so it vanishes there:
+The part is held on a statically determinate choice of the locators that it is set down on, or of these and the contacts
+that it rests on, while the source's force f⁰ acts; the deformed shape is then the part's stress-free shape. A deviation
+is measured relative to these datum rows, so it is zero there:
 
-    y⁰ = H_s f⁰,        with H_s supported on these datum rows.                                        (1)
+    y⁰ = H_s f⁰,        with H_s supported on the datum rows.                                          (1)
 
-Where the shape is known at points, ``v`` mm each, and the force is not, the sheet takes the shape of least bending
-energy through them: with the compliance C = R H_s Rᵀ and the rigid readings G_R = R G of the rows R that read it there,
+If the shape is known at points, ``v`` mm each, instead of the force, the sheet takes the shape of least bending energy
+through them: with the compliance C = R H_s Rᵀ and the rigid readings G_R = R G of the rows R that read it there,
 
     f⁰ = Rᵀ f,        (C + λ W) f + G_R q = v,        G_Rᵀ f = 0,                                       (2)
 
-with any position q of the part if it was measured loose, without q and the last line if it was set down. It is a
-smoothing spline of the sheet's own stiffness, so that nothing is carried across a fold that the sheet does not carry.
-λ = 0 passes through the values. Where they are uncertain by σ_i, ``W = diag σ_i²``, what is found is ``A_λ v``, and
-λ is the one of least expected error, by its unbiased estimate ``Σ_i (v − A_λ v)_i²/σ_i² + 2 tr A_λ`` (Craven, Wahba),
-for each shape its own.
+with any position q for a part that was measured loose, without q and the last line for one that was set down. It is a
+smoothing spline with the sheet's own stiffness: it carries nothing across a fold that the sheet does not carry. λ = 0
+passes through the values. For values with uncertainties σ_i, ``W = diag σ_i²``, the shape at the points is ``A_λ v``,
+and λ minimises the unbiased estimate of the expected error, ``Σ_i (v − A_λ v)_i²/σ_i² + 2 tr A_λ`` (Craven, Wahba), for
+each shape separately.
 
-A part that has grown by the strain ε in all directions, as a warmer one has, is free of stress, too: ``y⁰`` reads the
-displacement ``ε x``, less the rigid motion that the datum rows would read of it, and f⁰ = 0.
+A part expanded by the isotropic strain ε, such as a warmer one, is also free of stress: ``y⁰`` reads the displacement
+``ε x``, less the rigid motion that the datum rows would read of it, and f⁰ = 0.
 
-A sheet that is thicker by τ has its faces, of which contacts, welds and the points between contacts read, τ/2 farther
-out, or τ and nothing where one of them stays: y⁰ reads that, and nothing at all else, and f⁰ = 0.
+A sheet that is thicker by τ has its faces, which contacts, welds and the points between contacts read, τ/2 farther
+out, or one of them τ farther out if the other stays: y⁰ reads only this motion, and f⁰ = 0.
 
 References
 ----------
@@ -39,28 +39,28 @@ from scipy.sparse import csr_matrix, identity, vstack
 
 from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
-from mic.compliance.support import completing, independent, motion_size, statically_determinate
+from mic.compliance.support import completing_rows, independent_rows, motion_size, statically_determinate
 from mic.errors import FreeMotion, SceneError
-from mic.model.sources import Control, sources
+from mic.model.sources import KnownShape, sources
 from mic.scene.stages import set_down_in
 
 __all__ = ["controlling_forces", "datum_rows", "known_shapes", "shape_readings"]
 
-SOFT, TRIALS = 1e-4, 400  # where λ is looked for, beyond the least and the largest compliance; steps of a few per cent
-UNBENT = 1e-10  # of the largest compliance: a force that bends the part less than that shapes nothing
+SOFT, TRIALS = 1e-4, 400  # λ is sought from SOFT · least to largest compliance / SOFT, in steps of a few per cent
+UNBENT = 1e-10  # relative to the largest compliance: a force that bends the part less shapes nothing
 
 
 def datum_rows(assembly, p: int, G: np.ndarray) -> csr_matrix:
-    """(6, F_p) rows that part p's shape is measured from: locators, six that hold it, of those it is set down on.
+    """(6, F_p) datum rows of part p: six of the locators that it is set down on, chosen to hold it.
 
-    Of a part that these leave free, rows of its contacts complete them: it is measured from where it rests.
+    If these leave motions free, rows of the part's contacts complete them.
 
     Parameters
     ----------
-    assembly : mic.model.assembly.Assembly
+    assembly : mic.model.assembly_types.Assembly
     p : int
     G : (F_p, 6) array
-        What the part's functionals read of its rigid motions.
+        Readings of the part's functionals under its rigid motions.
 
     Raises
     ------
@@ -76,45 +76,44 @@ def datum_rows(assembly, p: int, G: np.ndarray) -> csr_matrix:
         return locators[statically_determinate(locators @ G, size)]
     except FreeMotion:
         contacts = assembly.rows["contact"][:, functionals]
-        locators = locators[independent(locators @ G, size)]
-        return vstack([locators, contacts[completing(locators @ G, contacts @ G, size)]], format="csr")
+        locators = locators[independent_rows(locators @ G, size)]
+        return vstack([locators, contacts[completing_rows(locators @ G, contacts @ G, size)]], format="csr")
 
 
-def known_shapes(assembly) -> Iterator[tuple[list[int], list[Control]]]:
-    """The deviations whose shape is known at points, those that share their rows together: their numbers, and what is
-    known of each."""
-    shared: dict[tuple, tuple[list[int], list[Control]]] = {}
+def known_shapes(assembly) -> Iterator[tuple[list[int], list[KnownShape]]]:
+    """Deviations with known shapes, grouped by common rows: their numbers, and the known shapes."""
+    groups: dict[tuple, tuple[list[int], list[KnownShape]]] = {}
     for j, source in enumerate(sources(assembly.scene)):
-        control = source.control(assembly.labels, assembly.rows)
-        if control is not None:
-            columns, controls = shared.setdefault((*control.rows.indices, control.loose), ([], []))
-            columns.append(j)
-            controls.append(control)
-    yield from shared.values()
+        known = source.known_shape(assembly.labels, assembly.rows)
+        if known is not None:
+            numbers, shapes = groups.setdefault((*known.rows.indices, known.loose), ([], []))
+            numbers.append(j)
+            shapes.append(known)
+    yield from groups.values()
 
 
-def controlling_forces(C: np.ndarray, G: np.ndarray, controls: Sequence[Control], name: str) -> np.ndarray:
-    """Forces (c, q) on the rows that give a part the q shapes that are known there: f of equation (2).
+def controlling_forces(C: np.ndarray, G: np.ndarray, shapes: Sequence[KnownShape], name: str) -> np.ndarray:
+    """Forces (c, q) on the rows that give a part q known shapes: f of equation (2).
 
     Parameters
     ----------
     C : (c, c) array
         Compliance of the rows while the datum rows hold, mm/N.
     G : (c, 6) array
-        What they read of the part's rigid motions.
-    controls : sequence of Control
+        Readings of the rows under the part's rigid motions.
+    shapes : sequence of KnownShape
         With the same rows.
     name : str
-        What they belong to, for messages.
+        Scene key, for messages.
 
     Raises
     ------
     SceneError
-        If two points are one, or a point stands where the part is held.
+        If two points coincide, or a point coincides with a locator that holds the part.
     """
-    V = np.array([control.value for control in controls]).T
-    loose = controls[0].loose
-    variance = sum(control.noise**2 for control in controls)
+    V = np.array([known.value for known in shapes]).T
+    loose = shapes[0].loose
+    variance = sum(known.noise**2 for known in shapes)
     noisy = bool(np.any(variance))
     weight = np.sqrt(variance / np.mean(variance)) if noisy else np.ones(len(C))  # W^½
     C, G, V = C / np.outer(weight, weight), G / weight[:, None], V / weight[:, None]  # for W^½ f
@@ -125,68 +124,69 @@ def controlling_forces(C: np.ndarray, G: np.ndarray, controls: Sequence[Control]
         raise SceneError(
             f"{name}: points[{place}] coincides with another point"
             + (", or with a locator" * (not loose))
-            + ", where the shape cannot be another; move it, or remove it"
+            + ", where the shape is already given; move it, or remove it"
         )
     amplitude = modes.T @ N.T @ V
-    λ = np.zeros(len(controls))
+    λ = np.zeros(len(shapes))
     if noisy:
-        σ2 = np.array([np.mean(control.noise**2) for control in controls])
+        σ2 = np.array([np.mean(known.noise**2) for known in shapes])
         trial = np.geomspace(SOFT * stiff[0], stiff[-1] / SOFT, TRIALS)
-        missed = (trial / (stiff[:, None] + trial)) ** 2
-        followed = stiff[:, None] / (stiff[:, None] + trial)
-        risk = (amplitude**2).T @ missed + 2 * np.outer(σ2, followed.sum(axis=0))
+        residual = (trial / (stiff[:, None] + trial)) ** 2
+        trace = stiff[:, None] / (stiff[:, None] + trial)
+        risk = (amplitude**2).T @ residual + 2 * np.outer(σ2, trace.sum(axis=0))
         λ = trial[np.argmin(risk, axis=1)]
     return N @ modes @ (amplitude / (stiff[:, None] + λ)) / weight[:, None]
 
 
 def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray]:
-    """Readings y⁰ (F, p), and the forces f⁰ with their reactions (F, p), of a unit of each of the scene's p deviations.
+    """Readings y⁰ (F, p), and forces f⁰ with their reactions (F, p), per unit of each of the scene's p deviations.
 
-    Columns of sources that give no shape are zero.
+    Columns of sources that do not change shapes are zero.
 
     Raises
     ------
     SceneError
         As :func:`controlling_forces`.
     """
-    F, made = compliance.size, sources(assembly.scene)
-    shape, forces = np.zeros((F, len(made))), np.zeros((F, len(made)))
+    F, of_scene = compliance.size, sources(assembly.scene)
+    shape, forces = np.zeros((F, len(of_scene))), np.zeros((F, len(of_scene)))
+    number = {part.name: p for p, part in enumerate(assembly.parts)}
 
-    def take(load: csr_matrix, p: int):
-        """What part p reads of loads (l, F), held on its datum rows, (F_p, l), and the reactions with them (F_p, l)."""
+    def response(load: csr_matrix, p: int):
+        """Readings (F_p, l) of part p under loads (l, F), held on its datum rows, and the loads with reactions."""
         own, part = compliance.functionals[p], compliance.part(p)
         datum = datum_rows(assembly, p, compliance.G[p])
         none = csr_matrix((0, part.size))
-        response = eliminate(part, datum, none, load[:, own], identity(part.size, format="csr"))
-        return response.L_out, load[:, own].T.toarray() + datum.T @ response.reaction_L
+        held = eliminate(part, datum, none, load[:, own], identity(part.size, format="csr"))
+        return held.L_out, load[:, own].T.toarray() + datum.T @ held.reaction_L
 
-    for j, source in enumerate(made):
+    for j, source in enumerate(of_scene):
         load = source.load(assembly.labels, assembly.rows)
-        for p in () if load is None else _parts(load, compliance):
+        for p in () if load is None else _loaded_parts(load, compliance):
             own = compliance.functionals[p]
-            reading, force = take(load, p)
+            reading, force = response(load, p)
             shape[own, j], forces[own, j] = reading[:, 0], force[:, 0]
         for name, skin in source.thickening().items():
-            p = [part.name for part in assembly.parts].index(name)
-            shape[compliance.functionals[p], j] = thickening(assembly, p, skin)
+            shape[compliance.functionals[number[name]], j] = thickening(assembly, number[name], skin)
         for name, strain in source.expansion().items():
-            p = [part.name for part in assembly.parts].index(name)
+            p = number[name]
             own, G = compliance.functionals[p], compliance.G[p]
-            grown, datum = strain * dilation(assembly.parts[p]), datum_rows(assembly, p, G)
-            shape[own, j] += grown - G @ np.linalg.solve(datum @ G, datum @ grown)
-    for columns, controls in known_shapes(assembly):
-        (p,), R = _parts(controls[0].rows, compliance), controls[0].rows
+            expanded, datum = strain * dilation(assembly.parts[p]), datum_rows(assembly, p, G)
+            shape[own, j] += expanded - G @ np.linalg.solve(datum @ G, datum @ expanded)
+    for columns, shapes in known_shapes(assembly):
+        R = shapes[0].rows
+        (p,) = _loaded_parts(R, compliance)
         own = compliance.functionals[p]
-        reading, force = take(R, p)
+        reading, force = response(R, p)
         name = f"deviations[{columns[0]}] ({assembly.scene.deviations[columns[0]].name})"
-        f = controlling_forces(R[:, own] @ reading, R[:, own] @ compliance.G[p], controls, name)
+        f = controlling_forces(R[:, own] @ reading, R[:, own] @ compliance.G[p], shapes, name)
         shape[np.arange(F)[own, None], columns] = reading @ f
         forces[np.arange(F)[own, None], columns] = force @ f
     return shape, forces
 
 
 def dilation(part) -> np.ndarray:
-    """(F_p,) what a part's functionals read of the displacement ``u = x``, mm; the thickness stays as it is.
+    """(F_p,) readings of a part's functionals under the displacement ``u = x``, mm, with constant thickness.
 
     Parameters
     ----------
@@ -198,17 +198,17 @@ def dilation(part) -> np.ndarray:
 
 
 def thickening(assembly, p: int, skin: int) -> np.ndarray:
-    """(F_p,) how far the faces that part p's functionals read move along them where it is 1 mm thicker, mm.
+    """(F_p,) motion of the faces that part p's functionals read, along their directions, per mm of thickness, mm.
 
     A joint's normal points from its first body to its second: its row reads the face of the first with −1, and towards
     the second.
 
     Parameters
     ----------
-    assembly : mic.model.assembly.Assembly
+    assembly : mic.model.assembly_types.Assembly
     p : int
     skin : int
-        Which face stays: 1 that on the side of the mesh's normals, -1 the other, 0 neither but the middle.
+        The face that stays: 1 on the side of the mesh's normals, -1 on the other, 0 the mid-surface.
     """
     part, own = assembly.parts[p], slice(assembly.offsets[p], assembly.offsets[p + 1])
     first = np.cumsum([0, *assembly.weld_size])[: len(assembly.weld_size)]
@@ -223,11 +223,11 @@ def thickening(assembly, p: int, skin: int) -> np.ndarray:
         for i, share in zip(entries.col, entries.data):
             patch = part.functionals.patches[part.functionals.patch[i]]
             normal = np.abs(patch.weight) @ part.surface.normals[patch.triangle]
-            side = -share * np.sign(normal @ part.functionals.direction[i])  # of the face, among the mesh's normals
+            side = -share * np.sign(normal @ part.functionals.direction[i])  # of the face, relative to the normals
             moved[i] = -share * 0.5 * (1.0 - skin * side)
     return moved
 
 
-def _parts(load: csr_matrix, compliance: Blocks) -> np.ndarray:
-    """The parts that a load acts on."""
+def _loaded_parts(load: csr_matrix, compliance: Blocks) -> np.ndarray:
+    """Numbers of the parts that a load acts on."""
     return np.unique(np.searchsorted(compliance.offsets, load.indices, side="right") - 1)

@@ -1,17 +1,17 @@
-"""Measured shapes and random fields of a scene, written out as deviations of kind ``shape``.
+"""Expands measured shapes and random fields of a scene into deviations of kind ``shape``.
 
-Of n measured pieces with the deviations ``d_i`` (c,) at common points, the mean and the principal modes
-(``D = [d_i − mean]/√(n−1) = U Σ Wᵀ``) are
+n measured pieces with deviations ``d_i`` (c,) at common points have the mean and the principal modes
+(``D = [d_i − mean]/√(n−1) = U Σ Wᵀ``)
 
     d = mean + Σ_k a_k φ_k,        φ_k = σ_k u_k,        a_k of mean 0 and standard deviation 1,
 
-and piece i has ``a_k = √(n−1) w_ik``. As few modes are kept as hold a share of the variance.
+and piece i has ``a_k = √(n−1) w_ik``. As few modes are kept as hold a given share of the variance.
 
-Where the noise of a measured point is known, pieces are first freed of what is no more than noise. Of the pieces as
-they are, mean and all, in units of the noise, noise alone has no singular value beyond ``√c + √n``; what lies below is
-left out. The mean is the largest of all shapes, and what the modes have of it is told apart from noise by that. What
-remains is ``Z Wᵀ``, each column of Z with the noise of one measured piece, so that the mean has ``|Wᵀ1/n|`` times that,
-and mode k ``|B w_k|`` times, with ``B = [W − mean]ᵀ/√(n−1)``.
+If the noise of a measured point is known, it is first removed from the pieces. In units of the noise, the pieces
+including their mean have no singular value beyond ``√c + √n`` from noise alone; components with smaller ones are left
+out. (The mean is the largest of all shapes, and its contribution to the modes is separated from noise this way.) The
+rest is ``Z Wᵀ``, each column of Z with the noise of one measured piece, so that the mean has ``|Wᵀ1/n|`` times that
+noise, and mode k ``|B w_k|`` times, with ``B = [W − mean]ᵀ/√(n−1)``.
 
 References
 ----------
@@ -40,86 +40,87 @@ from mic.scene.checks import entry
 from mic.scene.deviation import FieldDeviation, MeasuredDeviation, ShapeDeviation
 from mic.system.files import fingerprint
 
-__all__ = ["MODES", "Written", "write_modes"]
+__all__ = ["EXPANDED", "ExpandedScene", "expand_modes"]
 
-#: Kinds of deviations that are written out.
-MODES = ("measured", "field")
+#: Kinds of deviations that are expanded.
+EXPANDED = ("measured", "field")
 
-MOST = 400  # points at which a shape is taken: each is one more load case of the part
-USUAL = 200  # of them, where the scene leaves it open
-SPREAD = 0.5  # of them on a square of their spacing, about
+MOST = 400  # points of a shape: each is one more load case of the part
+USUAL = 200  # default number of points
+SPREAD = 0.5  # points per square of their spacing, approximately
 PER_LENGTH = 3.0  # points within a correlation length
-PER_EDGE = 4.0  # lengths of edges within a correlation length, at least
-ABOUT = 0.75  # spacings from a point within which measured ones are fitted
-FEW = 6  # measured points to which a plane is fitted
-TOLD = 3  # files at fault that are told one by one
-AMONG = 24.0  # measured points about one, where they are sparse: at an edge half of them, of some pieces fewer
-COVERED = 0.5  # of the points of a part must have measured ones about them
-NORMAL = 0.01  # probability below which scores are said not to be normal
-LONGEST = 50  # letters of a name to which the number of a mode is added
+PER_EDGE = 4.0  # edge lengths within a correlation length, at least
+ABOUT = 0.75  # radius about a point within which measured points are fitted, in spacings
+FEW = 6  # least number of measured points for a plane
+REPORTED = 3  # faulty files that are reported individually
+AMONG = 24.0  # intended number of sparse measured points about a point: half of them at an edge, some pieces fewer
+COVERED = 0.5  # least share of a part's points with measured points about them
+NORMAL = 0.01  # probability below which scores are reported as not normal
+LONGEST = 50  # letters of a name to which the number of a mode is appended
 
 
 @dataclass(frozen=True)
-class Written:
-    """A scene with its measured shapes and fields written out.
+class ExpandedScene:
+    """A scene with its measured shapes and fields expanded into modes.
 
     Attributes
     ----------
     scene : Scene
     inputs : dict of str to str
         Hashes of the files that were read, by name.
-    sentences : tuple of str
-        What was found.
+    messages : tuple of str
+        One summary for each expanded deviation.
     """
 
     scene: Scene
     inputs: dict[str, str | None]
-    sentences: tuple[str, ...]
+    messages: tuple[str, ...]
 
 
-def write_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]) -> Written:
-    """Write out the measured shapes and the random fields of a scene; one that has none is returned as it is.
+def expand_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]) -> ExpandedScene:
+    """Expand the measured shapes and random fields of a scene; a scene without any is returned as it is.
 
     Parameters
     ----------
     scene : Scene
-        Its mesh files filled in, so that thicknesses are known.
+        With values from the mesh files filled in, so that thicknesses are known.
     surfaces, decks : mapping
         Of the parts, by name.
 
     Raises
     ------
     SceneError
-        A line for each deviation at fault, with the remedy.
+        With one line for each wrong deviation, and the remedy.
     """
-    written: list[Any] = []
-    sentences: list[str] = []
+    expanded: list[Any] = []
+    messages: list[str] = []
     inputs: dict[str, str | None] = {}
     problems = Problems()
     for i, item in enumerate(scene.deviations):
-        made: list[Any] = [item]
-        if isinstance(item, MeasuredDeviation | FieldDeviation):
-            at = entry("deviations", i, item)
-            with problems:
-                if len(item.name) > LONGEST:
-                    raise SceneError(f"{at}: name: it is too long to number its modes; shorten it to {LONGEST} letters")
-                surface = surfaces[item.part]
-                if isinstance(item, FieldDeviation):
-                    made, said = _field(at, item, surface)
-                else:
-                    thickness = next(part.thickness for part in scene.parts if part.name == item.part)
-                    made, said, read = _measured(at, item, scene.folder, surface, decks[item.part], thickness)
-                    inputs |= read
-                sentences.append(said)
-        written += made
+        if not isinstance(item, MeasuredDeviation | FieldDeviation):
+            expanded.append(item)
+            continue
+        at = entry("deviations", i, item)
+        with problems:
+            if len(item.name) > LONGEST:
+                raise SceneError(f"{at}: name: it is too long to number its modes; shorten it to {LONGEST} letters")
+            if isinstance(item, FieldDeviation):
+                modes, message = _field(at, item, surfaces[item.part])
+            else:
+                thickness = next(part.thickness for part in scene.parts if part.name == item.part)
+                pieces = _pieces(at, item, scene.folder, surfaces[item.part], decks[item.part], thickness)
+                inputs |= {f"{item.name}: {file.name}": fingerprint(file.read_bytes()) for file in pieces}
+                modes, message = _measured(at, item, surfaces[item.part], pieces)
+            expanded += modes
+            messages.append(message)
     problems.tell()
-    if not sentences:
-        return Written(scene, {}, ())
-    return Written(scene.model_copy(update={"deviations": written}), inputs, tuple(sentences))
+    if not messages:
+        return ExpandedScene(scene, {}, ())
+    return ExpandedScene(scene.model_copy(update={"deviations": expanded}), inputs, tuple(messages))
 
 
 def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeDeviation], str]:
-    """The modes of a random field."""
+    """The modes of a random field, and a summary."""
     shortest = item.length * min(1.0, item.stretch)
     spacing, edge = shortest / PER_LENGTH, float(np.median(surface.edge_lengths))
     if shortest < PER_EDGE * edge:
@@ -139,7 +140,7 @@ def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeD
         if SPREAD * surface.areas.sum() / spacing**2 > MOST:
             least = PER_LENGTH * np.sqrt(SPREAD * surface.areas.sum() / MOST)
             raise SceneError(
-                f"{at}: length: {item.length:g} mm takes more than {MOST} points on part {item.part!r}; "
+                f"{at}: length: {item.length:g} mm needs more than {MOST} points on part {item.part!r}; "
                 f"give {least:.2g} mm or more"
             )
         vertices = spread(surface, spacing)
@@ -147,42 +148,55 @@ def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeD
     R = correlation(surface, vertices, item.length, item.direction, item.stretch)
     amplitude = item.sigma * (np.ones(len(points)) if item.values is None else np.array(item.values))
     Φ = amplitude[:, None] * modes_of(R, item.share)
-    at_points = _rounded(points)
-    common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": at_points, "loose": loose}
+    common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": _rounded(points), "loose": loose}
     common |= {"distribution": item.distribution, "parameters": item.parameters, "sigma": 1.0, "batch": item.name}
-    made = [ShapeDeviation(name=f"{item.name}.{k + 1}", values=_rounded(φ), **common) for k, φ in enumerate(Φ.T)]
-    return made, f"{at}: {len(made)} modes at {len(points)} points keep {100 * item.share:g} % of the variance at each"
+    modes = [ShapeDeviation(name=f"{item.name}.{k + 1}", values=_rounded(φ), **common) for k, φ in enumerate(Φ.T)]
+    summary = f"{len(modes)} modes at {len(points)} points keep {100 * item.share:g} % of the variance at each"
+    return modes, f"{at}: {summary}"
 
 
-def _measured(
+def _pieces(
     at: str, item: MeasuredDeviation, folder: Path, surface: Surface, deck: Deck | None, thickness: float | None
-) -> tuple[list[ShapeDeviation], str, dict[str, str | None]]:
-    """The mean shape of measured pieces, and the modes about it."""
-    files = _files(at, item.files, folder)
-    problems, pieces = Problems(), []
-    inputs: dict[str, str | None] = {}
-    for file in files:
+) -> dict[Path, Deviations]:
+    """The measured pieces by file."""
+    problems = Problems()
+    pieces: dict[Path, Deviations] = {}
+    same: dict[bytes, Path] = {}
+    skin = 0.5 * item.skin * (thickness or 0.0)
+    for file in _files(at, item.files, folder):
         with problems:
             try:
                 cloud = read_cloud(file, item.unit, surface, deck)
-                skin = 0.5 * item.skin * (thickness or 0.0)
-                pieces.append(deviations(file, cloud, surface, skin, item.align, item.within, item.unit))
+                pieces[file] = deviations(file, cloud, surface, skin, item.align, item.within, item.unit)
             except FormatError as problem:
                 raise SceneError(f"{at}: files: {problem}") from problem
-            inputs[f"{item.name}: {file.name}"] = fingerprint(file.read_bytes())
-    _tell_first(at, problems)
-    _refuse_alike(at, files, pieces)
-    points, values, share_of_noise = _common(at, item, surface, pieces)
-    n = len(pieces)
+    more = len(problems.lines) - REPORTED
+    if more > 0:  # a folder in another unit is one mistake
+        problems.lines[REPORTED:] = [f"{at}: files: {more} more files have errors; correct these first"]
+    problems.tell()
+    for file, piece in pieces.items():
+        first = same.setdefault(piece.points.tobytes() + piece.value.tobytes(), file)
+        if first is not file:
+            raise SceneError(f"{at}: files: {file.name} and {first.name} have the same content; remove one of them")
+    return pieces
+
+
+def _measured(
+    at: str, item: MeasuredDeviation, surface: Surface, by_file: Mapping[Path, Deviations]
+) -> tuple[list[ShapeDeviation], str]:
+    """The mean shape of measured pieces and the modes about it, and a summary."""
+    pieces, n = list(by_file.values()), len(by_file)
+    points, values, share_of_noise = _common_points(at, item, surface, pieces)
     noise = item.noise * share_of_noise
-    Z, W, rest = _beyond_noise(values, noise) if n > 1 and item.noise and not item.pieces else (values, None, 0.0)
+    Z, W, scatter = _without_noise(values, noise) if n > 1 and item.noise and not item.pieces else (values, None, 0.0)
     mean = values.mean(axis=1) if W is None else Z @ W.mean(axis=0)
-    of_mean = 1 / np.sqrt(n) if W is None else float(np.linalg.norm(W.mean(axis=0)))
+    noise_of_mean = 1 / np.sqrt(n) if W is None else float(np.linalg.norm(W.mean(axis=0)))
     common: dict[str, Any] = {"kind": "shape", "part": item.part, "points": _rounded(points), "loose": True}
-    middle = {"mean": item.mean, "sigma": 0.0, "noise": _noise(noise * of_mean), "values": _rounded(mean)}
-    said = f"{at}: {n} pieces at {len(points)} points, off by {np.abs(values).max():.3g} mm at most{_fitted(pieces)}"
+    mean_keys = {"mean": item.mean, "sigma": 0.0, "noise": _noise(noise * noise_of_mean), "values": _rounded(mean)}
+    message = f"{at}: {n} piece{'s' * (n > 1)} at {len(points)} points, off by {np.abs(values).max():.3g} mm at most"
+    message += _fit_summary(pieces)
     if n == 1:
-        return [ShapeDeviation(name=item.name, **common, **middle)], said.replace("1 pieces", "1 piece"), inputs
+        return [ShapeDeviation(name=item.name, **common, **mean_keys)], message
     common["batch"] = item.name
     centred = values - mean[:, None] if W is None else Z @ (W - W.mean(axis=0)).T
     U, Σ, Wt = np.linalg.svd(centred / np.sqrt(n - 1), full_matrices=False)
@@ -190,28 +204,30 @@ def _measured(
     if variance[-1] == 0.0:
         raise SceneError(f"{at}: files: the {n} pieces are all alike; give one, or pieces that differ")
     share = (1.0 if item.pieces else item.share) * (1 - 1e-12)
-    kept = min(int(np.searchsorted(variance, share * variance[-1])) + 1, n - 1)
-    scores = np.sqrt(n - 1) * Wt[:kept].T
-    stems = [file.stem for file in files]
-    names = stems if len(set(stems)) == n else [file.name for file in files]
-    of_mode = np.full(kept, 1 / np.sqrt(n - 1))
+    count = min(int(np.searchsorted(variance, share * variance[-1])) + 1, n - 1)
+    scores = np.sqrt(n - 1) * Wt[:count].T
+    noise_of_mode = np.full(count, 1 / np.sqrt(n - 1))
     if W is not None:
-        of_mode = np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:kept].T, axis=0) / np.sqrt(n - 1)
-    made = [ShapeDeviation(name=f"{item.name}.mean", **common, **middle)] if item.mean else []
-    for k in range(kept if item.sigma else 0):
-        drawn = {"distribution": item.distribution, "parameters": item.parameters}
-        how = {"scores": _rounded(scores[:, k]), "pieces": names} if item.pieces else drawn
-        name, own = f"{item.name}.{k + 1}", _rounded(Σ[k] * U[:, k])
-        uncertain = {"sigma": item.sigma, "noise": _noise(noise * of_mode[k])}
-        made.append(ShapeDeviation(name=name, values=own, **common, **uncertain, **how))
-    said += f"; {kept} modes keep {100 * variance[kept - 1] / variance[-1]:.3g} % of the variance"
+        noise_of_mode = np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:count].T, axis=0) / np.sqrt(n - 1)
+    stems = [file.stem for file in by_file]
+    names = stems if len(set(stems)) == n else [file.name for file in by_file]
+    modes = [ShapeDeviation(name=f"{item.name}.mean", **common, **mean_keys)] if item.mean else []
+    for k in range(count if item.sigma else 0):
+        keys: dict[str, Any] = {"sigma": item.sigma, "noise": _noise(noise * noise_of_mode[k])}
+        keys["values"] = _rounded(Σ[k] * U[:, k])
+        if item.pieces:
+            keys |= {"scores": _rounded(scores[:, k]), "pieces": names}
+        else:
+            keys |= {"distribution": item.distribution, "parameters": item.parameters}
+        modes.append(ShapeDeviation(name=f"{item.name}.{k + 1}", **common, **keys))
+    message += f"; {count} modes keep {100 * variance[count - 1] / variance[-1]:.3g} % of the variance"
     if W is not None:
-        said += f", what is left scatters by {rest:.2g} mm at a point and is taken for noise"
-    return made, said + ("" if item.pieces else _not_normal(item, scores)), inputs
+        message += f", the residual scatters by {scatter:.2g} mm at a point and is treated as noise"
+    return modes, message + ("" if item.pieces else _not_normal(item, scores))
 
 
-def _beyond_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """What of pieces (c, n) noise cannot be, ``Z Wᵀ`` with Z (c, r) and W (n, r), and how far they scatter about it.
+def _without_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Components of pieces (c, n) beyond noise, ``Z Wᵀ`` with Z (c, r) and W (n, r), and the scatter about them.
 
     Parameters
     ----------
@@ -228,41 +244,22 @@ def _beyond_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _files(at: str, pattern: str, folder: Path) -> list[Path]:
-    """The files that a name or a pattern stands for, in the order of their names."""
-    path = Path(pattern)
-    base, relative = folder, pattern
-    if path.is_absolute():
-        base, relative = Path(path.anchor), str(path.relative_to(path.anchor))
-    if (base / relative).is_dir():
-        relative = str(Path(relative) / "*")
+    """The files of a name or a pattern, sorted by name."""
+    path = folder / pattern
+    if path.is_dir():
+        path = path / "*"
+    base = Path(path.anchor) if Path(pattern).is_absolute() else folder
     try:
-        found = sorted(file for file in base.glob(relative) if file.is_file() and not file.name.startswith("."))
+        matches = base.glob(str(path.relative_to(base)))
+        files = sorted(file for file in matches if file.is_file() and not file.name.startswith("."))
     except (ValueError, NotImplementedError) as problem:
         raise SceneError(f"{at}: files: {pattern!r} is no pattern of files ({problem}); correct it") from None
-    if not found:
+    if not files:
         raise SceneError(f"{at}: files: there is no file {pattern!r} in {folder}; correct the name or the pattern")
-    return found
+    return files
 
 
-def _tell_first(at: str, problems: Problems) -> None:
-    """The first files at fault, and how many there are: a folder of another unit is one mistake."""
-    more = len(problems.lines) - TOLD
-    if more > 0:
-        problems.lines[TOLD:] = [f"{at}: files: {more} more files are at fault; correct these first"]
-    problems.tell()
-
-
-def _refuse_alike(at: str, files: list[Path], pieces: list[Deviations]) -> None:
-    """Two files with the same points and values are one piece that stands there twice."""
-    seen: dict[bytes, Path] = {}
-    for file, piece in zip(files, pieces):
-        content = piece.points.tobytes() + piece.value.tobytes()
-        if content in seen:
-            raise SceneError(f"{at}: files: {file.name} holds what {seen[content].name} holds; remove one of them")
-        seen[content] = file
-
-
-def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviations]):
+def _common_points(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviations]):
     """Points (c, 3) common to all pieces, values (c, n), and the share (c,) of a measured point's noise in them."""
     first = pieces[0]
     same = all(
@@ -272,8 +269,8 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
     if item.spacing is None and same and len(first.points) <= MOST:
         if len(first.points) <= 6:
             raise SceneError(
-                f"{at}: files: {len(first.points)} measured points do not tell a shape: fewer than seven are met by "
-                "moving the part as it is; measure more"
+                f"{at}: files: {len(first.points)} measured points do not determine a shape: a rigid motion of the "
+                "part fits fewer than seven; measure more"
             )
         sure = np.logical_and.reduce([piece.sure for piece in pieces])
         sure |= sure.sum() <= 6
@@ -282,15 +279,15 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
     spacing = item.spacing or np.sqrt(SPREAD * area / USUAL)
     if SPREAD * area / spacing**2 > MOST:
         raise SceneError(
-            f"{at}: spacing: {spacing:g} mm takes more than {MOST} points on part {item.part!r}; give "
+            f"{at}: spacing: {spacing:g} mm needs more than {MOST} points on part {item.part!r}; give "
             f"{np.sqrt(SPREAD * area / MOST):.2g} mm or more"
         )
-    centres, values, shares = _taken(surface, pieces, spacing)
+    centres, values, shares = _fitted_at_spacing(surface, pieces, spacing)
     known = ~np.isnan(values).any(axis=1)
-    if item.spacing is None and known.mean() < COVERED:  # the points are sparse
+    if item.spacing is None and known.mean() < COVERED:  # the measured points are sparse
         fewest = min(len(piece.points) for piece in pieces)
         spacing = max(spacing, np.sqrt(AMONG * area / (np.pi * ABOUT**2 * fewest)))
-        centres, values, shares = _taken(surface, pieces, spacing)
+        centres, values, shares = _fitted_at_spacing(surface, pieces, spacing)
         known = ~np.isnan(values).any(axis=1)
     if known.mean() < COVERED or known.sum() <= 6:
         raise SceneError(
@@ -300,20 +297,19 @@ def _common(at, item: MeasuredDeviation, surface: Surface, pieces: list[Deviatio
     return centres[known], values[known], np.sqrt(np.mean(shares[known] ** 2, axis=1))
 
 
-def _taken(surface: Surface, pieces: list[Deviations], spacing: float):
-    """Points (c, 3) of the surface, so far from each other, and what pieces have there: values and shares (c, n) as
-    :func:`_at` finds them."""
+def _fitted_at_spacing(surface: Surface, pieces: list[Deviations], spacing: float):
+    """Points (c, 3) of the surface at a spacing, and values and noise shares (c, n) of the pieces there."""
     centres, normals = sheet_normals(surface, surface.points[spread(surface, spacing)])
-    found = [_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
-    values, shares = (np.array(each).T for each in zip(*found))
+    fits = [_fitted_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
+    values, shares = (np.array(arrays).T for arrays in zip(*fits))
     return centres, values, shares
 
 
-def _at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _fitted_at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: float):
     """A piece's deviations (c,) at points of the surface, and their share (c,) of a measured point's noise.
 
-    They are read from planes that are fitted to the measured points about them that face the same way, surely on their
-    face; NaN where these are too few.
+    They come from planes fitted to the measured points about them that face the same way and are certain to lie on
+    their face; NaN where these are too few.
     """
     value, share = np.full(len(centres), np.nan), np.full(len(centres), np.nan)
     tree = cKDTree(piece.points)
@@ -321,46 +317,46 @@ def _at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: flo
         own = np.sort(np.array(near, dtype=np.int64))
         own = own[piece.sure[own] & (piece.normal[own] @ normals[k] > FACING)]
         if len(own) >= FEW:
-            away = (piece.points[own] - centres[k]) / radius
-            plane = np.column_stack([np.ones(len(own)), away @ null_space(normals[k][None])])
+            step = (piece.points[own] - centres[k]) / radius
+            plane = np.column_stack([np.ones(len(own)), step @ null_space(normals[k][None])])
             weights = np.linalg.pinv(plane, rcond=1e-6)[0]
             value[k], share[k] = weights @ piece.value[own], np.linalg.norm(weights)
     return value, share
 
 
-def _fitted(pieces: list[Deviations]) -> str:
-    """What the best fits did, in words."""
-    said = ""
+def _fit_summary(pieces: list[Deviations]) -> str:
+    """Shift and rotation of the best fits, and points left out, as text."""
+    summary = ""
     shift, turn = max(piece.fit.shift for piece in pieces), max(piece.fit.turn for piece in pieces)
     if shift > 0.0 or turn > 0.0:
-        said += f"; fitted by up to {shift:.2g} mm and {turn:.2g}°"
+        summary += f"; fitted by up to {shift:.2g} mm and {turn:.2g}°"
     left_out = sum(piece.fit.left_out for piece in pieces)
-    return said + (f"; {left_out} points lie too far off the part and were left out" if left_out else "")
+    return summary + (f"; {left_out} points lie too far off the part and were left out" if left_out else "")
 
 
 def _not_normal(item: MeasuredDeviation, scores: np.ndarray) -> str:
-    """A sentence where the first modes' scores do not look normal (Shapiro and Wilk), or are too few to tell."""
+    """A sentence if the scores of a mode are not normal (Shapiro and Wilk), or none if they are too few to decide."""
     if item.distribution != "normal" or len(scores) < 8:
         return ""
-    from scipy.stats import shapiro  # which takes a quarter of a second to load
+    from scipy.stats import shapiro  # loads in a quarter of a second
 
     p = [float(shapiro(column).pvalue) for column in scores.T]
     worst = int(np.argmin(p))
     if p[worst] * len(p) >= NORMAL:  # Bonferroni
         return ""
     return (
-        f"; the scores of mode {worst + 1} are not normal (p = {p[worst]:.1g}): pieces = true takes the "
-        "pieces as they are"
+        f"; the scores of mode {worst + 1} are not normal (p = {p[worst]:.1g}): pieces = true uses the measured pieces "
+        "themselves"
     )
 
 
 def _noise(values: np.ndarray) -> float | list:
-    """As a scene has it: none, or that of each point."""
+    """Noise as a scene value: 0 for none, or one value for each point."""
     return _rounded(values) if values.any() else 0.0
 
 
 def _rounded(values: np.ndarray) -> list:
-    """As lists, to be written into a scene: to 12 digits of the largest, of which coordinates hold fewer."""
+    """Values as lists for a scene, rounded to 12 digits of the largest; coordinates have fewer."""
     largest = float(np.abs(values).max(initial=0.0)) or 1.0
     digits = 12 - int(np.floor(np.log10(largest)))
     return np.round(values, digits).tolist()

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_matrix, hstack, identity, vstack
 
-from mic.compliance.support import completing
+from mic.compliance.support import completing_rows
 from mic.contact.laws import LAWS
 from mic.errors import FreeMotion, SceneError
 from mic.process.actions import Arrive, Joints, SetDown, Transfer
@@ -60,7 +60,7 @@ def rested(scene, joints: Joints, plan):
     for step in plan.steps:
         held = bodies.held(joints, step.bilateral)
         try:
-            completing(held, np.zeros((0, held.shape[1])), bodies.size)
+            completing_rows(held, np.zeros((0, held.shape[1])), bodies.size)
             resting: tuple[int, ...] = ()
         except FreeMotion as error:
             resting = bodies.moved(error.motions)
@@ -68,8 +68,8 @@ def rested(scene, joints: Joints, plan):
             arrives = any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move)
             zones = [zone for i, zone in enumerate(scene.zones) if arrives or i not in step.away]
             try:
-                completing(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)
-                completing(held, bodies.joined(zones), bodies.size)
+                completing_rows(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)
+                completing_rows(held, bodies.joined(zones), bodies.size)
             except FreeMotion as lost:
                 there = [p for p in bodies.moved(lost.motions) if p not in step.parked]
                 if there:
@@ -123,7 +123,7 @@ def check_resting(assembly, plans: Sequence, laws: Iterable[str]) -> None:
 def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
     scene, contacts = assembly.scene, assembly.contacts
     normal, tangents, mu = bodies.contacts(contacts, plan.name, law)
-    there = ~contacts.out(step.nuggets, step.away)
+    there = ~contacts.excluded(step.nuggets, step.away)
     normal, tangents, mu = normal[there], tangents[there], mu[there]
     held = bodies.held(joints, step.bilateral)
     without = f" without friction (law {law.name})" if not law.frictional else ""
@@ -135,7 +135,7 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
     if last:
         rough = tangents[mu > 0].reshape(-1, held.shape[1])
         try:
-            completing(held, np.concatenate([normal, rough]), bodies.size)
+            completing_rows(held, np.concatenate([normal, rough]), bodies.size)
         except FreeMotion as error:
             p = bodies.most(error.motions)
             raise SceneError(

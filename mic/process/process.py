@@ -71,7 +71,7 @@ def contact_solver(
     settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
     stops = stops_of(contacts, step)
     S, friction = stops.compliance(S, own), stops.friction(friction)
-    out = contacts.out(step.nuggets, step.away)
+    out = contacts.excluded(step.nuggets, step.away)
     if not (contacts.watched.any() or out.any()):
         return ContactSolver(S.block(np.arange(len(S))), friction, **settings)
     always = np.ones(stops.count, dtype=bool)
@@ -328,7 +328,7 @@ class Process:
         if key not in self._varied:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
-            model = self.model.changed(deviations)
+            model = self.model.with_deviations(deviations)
             vars(model).update({name: getattr(self.model, name) for name in ("foreseen", "rest", "characteristics")})
             if model.compliance is self.model.compliance:
                 vars(model)["eliminations"] = self.model.eliminations

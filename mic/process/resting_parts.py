@@ -109,12 +109,12 @@ class Rest:
 
     def springs(self, response: Response) -> tuple[float, np.ndarray]:
         """c, mm/N, and G of the soft rows (d m + s, k)."""
-        return SOFT * float(response.own.max(initial=0.0)), response.T[:, self.columns(response)]
+        return SOFT * float(response.diagonal.max(initial=0.0)), response.T[:, self.columns(response)]
 
     def compliance(self, response: Response) -> tuple[Columns, np.ndarray]:
         """(d m + s, d m + s) ``S + c G Gᵀ``, and its diagonal."""
         c, G = self.springs(response)
-        own = response.own + c * np.einsum("ij,ij->i", G, G)
+        own = response.diagonal + c * np.einsum("ij,ij->i", G, G)
         return Columns(partial(_softened, response.S, c, G), response.S.shape), own
 
     def pushed(self, response: Response, p: np.ndarray) -> np.ndarray:

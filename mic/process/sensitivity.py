@@ -28,7 +28,7 @@ from mic.contact.path import Path
 from mic.contact.states import OPEN
 from mic.contact.tangent import Bend, Contact, End, Varied, retrace
 from mic.errors import SceneError
-from mic.model.rest_rows import put_down_slope
+from mic.model.rest_rows import separating_motion_slope
 from mic.process.drive import Drive
 from mic.process.force_limits import Stops
 from mic.process.inputs import Inputs, known_inputs
@@ -432,14 +432,14 @@ class _Sensitivity:
         (_, state, drive), (plain, _, slope_drive) = sides
         start = stage.unloaded(eliminated, drive, ramps[0], places[0], 0.0)
         slope = self._columns(stage.unloaded(plain, slope_drive, ramps[1], places[1], 0.0))
-        place, anchor = stage.put_down(eliminated, state, start, places[0])
+        place, anchor = stage.separating_motion(eliminated, state, start, places[0])
         soft, (_, m, d) = eliminated.rest.soft, state.force.shape
         G = eliminated.rest.springs(eliminated.response)[1][: m * d].reshape(m, d, -1)
         G = np.where(self._out(eliminated)[:m, None, None], 0.0, G)
         moved, turned = self._columns(places[1]), self._columns(anchors[1])
         for i in np.flatnonzero((place != places[0]).any(axis=1)):
             way = (place - places[0])[i, soft]
-            own = put_down_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], way)
+            own = separating_motion_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], way)
             moved[i, soft] += own
             turned[i] += np.einsum("mjk,kp->mjp", G[:, 1:], own)
         places[:], anchors[:] = [place, self._rows(moved)], [anchor, self._rows(turned)]
@@ -630,7 +630,7 @@ class _Sensitivity:
     def _out(self, eliminated: EliminatedStep) -> np.ndarray:
         """(m + s,) contacts that take no part in a step."""
         step, contacts = eliminated.step, self.process.model.contacts
-        return np.concatenate([contacts.out(step.nuggets, step.away), np.zeros(len(step.stops), dtype=bool)])
+        return np.concatenate([contacts.excluded(step.nuggets, step.away), np.zeros(len(step.stops), dtype=bool)])
 
     def _reach(self, stage: PreparedStage, eliminated: EliminatedStep, end: End) -> None:
         """Note what changes its state nearest, should it be nearer than all before."""

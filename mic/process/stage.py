@@ -35,7 +35,7 @@ from mic.contact.path import Followed, Increments, Path, PathSolution
 from mic.contact.states import classify
 from mic.contact.working_set import WatchedSolver
 from mic.errors import FreeMotion
-from mic.model.rest_rows import put_down
+from mic.model.rest_rows import separating_motion
 from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.force_limits import Stops
@@ -93,7 +93,7 @@ class EliminatedStep:
     def compliance(self) -> tuple[Columns, np.ndarray]:
         """(d m + s, d m + s) of the contacts and stops, and its diagonal; resting parts lie on springs."""
         response = self.response
-        return self.rest.compliance(response) if self.rest.soft.any() else (response.S, response.own)
+        return self.rest.compliance(response) if self.rest.soft.any() else (response.S, response.diagonal)
 
 
 def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[EliminatedStep]]:
@@ -141,7 +141,7 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                 try:
                     chosen = np.zeros(0, dtype=int)
                     if step.resting:
-                        chosen = model.rest.completing(bilateral, model.compliance)
+                        chosen = model.rest.completing_rows(bilateral, model.compliance)
                         bilateral = vstack([bilateral, model.rest.rows[chosen]], format="csr")
                         soft = None if soft is None else np.concatenate([soft, np.zeros(len(chosen))])
                     series = np.concatenate([layer, np.zeros(len(step.stops))])
@@ -456,7 +456,7 @@ class PreparedStage:
             return self.unloaded(eliminated, drive, ramp, place, s)
 
         if step.settles and rest.soft.any():
-            place, anchor = self.put_down(eliminated, state, unloaded(0.0, place), place)
+            place, anchor = self.separating_motion(eliminated, state, unloaded(0.0, place), place)
         start, end = unloaded(0.0, place), unloaded(1.0, place)
         lift = np.maximum(0.0, self.overlap(eliminated, state, drive, start))
         solver = self.solver(eliminated)
@@ -494,16 +494,16 @@ class PreparedStage:
         place[:, rest.soft] = at
         return PathSolution.join(pieces), force[:, contacts:], place
 
-    def put_down(self, eliminated, state, unloaded, place) -> tuple[np.ndarray, np.ndarray]:
+    def separating_motion(self, eliminated, state, unloaded, place) -> tuple[np.ndarray, np.ndarray]:
         """Where resting parts are (n, k) that nothing presses yet, so that they overlap nowhere, and the anchors, which
         go with them."""
         rest, (_, m, d) = eliminated.rest, state.force.shape
         G = rest.springs(eliminated.response)[1][: m * d].reshape(m, d, -1)
-        G = np.where(self._contacts.out(eliminated.step.nuggets, eliminated.step.away)[:, None, None], 0.0, G)
+        G = np.where(self._contacts.excluded(eliminated.step.nuggets, eliminated.step.away)[:, None, None], 0.0, G)
         touched = np.abs(G[:, 0]).max(axis=1, initial=0.0) > 0
         place, anchor = place.copy(), state.anchor.copy()
         for sample in np.flatnonzero(~state.force[:, touched].any(axis=(1, 2))):
-            moved = put_down(unloaded[sample, : m * d : d], G[:, 0])
+            moved = separating_motion(unloaded[sample, : m * d : d], G[:, 0])
             place[sample, rest.soft] += moved
             anchor[sample] += G[:, 1:] @ moved
         return place, anchor

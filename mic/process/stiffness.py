@@ -30,13 +30,13 @@ import numpy as np
 from mic.compliance import provider
 from mic.compliance.blocks import Blocks
 from mic.compliance.cache import influence_coefficients
-from mic.compliance.coefficients import InfluenceCoefficients, Slope
+from mic.compliance.coefficients import InfluenceCoefficients, InfluenceDerivative
 from mic.compliance.part import Part
 from mic.model.assembly import Assembly
-from mic.model.deviated_geometry import deviated_parts, opening
+from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.reduction import Reduction
 from mic.model.shape import dilation
-from mic.model.shape_derivatives import Slopes
+from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import sources
 from mic.process.actions import Joints
 
@@ -155,7 +155,7 @@ def most(assembly: Assembly) -> tuple[list[str], int]:
     joined = [{*zone.parts} & {*names} for zone in scene.zones] + [{*weld.parts} for weld in scene.welds]
     sets, found = len(names), []
     for item, source in zip(scene.deviations, sources(scene)):
-        control = source.control(assembly.labels, assembly.rows)
+        control = source.known_shape(assembly.labels, assembly.rows)
         rows = source.load(assembly.labels, assembly.rows) if control is None else control.rows
         own = set(source.expansion())
         if rows is not None:
@@ -279,7 +279,7 @@ def following(
     model: Model,
     assembly: Assembly,
     fields: Mapping[str, np.ndarray],
-    slopes: Mapping[str, Mapping[str, Slope]],
+    slopes: Mapping[str, Mapping[str, InfluenceDerivative]],
     deviations: np.ndarray,
 ) -> Model:
     """The model with compliance and gaps that go with the sources, about the shape that it carries.
@@ -292,7 +292,7 @@ def following(
         With nominal gaps.
     fields : mapping of str to (v, 6) array
         The shape that it carries, by part.
-    slopes : mapping of str to mapping of str to Slope
+    slopes : mapping of str to mapping of str to InfluenceDerivative
         By part, and by the deviation's name.
     deviations : (p,) array
         Those that give the shape.
@@ -321,7 +321,7 @@ def following(
     )
     about = deviations[source]
     low, high = about - REACH * step, about + REACH * step
-    return replace(model, slopes=Slopes(source, about, low, high, tuple(changing), H, G, gap, weld_gap))
+    return replace(model, slopes=ShapeDerivatives(source, about, low, high, tuple(changing), H, G, gap, weld_gap))
 
 
 def _beyond(
@@ -331,7 +331,7 @@ def _beyond(
     its readings say: g(a) − g⁰ − N y⁰(a)."""
     parts = deviated_parts(assembly, fields)
     gap, weld_gap = (
-        opening(assembly, kind, parts, read) - read
+        gap_change(assembly, kind, parts, read) - read
         for kind in ("contact", "weld")
         for read in [model.rows[kind] @ (model.shape @ deviations)]
     )
@@ -346,12 +346,12 @@ def _slope(
     minus: InfluenceCoefficients,
     step: float,
     field: np.ndarray,
-) -> Slope:
+) -> InfluenceDerivative:
     """Derivatives by central differences over a step, on the pins of the middle."""
     G = (plus.G - minus.G) / (2 * step)
     U = (_unpinned(plus)[0] - _unpinned(minus)[0]) / (2 * step)
     pinned = G @ _unpinned(middle)[1]
-    return Slope(step, field, U + pinned + pinned.T, G)
+    return InfluenceDerivative(step, field, U + pinned + pinned.T, G)
 
 
 def _unpinned(one: InfluenceCoefficients) -> tuple[np.ndarray, np.ndarray]:

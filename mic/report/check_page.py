@@ -15,7 +15,7 @@ from mic.errors import Problems
 from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
 from mic.model.assembly import Contacts
-from mic.model.one_sigma import Shape
+from mic.model.one_sigma import SourceShape
 from mic.plausibility import Warned, verdict
 from mic.process.description import opening, sentences
 from mic.process.plan import StagePlan
@@ -43,7 +43,7 @@ def write_check(
     contacts: Contacts | None = None,
     plans: Sequence[StagePlan] = (),
     errors: Sequence[str] = (),
-    shapes: Sequence[Shape] = (),
+    shapes: Sequence[SourceShape] = (),
 ) -> Path:
     """Write the page of a check; nothing is solved.
 
@@ -60,7 +60,7 @@ def write_check(
     plans : sequence of StagePlan
     errors : sequence of str
         Why the scene is not valid.
-    shapes : sequence of Shape
+    shapes : sequence of SourceShape
         What 1 σ of each source does, as far as it is known.
 
     Returns

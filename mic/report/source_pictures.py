@@ -10,7 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from mic.geometry.surface import Surface
-from mic.model.one_sigma import Shape
+from mic.model.one_sigma import SourceShape
 from mic.report.picture import Picture, panels, png
 from mic.report.space_pictures import draw_surfaces
 from mic.report.style import number
@@ -21,7 +21,7 @@ MOST = 12  # shapes of a picture
 COLUMNS = 3
 
 
-def draw_shapes(surfaces: Mapping[str, Surface], shapes: Sequence[Shape]) -> Picture:
+def draw_shapes(surfaces: Mapping[str, Surface], shapes: Sequence[SourceShape]) -> Picture:
     """Each shape on its parts, coloured by how far they are off along their normals, each on a scale of its own."""
     shown = shapes[:MOST]
     fig, axes = panels(len(shown), min(COLUMNS, len(shown)), (3.6, 2.9))

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 
 import mic
 from mic.compliance.blocks import Blocks
-from mic.model.assembly import Between, Contacts
+from mic.model.assembly import GapPoints, Contacts
 from mic.model.rows import KINDS
 from mic.process.model import ReducedModel
 
@@ -22,7 +22,7 @@ ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]
 
 
 #: No points between the pairs at which penetration is looked for.
-NOWHERE = Between(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
+NOWHERE = GapPoints(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
 
 
 def rows_and_labels(scene, compliance, entries):

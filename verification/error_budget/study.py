@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from mic import examples
-from mic.model.mesh_accuracy import on_halved_meshes
+from mic.model.mesh_accuracy import with_halved_elements
 from mic.scene import load_scene
 from verification.budget import FIGURES, REFINED, SAMPLING, Case, paired
 from verification.budget_page import budget_figure, budget_rows, by_quantity, items_of
@@ -35,7 +35,7 @@ def mesh_coverage(scene, cache) -> pd.DataFrame:
     case = Case(assembly, model, "coulomb", cache)
     found, finer = [], assembly
     for _ in range(2):
-        finer = on_halved_meshes(finer)
+        finer = with_halved_elements(finer)
         found.append(case.of(reduced_model(finer, cache)))
     told, true = paired(case.production, found[0], REFINED["mesh"]), paired(case.production, found[1], REFINED["law"])
     rows = [
@@ -134,56 +134,52 @@ STUDY = Study(
     order=5,
     title="Error budget",
     claim=(
-        "What the program prints of an assembly (means, 6σ and Cpk of key characteristics, slips, contact forces) is "
-        "near enough to the truth to decide on tolerances by, and the budget says how near."
+        "Printed means, 6σ, Cpk, slips and contact forces are accurate enough to decide on tolerances, and the error "
+        "budget states how accurate."
     ),
     reference=(
-        "For each source of error the same samples with less of it, extrapolated: Coulomb's law, a tighter path, other "
-        "orders, pairs at half their distance, meshes of half the size, the stiffness of each sample's own shape; full "
-        "frictional contact finite elements on picked samples. The samples' own uncertainty is told, and not judged: "
-        "their number is the user's choice."
+        "For each source of error, the same samples with that source reduced, extrapolated: Coulomb's law, a tighter "
+        "path, other orders, half the pair distance, half the element size, the stiffness of each sample's own "
+        "shape; full finite elements on selected samples. Sampling error is reported but not judged, since the user "
+        "chooses the number of samples."
     ),
     acceptance=(
         Acceptance(
             "mean",
-            "A mean errs by no more than a gauge may: a tenth of the tolerance (AIAG, Measurement Systems Analysis).",
+            "Error of a mean over the tolerance.",
             0.1,
-            reason=(
-                "AIAG's Measurement Systems Analysis accepts a gauge that takes a tenth of the tolerance; a computed "
-                "figure is no better than that."
-            ),
+            reason="AIAG's Measurement Systems Analysis accepts a gauge with an error of a tenth of the tolerance.",
         ),
         Acceptance(
             "six-sigma",
-            "A 6σ errs by no more than a gauge may: a tenth of the tolerance.",
+            "Error of a 6σ over the tolerance.",
             0.1,
-            reason="The same tenth of the tolerance that is granted a gauge.",
+            reason="The tenth of the tolerance that a gauge is allowed.",
         ),
         Acceptance(
             "cpk",
-            "A Cpk errs by less than the tenth to which it is agreed on.",
+            "Error of a Cpk.",
             0.1,
-            reason="Cpk is agreed on to a tenth: 1.33 is not 1.4.",
+            reason="Cpk is specified to a tenth: 1.33 is not 1.4.",
         ),
         Acceptance(
             "slip",
-            "6σ of a zone's slip errs by no more than a tenth of itself, as a key characteristic's.",
+            "Error of the 6σ of a zone's slip, relative.",
             0.1,
-            reason="A slip has no tolerance: the gauge's tenth, of itself.",
+            reason="A slip has no tolerance; a tenth of itself.",
         ),
         Acceptance(
             "force",
-            "A contact force errs by no more than tongs and clamps repeat theirs: a tenth of the largest.",
+            "Error of a contact force over the largest.",
             0.1,
-            reason="A tenth, to which tongs and clamps are set.",
+            reason="A tenth, the repeatability of clamps and tongs.",
         ),
         Acceptance(
             "coverage",
-            "Intervals of 95 % about the mesh's errors hold those against meshes halved twice; fewer than six of eight "
-            "would happen once in 170 times.",
+            "Share of 95 % intervals of the mesh error that contain the error against meshes halved twice.",
             0.75,
             bound="at least",
-            reason="Of eight intervals of 95 % six hold or more in 169 cases of 170 (binomial).",
+            reason="Of eight 95 % intervals, six or more hold in 169 of 170 cases (binomial).",
         ),
     ),
     seconds=(1200, 60),

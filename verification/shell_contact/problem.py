@@ -36,7 +36,7 @@ def contact_problem(case: Case, cache: Path) -> dict:
     force, displacement = last.force[0], last.displacement[0]
     W = stage.response.S.whole()[: force.size, : force.size]
     q = displacement.ravel() - W @ force.ravel()
-    own = _taken(force, displacement, contacts.out(stage.steps[-1].step.nuggets))
+    own = _taken(force, displacement, contacts.excluded(stage.steps[-1].step.nuggets))
     rows = (3 * own[:, None] + np.arange(3)).ravel()
     W, q, mu = _rounded(W[np.ix_(rows, rows)]), q[rows], contacts.friction_in(stage.plan.name).coefficient[own]
     solution = ContactSolver(W, mu).solve(q)

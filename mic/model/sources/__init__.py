@@ -1,9 +1,9 @@
-"""Sources of deviation: one file a kind, registered here by the word that the scene uses for it.
+"""Sources of deviation: one file for each kind, registered here by the kind's name in the scene.
 
 A deviation of shape is not a force. Per unit amplitude a source gives its part readings y⁰ of the retained
 functionals in the stress-free shape, so that with forces f and rigid motions q the functionals read ``y = H f + G q +
-Σ a y⁰``, or it moves the fixture. :mod:`mic.model.shape` finds y⁰ from the force that makes the shape, or from what is
-known of it. A few change the contacts themselves, or the parts.
+Σ a y⁰``, or it moves the fixture. :mod:`mic.model.shape` computes y⁰ from the force that causes the shape, or from
+known values of the shape. A few kinds change the contacts or the parts themselves.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from mic.model.sources.friction import ZoneFriction
 from mic.model.sources.gravity import Gravity
 from mic.model.sources.locator import LocatorPosition
 from mic.model.sources.shape import ShapeAtPoints
-from mic.model.sources.source import Control, Source
+from mic.model.sources.source import KnownShape, Source
 from mic.model.sources.temperature import Temperature
 from mic.model.sources.thickness import SheetThickness
 
-__all__ = ["SOURCES", "Control", "Source", "changed", "ranges", "sources", "thicker"]
+__all__ = ["SOURCES", "KnownShape", "Source", "sources", "thickness_changes", "thickness_ranges", "with_deviations"]
 
-#: Kind in the scene's ``[[deviations]]`` → class; measured shapes and random fields have become shapes before
+#: Class by kind in the scene's ``[[deviations]]``; measured shapes and random fields are first expanded into shapes
 #: (:mod:`mic.model.shape_modes`).
 SOURCES: dict[str, type[Source]] = {
     "force": CorrectiveForce,
@@ -44,8 +44,8 @@ def sources(scene) -> list[Source]:
     return [SOURCES[item.kind](item, f"deviations[{i}]", scene) for i, item in enumerate(scene.deviations)]
 
 
-def thicker(scene, deviations: np.ndarray) -> dict[str, float]:
-    """By how much a sample's deviations (p,) make parts thicker, mm, by name; those that they leave are not in it."""
+def thickness_changes(scene, deviations: np.ndarray) -> dict[str, float]:
+    """Changes of thickness due to a sample's deviations (p,), mm, by part; parts without a change are left out."""
     return {
         name: float(amplitude)
         for source, amplitude in zip(sources(scene), deviations)
@@ -54,35 +54,36 @@ def thicker(scene, deviations: np.ndarray) -> dict[str, float]:
     }
 
 
-def ranges(scene) -> dict[str, tuple[float, float]]:
+def thickness_ranges(scene) -> dict[str, tuple[float, float]]:
     """Smallest and largest thickness, mm, of the parts whose thickness varies, by name."""
     return {one.deviation.part: one.range for one in sources(scene) if isinstance(one, SheetThickness)}
 
 
-def changed(assembly, deviations: np.ndarray):
-    """An assembly, or its reduction, with the contacts and the weights that a sample's deviations (p,) make; the same
-    object where they change nothing.
+def with_deviations(assembly, deviations: np.ndarray):
+    """An assembly, or its reduction, with the contacts and weights of a sample's deviations (p,).
+
+    It is the same object if they change nothing.
 
     Parameters
     ----------
-    assembly : mic.model.assembly.Assembly or mic.model.reduction.Reduction
+    assembly : mic.model.assembly_types.Assembly or mic.model.reduction.Reduction
     deviations : (p,) array
 
     Raises
     ------
     ImpossibleSample
     """
-    scene, contacts = assembly.scene, assembly.contacts
-    for source, amplitude in zip(sources(scene), deviations):
+    scene, contacts, of_scene = assembly.scene, assembly.contacts, sources(assembly.scene)
+    for source, amplitude in zip(of_scene, deviations):
         if source.changes and amplitude != 0.0:
             contacts = source.change(contacts, float(amplitude))
     if contacts is assembly.contacts:
         return assembly
-    more = thicker(scene, deviations)
+    more = thickness_changes(scene, deviations)
     weight = np.ones(len(assembly.labels["clamp"]))
     for part in scene.parts:
         if part.name in more:
-            own = [source.row(assembly.labels, part.name) for source in sources(scene) if isinstance(source, Gravity)]
+            own = [source.row(assembly.labels, part.name) for source in of_scene if isinstance(source, Gravity)]
             weight[own] = 1.0 + more[part.name] / part.sheet[0]
     rows = {**assembly.rows, "clamp": csr_matrix(diags(weight) @ assembly.rows["clamp"])} if more else assembly.rows
     return replace(assembly, contacts=contacts, rows=rows)

@@ -1,4 +1,4 @@
-"""A clamp that closes elsewhere, or pushes harder."""
+"""A clamp with another closed position or another force."""
 
 from __future__ import annotations
 
@@ -8,15 +8,9 @@ __all__ = ["ClampSetting"]
 
 
 class ClampSetting(Source):
-    """A clamp's position along its direction, mm per unit amplitude, or its force, N, whichever it is driven by."""
+    """A clamp's position along its direction, mm per unit amplitude, or its force, N, depending on how it is driven."""
 
     def target(self, labels):
-        return self._rows(labels)
+        return {("clamp", labels["clamp"].index(name)): 1.0 for name in self.targets}
 
-    def push(self, labels):
-        return self._rows(labels)
-
-    def _rows(self, labels):
-        target = self.deviation.target
-        names = [target] if isinstance(target, str) else target
-        return {("clamp", labels["clamp"].index(name)): 1.0 for name in names}
+    push = target

@@ -1,4 +1,4 @@
-"""Friction that is not the same from assembly to assembly."""
+"""Friction that varies from assembly to assembly."""
 
 from __future__ import annotations
 
@@ -13,26 +13,23 @@ __all__ = ["ZoneFriction"]
 
 
 class ZoneFriction(Source):
-    """What the coefficients of zones are higher by, in every stage.
+    """An increase of the friction coefficients of zones, in every stage.
 
-    It changes the contact law, and not what drives the assembly: every value has contact problems of its own.
+    It changes the contact law: every value needs contact problems of its own.
     """
 
     changes = "friction"
 
     def retain(self, rows):
-        names = [self.deviation.target] if isinstance(self.deviation.target, str) else self.deviation.target
         for zone in self.scene.zones:
-            if zone.name in names and (zone.pressure_pieces() is not None or not zone.frictional):
+            if zone.name in self.targets and (zone.pressure_pieces() is not None or not zone.frictional):
                 raise SceneError(
-                    f"{self.key} ({self.deviation.name}): target: zone {zone.name!r} has no constant friction to add "
-                    "to; give it friction"
+                    f"{self.label}: target: zone {zone.name!r} has no constant friction to add to; give it friction"
                 )
 
     def change(self, contacts, amplitude):
-        zones = [self.deviation.target] if isinstance(self.deviation.target, str) else self.deviation.target
-        own = np.isin(contacts.zone, [i for i, zone in enumerate(self.scene.zones) if zone.name in zones])
+        own = np.isin(contacts.zone, [i for i, zone in enumerate(self.scene.zones) if zone.name in self.targets])
         friction = np.where(own, contacts.friction + amplitude, contacts.friction)
         if friction.min(initial=0.0) < 0:
-            raise ImpossibleSample(f"{self.key} ({self.deviation.name}): friction would be {friction.min():.3g}")
+            raise ImpossibleSample(f"{self.label}: friction would be {friction.min():.3g}")
         return replace(contacts, friction=friction)

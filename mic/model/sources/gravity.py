@@ -14,19 +14,17 @@ TONNES = 1e-12  # t/mm³ of a kg/m³
 
 
 class Gravity(Source):
-    """The weight of every part while it stands in a station, as multiples of the earth's gravity.
+    """The weight of every part in its station, as a multiple of the earth's gravity.
 
     A row for each part reads ``ρ t g ∫ d·u dA``, N mm, and a load of 1 along it is the part's weight, spread over its
-    middle surface. The rows lie behind those of the clamps, whose forces last as these do.
+    mid-surface. The rows follow those of the clamps: like clamp forces, weights act permanently.
     """
 
     def retain(self, rows):
         direction = np.array(self.deviation.direction)
         for part in self.scene.parts:
             if part.density is None:
-                raise SceneError(
-                    f"{self.key} ({self.deviation.name}): part {part.name!r} needs density, kg/m³, such as 7850: add it"
-                )
+                raise SceneError(f"{self.label}: part {part.name!r} needs density, kg/m³, such as 7850: add it")
             surface, thickness = rows.surfaces[part.name], part.sheet[0]
             patch = rows.patch(part.name, surface.whole())
             label = f"{self.deviation.name} of {part.name}"
@@ -38,5 +36,5 @@ class Gravity(Source):
         return {("clamp", self.row(labels, part.name)): 1.0 for part in self.scene.parts}
 
     def row(self, labels, part: str) -> int:
-        """Number of the clamp row that is a part's weight."""
+        """Number of the clamp row for a part's weight."""
         return labels["clamp"].index(f"{self.deviation.name} of {part}")

@@ -9,26 +9,25 @@ from mic.model.sources.source import Source
 
 __all__ = ["LocatorPosition"]
 
-SQUARE = 1e-6  # cosine below which a direction is square to a locator's
+SQUARE = 1e-6  # cosine below which a direction counts as perpendicular to a locator's
 
 
 class LocatorPosition(Source):
-    """A locator moved along its direction, mm per unit amplitude; or a pin that several hold, along its own.
+    """A locator moved along its direction, mm per unit amplitude; or a pin with several locators, along its own.
 
-    Locator i, along d_i, then moves by ``d_i · d``; where the hole is out of place in its part, the other way.
+    Locator i, along d_i, then moves by ``d_i · d``; if the hole is out of place in its part, in the opposite sense.
     """
 
     def target(self, labels):
-        item = self.deviation
-        names = [item.target] if isinstance(item.target, str) else item.target
-        moved = {name: 1.0 for name in names}
+        item, names = self.deviation, self.targets
+        moved = dict.fromkeys(names, 1.0)
         if item.direction is not None:
             along = {one.name: np.dot(one.direction, item.direction) for one in self.scene.locators}
             moved = {name: float(along[name]) for name in names}
         if all(abs(share) < SQUARE for share in moved.values()):
             raise SceneError(
-                f"{self.key} ({item.name}): direction: it is square to that of {' and '.join(names)}, and moves "
-                "nothing; correct it, or name the locators of the pin"
+                f"{self.label}: direction: it is perpendicular to that of {' and '.join(names)}, and moves nothing; "
+                "correct it, or name the locators of the pin"
             )
         sign = -1.0 if item.where == "part" else 1.0
         return {("locator", labels["locator"].index(name)): sign * share for name, share in moved.items()}

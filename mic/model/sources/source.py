@@ -1,4 +1,4 @@
-"""What a source of deviation is."""
+"""Base class of the sources of deviation."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import Any, Literal
 import numpy as np
 from scipy.sparse import csr_matrix
 
-__all__ = ["Control", "Row", "Source"]
+__all__ = ["KnownShape", "Row", "Source"]
 
 Row = tuple[str, int]  #: a row by its kind and its number
 
 
 @dataclass(frozen=True)
-class Control:
-    """A shape that is known where rows of one part read it.
+class KnownShape:
+    """A shape that is known at points, where rows of one part read it.
 
     Attributes
     ----------
     rows : (c, F) csr_matrix
     value : (c,) array
-        What they read of the shape per unit amplitude, mm.
+        Their readings of the shape per unit amplitude, mm.
     noise : (c,) array
-        Standard uncertainty of the values, mm; all zero, or none.
+        Standard uncertainty of the values, mm; all positive or all zero.
     loose : bool
-        Whether they hold of the part in any position, or of the part set down on its datum locators.
+        Whether the values hold for the part in any position, or only on its datum locators.
     """
 
     rows: csr_matrix
@@ -36,54 +36,64 @@ class Control:
 
 
 class Source:
-    """One of a scene's deviations: what a unit of its amplitude does to the assembly.
+    """One of a scene's deviations: the effect of a unit of its amplitude on the assembly.
 
-    Amplitudes come from the scene's distributions (`mic.sampling`). What a source does is linear in them: it gives a
-    part another stress-free shape, it moves what a bilateral row prescribes, or it pushes. A kind of source overrides
-    what it does and leaves the rest.
+    Amplitudes come from the scene's distributions (`mic.statistics`). The effect is linear in them: a source gives a
+    part another stress-free shape, it moves the prescribed value of a bilateral row, or it applies a force. Each kind
+    of source overrides the methods that it needs.
 
     Parameters
     ----------
     deviation
         The scene's table.
     key : str
-        Where it stands in the scene, for messages.
+        Its scene key, for messages.
     scene : mic.scene.Scene
-        What it is a deviation of.
     """
 
-    #: What it changes of the assembly itself, so that each of its values has contact problems of its own: the friction
-    #: of contacts, the compliance of parts and with it the contacts, or nothing.
+    #: What a source changes in the assembly itself, so that each of its values needs contact problems of its own:
+    #: friction of contacts, compliance of parts (and with it the contacts), or nothing.
     changes: Literal["", "friction", "compliance"] = ""
 
     def __init__(self, deviation: Any, key: str, scene: Any):
         self.deviation, self.key, self.scene = deviation, key, scene
 
+    @property
+    def label(self) -> str:
+        """Scene key and name, for messages."""
+        return f"{self.key} ({self.deviation.name})"
+
+    @property
+    def targets(self) -> list[str]:
+        """Names of the items that the deviation acts on."""
+        target = self.deviation.target
+        return [target] if isinstance(target, str) else target
+
     def retain(self, rows: Any) -> None:
         """Add the rows that the source needs to :class:`mic.model.rows.Rows`."""
 
     def load(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> csr_matrix | None:
-        """Force (1, F) that shapes one part, or several, per unit amplitude, N and N mm, or None.
+        """Force (1, F) that shapes one or several parts, per unit amplitude, N and N mm, or None.
 
         Each part is held on its datum locators while the force acts; the deformed shape is then its stress-free shape.
         """
         return None
 
-    def control(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> Control | None:
-        """The shape of a part where it is known, per unit amplitude, in place of a force that makes it, or None."""
+    def known_shape(self, labels: Mapping[str, list[str]], rows: Mapping[str, csr_matrix]) -> KnownShape | None:
+        """The shape of a part at points, per unit amplitude, if it is known instead of the force, or None."""
         return None
 
     def expansion(self) -> Mapping[str, float]:
-        """By how much parts grow in all directions per unit amplitude, free of stress, mm/mm, by name."""
+        """Stress-free isotropic strain of parts per unit amplitude, mm/mm, by name."""
         return {}
 
     def thickening(self) -> Mapping[str, int]:
-        """Parts that are thicker by the amplitude, mm, by name, and which skin of each stays: 1 that on the side of the
-        mesh's normals, -1 the other, 0 neither."""
+        """Parts whose thickness grows by the amplitude, mm, by name, and the skin of each that stays in place: 1 the
+        one on the side of the mesh's normals, -1 the other, 0 neither."""
         return {}
 
     def change(self, contacts: Any, amplitude: float) -> Any:
-        """:class:`mic.model.assembly.Contacts` as they are at an amplitude, where the source changes them.
+        """:class:`mic.model.assembly_types.Contacts` at an amplitude, changed if the source changes them.
 
         Raises
         ------
@@ -92,9 +102,9 @@ class Source:
         return contacts
 
     def target(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
-        """By how much bilateral rows are moved per unit amplitude, mm along the row."""
+        """Prescribed motion of bilateral rows per unit amplitude, mm along the row."""
         return {}
 
     def push(self, labels: Mapping[str, list[str]]) -> Mapping[Row, float]:
-        """By how much the forces of clamp rows grow per unit amplitude, N along the row."""
+        """Additional force of clamp rows per unit amplitude, N along the row."""
         return {}

@@ -1,4 +1,4 @@
-"""A part that is warmer than it was drawn."""
+"""A part at another temperature than drawn."""
 
 from __future__ import annotations
 
@@ -9,23 +9,18 @@ __all__ = ["Temperature"]
 
 
 class Temperature(Source):
-    """A uniform change of temperature of one part, or of all: it grows alike in all directions, free of stress."""
+    """A uniform change of temperature of one part, or of all: isotropic stress-free expansion."""
 
     def expansion(self):
-        found = {}
+        strain = {}
         for part in self.scene.parts:
             if self.deviation.part in (None, part.name):
                 if part.expansion is None:
-                    raise SceneError(
-                        f"{self.key} ({self.deviation.name}): part {part.name!r} needs expansion, 1/K, such as 1.2e-5: "
-                        "add it"
-                    )
-                found[part.name] = part.expansion
-        return found
+                    raise SceneError(f"{self.label}: part {part.name!r} needs expansion, 1/K, such as 1.2e-5: add it")
+                strain[part.name] = part.expansion
+        return strain
 
     def retain(self, rows):
-        self.expansion()  # what lacks is told before anything is computed
+        self.expansion()  # raises its errors before anything is solved
         if self.scene.report.fields:
-            raise SceneError(
-                f"{self.key} ({self.deviation.name}): fields hold no expansion; leave fields out of [report]"
-            )
+            raise SceneError(f"{self.label}: fields do not include expansion; leave fields out of [report]")

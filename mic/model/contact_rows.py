@@ -1,0 +1,146 @@
+"""Rows of contact pairs and of the points between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mic.contact.laws import LAWS
+from mic.contact.laws.pressure_dependent import rescaled
+from mic.errors import Problems
+from mic.geometry.pairing import ContactPair, Pressed, Side, find_between
+from mic.model.assembly_types import Contacts, GapPoints
+from mic.model.overlap import close_overlap, thinner_sheet
+from mic.model.rows import AXES, Rows
+from mic.model.zone_pairs import landmarks
+from mic.scene import Scene
+
+__all__ = ["contact_rows", "gap_point_rows"]
+
+
+def contact_rows(
+    scene,
+    bodies: Mapping[str, Side],
+    rows: Rows,
+    pairs_of_zones: Sequence[Sequence[ContactPair]],
+    every_node: bool,
+    problems: Problems,
+) -> Contacts:
+    """Add the rows of all contact pairs; returns the data of the pairs.
+
+    Parameters
+    ----------
+    scene : mic.scene.Scene
+    bodies : mapping of str to Side
+    rows : Rows
+    pairs_of_zones : sequence of sequences of ContactPair
+    every_node : bool
+        Whether all pairs are candidates.
+    problems : Problems
+        Collects errors.
+    """
+    friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
+    dimension = 3 if friction or scene.report.slip else 1
+    pairs = [pair for own in pairs_of_zones for pair in own]
+    zone_of = np.array([i for i, own in enumerate(pairs_of_zones) for _ in own], dtype=np.int64)
+    for k, (i, pair) in enumerate(zip(zone_of, pairs)):
+        zone = scene.zones[i]
+        _pair_rows(rows, "contact", f"{zone.name} {k}", zone, bodies, pair, dimension)
+    area = np.array([pair.area for pair in pairs])
+    gap = np.array([pair.gap for pair in pairs])
+    drawn = np.array([[pair.overlap, pair.overlapping * pair.area] for pair in pairs]).reshape(-1, 2)
+    point = np.array([pair.point for pair in pairs]).reshape(-1, 3)
+    for i, zone in enumerate(scene.zones):
+        own = zone_of == i
+        if zone.gap is not None:
+            gap[own], drawn[own] = zone.gap, 0.0
+            continue
+        key = f"zones[{i}] ({zone.name}): nominal_overlap"
+        with problems:
+            gap[own] = close_overlap(key, zone.nominal_overlap, gap[own], thinner_sheet(scene, zone), point[own])
+    by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
+    stages = sorted({stage for table in by_stage for stage in table} - {"default"})
+    discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
+    bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
+    stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
+    watched = np.array([every_node or scene.zones[i].candidates for i in zone_of], dtype=bool)
+    through = [
+        sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
+        for zone in scene.zones
+    ]
+    return Contacts(
+        zone=zone_of,
+        stages=np.array(stages, dtype=str),
+        friction=np.array([[scene.zones[i].coefficient(stage) for i in zone_of] for stage in [*stages, "default"]]),
+        pressure=_pressure_pieces(scene, zone_of, bearing),
+        compliance=np.array([0.0 if k is None else 1.0 / (k * A) for k, A in zip(stiffness, bearing)]),
+        gap=gap,
+        overlap=drawn[:, 0],
+        overlapping=drawn[:, 1],
+        area=area,
+        watched=watched,
+        layer=np.where(watched, np.array([through[i] for i in zone_of]) / area, 0.0),
+        nugget=np.array([pair.nugget for pair in pairs], dtype=np.int64),
+        bearing=bearing,
+        point=point,
+        frame=np.array([pair.frame for pair in pairs]).reshape(-1, 3, 3),
+        dimension=dimension,
+    )
+
+
+def gap_point_rows(
+    scene: Scene,
+    bodies: Mapping[str, Side],
+    rows: Rows,
+    pressed: Sequence[Sequence[Pressed]],
+    pairs_of_zones: Sequence[Sequence[ContactPair]],
+) -> GapPoints:
+    """Add the normal readings of the points between the contact pairs; arguments as of :func:`contact_rows`."""
+    points: list[ContactPair] = []
+    zones: list[int] = []
+    gaps: list[float] = []
+    for i, (zone, pairs, places) in enumerate(zip(scene.zones, pairs_of_zones, pressed)):
+        first, second = (bodies[name] for name in zone.parts)
+        for point in find_between(zone, first, second, pairs, landmarks(scene), places):
+            _pair_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, point, 1)
+            points.append(point)
+            zones.append(i)
+            if zone.gap is not None:
+                gaps.append(zone.gap)
+            else:
+                gaps.append(point.gap if zone.nominal_overlap == "keep" else max(point.gap, 0.0))
+    return GapPoints(
+        np.array(zones, dtype=np.int64),
+        np.array(gaps, dtype=float),
+        np.array([point.nugget for point in points], dtype=np.int64),
+        np.array([point.point for point in points]).reshape(-1, 3),
+    )
+
+
+def _pair_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimension) -> None:
+    """Add the rows n, t1, t2 of a pair: motion of its second body less that of its first."""
+    terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
+    for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
+        if bodies[name].rigid:
+            continue  # a rigid fixture does not move
+        index = rows.patch(name, patch)
+        for j in range(dimension):
+            reading = rows.functional(
+                name, index, pair.frame[:, j], f"{label} {AXES[j]}", side=0 if zone.mid_surface else side
+            )
+            terms[j].append((name, reading, sign))
+    for j in range(dimension):
+        rows.add(kind, f"{label} {AXES[j]}", *terms[j])
+
+
+def _pressure_pieces(scene, zone_of, bearing) -> np.ndarray:
+    """(m, q, 5) friction coefficient of each pair as a function of its normal force, in the form of `Contacts`."""
+    of_zone = [zone.pressure_pieces() for zone in scene.zones]
+    count = max((len(pieces) for pieces in of_zone if pieces is not None), default=0)
+    pressure = np.full((len(zone_of), count, 5), np.nan)
+    for k, i in enumerate(zone_of):
+        if of_zone[i] is not None:
+            pressure[k] = [np.inf, 0.0, 0.0, 0.0, 0.0]
+            pressure[k, : len(of_zone[i])] = rescaled(of_zone[i], 1.0 / bearing[k])
+    return pressure
