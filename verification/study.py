@@ -297,7 +297,7 @@ class Study:
         return [Judged(Finding(one.name, math.nan, why), one, one.at(quick)) for one in self.acceptance]
 
     def opening(self) -> str:
-        """The lines with which the study's page opens."""
+        """First lines of the study's page: title, claim, reference and the table of limits."""
         rows = [f"| {a.name} | {a.claim} | {a.words()} | {a.reason} |" for a in self.acceptance]
         return (
             "\n".join(
@@ -308,7 +308,7 @@ class Study:
                     "",
                     f"**Reference.** {self.reference}",
                     "",
-                    "| accepted | claim | number | why this number |",
+                    "| name | quantity | limit | reason for the limit |",
                     "| --- | --- | --- | --- |",
                     *rows,
                 ]

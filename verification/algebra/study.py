@@ -155,48 +155,46 @@ STUDY = Study(
     order=10,
     title="Algebra",
     claim=(
-        "On the same mesh, with the same pairs and the same law, the reduced model finds what the full finite "
-        "elements find, through all stages, whether a stage is one step or many."
+        "On the same mesh, with the same pairs and law, the reduced model and the full finite elements give the same "
+        "solution through all stages, in one increment or many."
     ),
-    reference="Full frictional contact finite elements (fem_reference): Newton's method on all freedoms, by penalty "
-    "and by augmented Lagrangian; no "
-    "influence coefficients. Lap joint, hat on a plate with a rigid stop, wheelhouse; Coulomb and frictionless.",
+    reference=(
+        "Full frictional contact finite elements (fem_reference), by penalty and by augmented Lagrangian. Lap joint, "
+        "hat on a plate with a rigid stop, wheelhouse; Coulomb and frictionless."
+    ),
     acceptance=(
         Acceptance(
             "order",
-            "The difference falls at first order in 1/ε: largest departure of the fitted order from 1.",
+            "Order of the difference in 1/ε: largest deviation from 1.",
             0.02,
             reason=(
-                "Theory: 1. The next term of the series is a hundredth of the first where the penalty is softest, ε/k "
-                "= 100; twice that."
+                "Theory: 1. At the softest penalty, ε/k = 100, the next term of the series is a hundredth of the "
+                "first; the limit is twice that."
             ),
         ),
         Acceptance(
             "penalty",
-            (
-                "At the stiffest penalty, largest difference of forces, gaps, slips and measurements over the largest "
-                "value."
-            ),
+            "Largest relative difference of forces, gaps, slips and measurements at the stiffest penalty.",
             1e-6,
             quick=1e-5,
-            reason="Theory: the error is some k/ε, 1e-6 at the stiffest, ε/k = 1e6 (quick: 1e5).",
+            reason="Theory: the error is about k/ε, 1e-6 at the stiffest penalty (quick: 1e-5).",
         ),
         Acceptance(
             "augmented",
-            "With the augmented Lagrangian, which removes the penalty error, the same difference.",
+            "The same difference with the augmented Lagrangian, which has no penalty error.",
             1e-8,
-            reason="Rounding: 1e-16 times the condition of a shell's stiffness, some 1e8.",
+            reason="Rounding: 1e-16 times the condition of a shell's stiffness, about 1e8.",
         ),
         Acceptance(
             "states",
-            "Contacts whose state, open, sticking or slipping, differs.",
+            "Number of contacts with different states (open, stick, slip).",
             0,
             unit="contacts",
             reason="Theory: on the same mesh both have one solution.",
         ),
         Acceptance(
             "certificate",
-            "The full solve's forces obey Coulomb's law in the reduced problem: largest scale-free residual.",
+            "Largest scale-free residual of the full solve's forces in the reduced problem.",
             1e-8,
             reason="Rounding, as for the forces.",
         ),

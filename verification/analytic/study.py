@@ -202,84 +202,73 @@ def run(context):
 STUDY = Study(
     order=80,
     title="Analytic truth",
-    claim=(
-        "Where contact and friction have a closed solution the reduced model finds it: sticking, sliding, turning "
-        "round, with memory."
-    ),
-    reference=(
-        "Closed forms, computed where they are used; neither production nor the finite-element reference is the judge."
-    ),
+    claim="The reduced model reproduces closed solutions with contact and friction: stick, slip, reversal and memory.",
+    reference="Closed forms, evaluated in the study, independent of production and of the finite-element reference.",
     acceptance=(
         Acceptance(
             "cantilever",
-            "Layered cantilever with slip between the leaves (Goodman and Klumpp), before, at and after the slip "
-            "load, loading and unloading: largest error of the deflection over the largest deflection.",
+            (
+                "Layered cantilever with slip between the leaves (Goodman and Klumpp), loading and unloading: error "
+                "of the deflection over the largest deflection."
+            ),
             0.003,
             quick=0.008,
-            reason=(
-                "A third of the 1 % that the setting reference promises of a figure, which leaves room for the other "
-                "sources."
-            ),
+            reason="A third of the 1 % error of the setting reference, which leaves room for other sources.",
         ),
         Acceptance(
             "hysteresis",
-            "The energy that friction takes in a closed loop of the layered cantilever: relative error.",
+            "Energy dissipated in a closed loop of the layered cantilever: relative error.",
             0.003,
             quick=0.008,
-            reason="As for the deflection: it is the area of its loop.",
+            reason="As for the deflection, whose loop area it is.",
         ),
         Acceptance(
             "stacked",
-            "Two beams stacked under a uniform load that presses them onto each other (Springfield and Joshi), growing "
-            "and falling: largest error of the deflection over the largest deflection.",
+            (
+                "Two stacked beams under a uniform load that presses them together (Springfield and Joshi), growing "
+                "and falling: error of the deflection over the largest deflection."
+            ),
             0.003,
             quick=0.008,
             reason="As for the cantilever.",
         ),
         Acceptance(
             "slip",
-            (
-                "Leaves without friction slide on each other by their depth times the slope: largest error over the "
-                "largest slip."
-            ),
+            "Slip of frictionless leaves, depth times slope: error over the largest slip.",
             0.003,
             quick=0.006,
             reason="As for the deflection, whose slope it is.",
         ),
         Acceptance(
             "welded",
-            "Leaves without friction, tied by welds: relative error of the deflection.",
+            "Frictionless leaves tied by welds: relative error of the deflection.",
             0.002,
             quick=0.006,
-            reason=("A fifth of the 1 % that the setting reference promises: nothing here hangs on contact."),
+            reason="A fifth of the 1 % error of the setting reference, since contact plays no part.",
         ),
         Acceptance(
             "incline",
-            "A sheet on an incline stays below the angle of friction, and leans on its stop with W (sin α - μ cos α) "
-            "above it: largest error over the weight.",
-            1e-8,
-            reason=(
-                "Statics, whatever the elements: the solver leaves 1e-10 of the largest force; a hundred times that."
+            (
+                "Sheet on an incline: sticks below the angle of friction and presses its stop with W (sin α - μ cos "
+                "α) above it: error over the weight."
             ),
+            1e-8,
+            reason="Statics: the solver's tolerance is 1e-10 of the largest force; a hundred times that.",
         ),
         Acceptance(
             "partial-slip",
-            "A pressed sheet dragged at its end slips as far as friction needs (shear lag; Cattaneo and Mindlin's "
-            "law on the way back): largest error of the end's displacement over the largest displacement.",
-            0.003,
-            reason=(
-                "A third of the 1 % that the setting reference promises of a figure, which leaves room for the other "
-                "sources."
+            (
+                "Pressed sheet dragged at its end (shear lag; Cattaneo and Mindlin's law on the way back): error of "
+                "the end's displacement over the largest displacement."
             ),
+            0.003,
+            reason="A third of the 1 % error of the setting reference, which leaves room for other sources.",
         ),
         Acceptance(
             "stop",
-            "A strip bent down onto a stop: largest error of the force on the stop over the load.",
+            "Strip bent onto a stop: error of the force on the stop over the load.",
             0.003,
-            reason=(
-                "A third of the 1 % that the setting reference promises of a figure, which leaves room for the other "
-                "sources."
-            ),
+            reason="A third of the 1 % error of the setting reference, which leaves room for other sources.",
         ),
     ),
     seconds=(14, 14),

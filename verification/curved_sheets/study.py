@@ -23,13 +23,13 @@ def off(ratio):
 
 
 GRADE = "MacNeal and Harder's best grade is 2 %"
-SHEAR = "and 0.3 % of shear, which the reference has and the element has not"
-#: Why a case has its limit; those that are not named keep half of the best grade on their authors' own meshes.
+SHEAR = "and 0.3 % of transverse shear, which only the reference has"
+#: Reason of each limit; cases that are not listed have half of the best grade, on their authors' own meshes.
 REASONS = {
     "cylinder 1.2 t": f"{GRADE}.",
     "cylinder 5 t": f"{GRADE}.",
     "cylinder 12 t": f"{GRADE}.",
-    "panel 10 mm": "MacNeal and Harder's second grade, for the coarsest mesh that is of use.",
+    "panel 10 mm": "MacNeal and Harder's second grade, for the coarsest useful mesh.",
     "panel 5 mm": f"Second order from the tenth at 10 mm, 2.5 %, {SHEAR}.",
     "panel 2.5 mm": f"Second order from the tenth at 10 mm, 0.63 %, {SHEAR}.",
 }
@@ -101,11 +101,11 @@ def run(context):
 STUDY = Study(
     order=44,
     title="Curved sheets",
-    claim="Triangles that know the normals of the sheet bend it without stretching it, however its mesh lies.",
+    claim="Triangles with the normals of the sheet bend it without stretching, on any mesh.",
     reference=(
         "Closed forms, published solutions (MacNeal and Harder 1985; Belytschko, Wong and Chiang 1992), and for the "
         "panel a shell with shear by elements of degree 5. Vertices are moved at random by up to 0.2–0.3 cells, "
-        "those of the panel that is judged are not."
+        "except on the panel."
     ),
     acceptance=tuple(
         Acceptance(

@@ -310,44 +310,44 @@ STUDY = Study(
     order=90,
     title="Extremes",
     claim=(
-        "At the extremes of size, material, friction, gap, mesh and units an answer is right, or it is refused "
-        "with a reason; none is silently wrong."
+        "At extremes of size, material, friction, gap, mesh and units an answer is right, or refused with a reason. "
+        "None is silently wrong."
     ),
     reference=(
-        "Closed forms (strip on a stop, sheet on an incline); manufactured contact solutions, judged by a "
-        "check of Coulomb's law that is written anew here."
+        "Closed forms (strip on a stop, sheet on an incline) and manufactured contact solutions, judged by an "
+        "independent check of Coulomb's law."
     ),
     acceptance=(
         Acceptance(
             "wrong",
-            "Cells whose answer is neither right nor refused with a reason: their number.",
+            "Number of cells whose answer is wrong without a message.",
             0,
-            reason="A wrong answer that is not said to be wrong is the one thing that must not happen.",
+            reason="A silent wrong answer must not happen.",
         ),
         Acceptance(
             "refused",
-            "Refusals are the exception: their share of all cells.",
+            "Share of refused cells.",
             0.03,
-            reason="Who tries thirty meets one: more often, and refusing is no exception.",
+            reason="More than one in thirty would not be an exception.",
         ),
         Acceptance(
             "drawn-wrong",
-            "Cells drawn over all axes at once that are silently wrong: their number.",
+            "Number of randomly drawn cells that are silently wrong.",
             0,
-            reason="A wrong answer that is not said to be wrong is the one thing that must not happen.",
+            reason="A silent wrong answer must not happen.",
         ),
         Acceptance(
             "drawn-refused",
-            "Cells drawn over all axes at once that are refused: their share.",
+            "Share of randomly drawn cells that are refused.",
             0.03,
-            reason="Who tries thirty meets one: more often, and refusing is no exception.",
+            reason="More than one in thirty would not be an exception.",
         ),
         Acceptance(
             "remedies",
-            "Refused cells that are right once done to them what their refusal advises: their share.",
+            "Share of refused cells that are right after the advised remedy.",
             1.0,
             bound="at least",
-            reason="A remedy that does not work is none.",
+            reason="A remedy must work.",
         ),
     ),
     seconds=(310, 30),

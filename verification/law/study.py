@@ -273,88 +273,86 @@ STUDY = Study(
     order=20,
     title="Law",
     claim=(
-        "Programme (13) is not Coulomb's law: it opens sliding contacts under load. This is by how much it, and "
-        "leaving friction out, change the answer. Friction that depends on pressure, or on the stage, and contacts "
-        "that yield before they slip are what the full finite elements find, too."
+        "Programme (13) is not Coulomb's law: it opens sliding contacts under load. The study measures the effect of "
+        "that law and of neglecting friction. Reduced solutions with pressure-dependent, stage-dependent and "
+        "micro-slip friction equal full finite elements."
     ),
     reference=(
-        "Full frictional contact finite elements, and reduced coulomb where these have certified it; μ = 0.05 … 0.8."
+        "Full frictional contact finite elements, and the reduced Coulomb solution where these confirm it; μ = 0.05 "
+        "… 0.8."
     ),
     acceptance=(
         Acceptance(
             "truth",
-            "The reduced coulomb is what the full finite elements find: largest relative difference.",
+            "Reduced Coulomb solution against full finite elements: largest relative difference.",
             1e-8,
-            reason="Rounding: 1e-16 times the condition of a shell's stiffness, some 1e8.",
+            reason="Rounding: 1e-16 times the condition of a shell's stiffness, about 1e8.",
         ),
         Acceptance(
             "coulomb-gap",
-            "Under Coulomb's law no loaded contact is open: largest gap.",
+            "Largest gap of a loaded contact under Coulomb's law.",
             1e-9,
             unit="mm",
-            reason="Theory: none. A thousandth of a micrometre is a millionth of a sheet's thickness: rounding.",
+            reason="Theory: zero. A millionth of a sheet's thickness is rounding.",
         ),
         Acceptance(
             "identity",
             (
-                "Solutions of (13) open by μ times the slip, as its optimality conditions say: largest departure over "
-                "the largest gap."
+                "Gap of (13) against μ times slip, as its optimality conditions require: largest difference over the "
+                "largest gap."
             ),
             1e-6,
-            reason="Theory: equal. A hundredth of what the least figure of a report shows, three digits of a per cent.",
+            reason="Theory: equal; a hundredth of the last digit of a report.",
         ),
         Acceptance(
             "opening",
-            "(13) opens loaded contacts of the wheelhouse at the paper's friction: largest gap.",
+            "Largest gap of a loaded contact of the wheelhouse under (13) at the paper's friction.",
             0.02,
             unit="mm",
             bound="at least",
-            reason="Ten times what a coordinate measuring machine tells, 2 µm: nobody can call it small.",
+            reason="Ten times the 2 µm that a coordinate measuring machine resolves.",
         ),
         Acceptance(
             "associated-force",
-            "(13) changes contact forces there: largest error over the largest force.",
+            "Effect of (13) on contact forces there: largest error over the largest force.",
             0.1,
             bound="at least",
-            reason="A tenth, to which tongs and clamps are set: an error of that size is seen.",
+            reason="A tenth, the repeatability of clamps and tongs.",
         ),
         Acceptance(
             "associated-slip",
-            "(13) changes the mean slip of a zone there by no more than this share.",
+            "Effect of (13) on the mean slip of a zone there, relative.",
             0.1,
-            reason="The tenth of itself that the error budget grants a slip.",
+            reason="The tenth that the error budget grants a slip.",
         ),
         Acceptance(
             "other-laws",
             (
-                "Friction by pressure, contacts that yield and friction by stage on the lap joint: reduced against "
-                "full, largest relative difference."
+                "Pressure-dependent, micro-slip and stage-dependent friction on the lap joint, reduced against full: "
+                "largest relative difference."
             ),
             1e-8,
-            reason="Rounding, as under Coulomb's law: the two routes share no code of a law.",
+            reason="Rounding, as under Coulomb's law; the two routes share no code of a law.",
         ),
         Acceptance(
             "yielding",
             (
-                "Contacts that yield tend to Coulomb's as they get stiffer, at first order: what they change with the "
-                "stiffest (1e6 N/mm³; quick: 1e5) over what with the softest (1e3)."
+                "Micro-slip against Coulomb's law: change at the largest stiffness (1e6 N/mm³; quick: 1e5) over the "
+                "change at the smallest (1e3)."
             ),
             0.01,
             quick=0.1,
             reason=(
                 "Theory: first order in the compliance, a thousandth over three decades (quick: a hundredth over "
-                "two); ten times that for the softest, which slip and no longer answer in proportion."
+                "two); ten times that, since the softest contacts slip."
             ),
         ),
         Acceptance(
             "other-laws-matter",
-            (
-                "Coulomb's law with the scene's coefficient is off by 1e4 times that limit: least change of a "
-                "tangential motion, by pressure and by the softest contacts."
-            ),
+            "Effect of these laws on tangential motion: least change against Coulomb's law.",
             1e-4,
             bound="at least",
-            reason="1e4 times the limit of the agreement: a law ignored by one of the routes could not hide.",
+            reason="1e4 times the limit of the agreement, so an ignored law would be found.",
         ),
     ),
     seconds=(40, 120),

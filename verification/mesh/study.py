@@ -266,13 +266,13 @@ STUDY = Study(
     order=50,
     title="Mesh",
     claim=(
-        "Key characteristics and the zones' tangential displacement converge as the elements become smaller, and the "
-        "error that a mesh leaves is known."
+        "Key characteristics and the zones' tangential displacement converge with the element size, and the error of "
+        "a mesh is known."
     ),
     reference=(
-        "Lap joint: Richardson extrapolation over three meshes, and a fourth that judges the index. Wheelhouse: a mesh "
-        "of 6.6 times the nodes of medium. Contact pairs stand at the same points on all meshes, on the lap joint as "
-        "the same discs."
+        "Lap joint: Richardson extrapolation over three meshes, and a fourth that tests the index. Wheelhouse: a "
+        "mesh with 6.6 times the nodes of medium. Contact pairs stand at the same points on all meshes, on the lap "
+        "joint as the same discs."
     ),
     acceptance=(
         Acceptance(
@@ -286,35 +286,35 @@ STUDY = Study(
             "lap-index",
             "Largest grid convergence index of the lap joint's third mesh, over the largest value of its kind.",
             0.01,
-            reason="The setting reference: 6σ to 1 %.",
+            reason="The 1 % of the setting reference.",
         ),
         Acceptance(
             "wheelhouse-medium",
-            "Largest difference of a key characteristic's 6σ between medium and the finest mesh, over its own.",
+            "6σ of key characteristics, medium against the finest mesh: largest relative difference.",
             0.02,
             quick=0.2,
-            reason="The setting standard: 6σ to 2 %.",
+            reason="The 2 % of the setting standard.",
         ),
         Acceptance(
             "wheelhouse-medium-zones",
-            "The same of the zones' tangential displacement after clamping.",
+            "6σ of the zones' tangential displacement after clamping: the same.",
             0.02,
             quick=0.6,
-            reason="The setting standard, slips as well: 2 %.",
+            reason="The 2 % of the setting standard.",
         ),
         Acceptance(
             "wheelhouse-fine",
-            "Key characteristics' 6σ, fine and the finest mesh.",
+            "6σ of key characteristics, fine against the finest mesh: largest relative difference.",
             0.01,
             quick=0.2,
-            reason="The setting reference: 6σ to 1 %.",
+            reason="The 1 % of the setting reference.",
         ),
         Acceptance(
             "wheelhouse-fine-zones",
-            "The zones', fine and the finest mesh.",
+            "6σ of the zones' tangential displacement: the same.",
             0.01,
             quick=0.6,
-            reason="The setting reference, slips as well: 1 %.",
+            reason="The 1 % of the setting reference.",
         ),
     ),
     seconds=(430, 110),

@@ -178,76 +178,65 @@ STUDY = Study(
     order=32,
     title="Order",
     claim=(
-        "Whether friction matters is decided by the order in which clamps and further locators close; where locators "
-        "close before the sheets are pressed, it holds nothing, and where clamps come first it holds much."
+        "The closing order of clamps and further locators decides whether friction matters: little if locators close "
+        "before the sheets are pressed, much if clamps come first."
     ),
-    reference=(
-        "The same samples without friction; the same orders on ever tighter paths; physics: friction holds only what "
-        "still moves."
-    ),
+    reference="The same samples without friction; the same orders on ever tighter paths.",
     acceptance=(
         Acceptance(
             "located",
             (
-                "Further locators, then clamps: friction leaves mean and 6σ of every zone's tangential displacement as "
-                "they are: largest relative change."
+                "Further locators, then clamps: effect of friction on mean and 6σ of every zone's tangential "
+                "displacement, largest relative change."
             ),
             0.05,
-            reason="Where `mic check` begins to doubt that friction matters in a stage, 5 %.",
+            reason="`mic check` notes that friction has little effect in a stage below 5 %.",
         ),
         Acceptance(
             "pressed",
             (
-                "Clamps, then further locators: friction lowers the mean in every zone by a tenth or more: upper end "
-                "of the ratio's interval, the largest."
+                "Clamps, then further locators: mean with friction over without, upper end of its interval, largest "
+                "of the zones."
             ),
             0.9,
-            reason=(
-                "Less than the tenth that the error budget grants a slip is nothing to state an order for, intervals "
-                "included."
-            ),
+            reason="A reduction of less than a tenth would not be worth stating an order.",
         ),
         Acceptance(
             "set-down",
             (
-                "Further locators, then clamps: how the parts were set down leaves no trace in the key "
-                "characteristics: largest change of a mean or 6σ, over the larger of 0.5 % of 6σ and 2 µm."
+                "Further locators, then clamps: effect of how the parts were placed on key characteristics, over the "
+                "larger of 0.5 % of 6σ and 2 µm."
             ),
             1.0,
-            reason=(
-                "0.5 % and 2 µm are what a followed path promises of a key characteristic: less than that is no trace."
-            ),
+            reason="0.5 % and 2 µm are the accuracy of a followed path.",
         ),
         Acceptance(
             "matters",
-            (
-                "The order is worth stating: it moves the mean of some key characteristic by at least ten times what "
-                "a followed path may leave: largest change over 6σ."
-            ),
+            "Effect of the order on the mean of a key characteristic, largest change over 6σ.",
             0.05,
             bound="at least",
-            reason="Ten times the 0.5 % that a followed path may leave is worth a line in a scene.",
+            reason="Ten times the 0.5 % of a followed path.",
         ),
         Acceptance(
             "path-slip",
             (
-                "The path followed agrees with one 250 times tighter in every order: largest difference of a zone's "
-                "mean or 6σ of slip under load, over the larger of 1 % and 2 µm."
+                "Path against one 250 times tighter in every order: mean or 6σ of a zone's slip, largest difference "
+                "over the larger of 1 % and 2 µm."
             ),
             1.0,
-            reason="A sixth of what 500 samples leave open of a 6σ, and what a coordinate measuring machine tells.",
+            reason="A sixth of the uncertainty of 500 samples, and the resolution of a coordinate measuring machine.",
         ),
         Acceptance(
             "path-measured",
-            ("So do key characteristics: largest difference of a mean or 6σ, over the larger of 0.5 % of 6σ and 2 µm."),
+            "The same for key characteristics, over the larger of 0.5 % of 6σ and 2 µm.",
             1.0,
-            reason="A twelfth of what 500 samples leave open of a 6σ, and what a coordinate measuring machine tells.",
+            reason="A twelfth of the uncertainty of 500 samples, and the resolution of a coordinate measuring machine.",
         ),
         Acceptance(
             "path-judge",
-            "What that judge may itself be off by: the difference of paths 25 and 250 times tighter, of the same.",
+            "Error of that reference path: paths 25 and 250 times tighter, the same ratio.",
             0.2,
-            reason="A judge errs by no more than a fifth of what it judges.",
+            reason="A reference errs by at most a fifth of the limit.",
         ),
     ),
     seconds=(112, 90),

@@ -163,7 +163,7 @@ LIMITS = {"mean": 1.0, "6σ": 1.0, "force": 0.02, "work": 0.07}
 STUDY = Study(
     order=42,
     title="Pairs against every node",
-    claim="The pairs that a shipped scene gets stand for contact at every node of its facing zones.",
+    claim="The contact pairs of the shipped scenes represent contact at every node of the facing zones.",
     reference="The same samples of the same scene with a pair at every node of both sheets in its zones.",
     acceptance=(
         Acceptance(
@@ -171,8 +171,8 @@ STUDY = Study(
             "Means of key characteristics: largest difference over the larger of 2 µm and 5 % of 6σ.",
             LIMITS["mean"],
             reason=(
-                "2 µm is what coordinate measuring machines tell apart on sheets; 5 % of 6σ is less than what 500 "
-                "samples leave unsure of it, 6.2 %."
+                "2 µm is the resolution of coordinate measuring machines on sheets; 5 % is less than the uncertainty "
+                "of 500 samples, 6.2 %."
             ),
         ),
         Acceptance("spread", "6σ of key characteristics: the same.", LIMITS["6σ"], reason="As for the means."),
@@ -180,13 +180,13 @@ STUDY = Study(
             "force",
             "Sum of normal forces beyond the nuggets: difference over the largest.",
             LIMITS["force"],
-            reason="The 2 % that the setting standard promises.",
+            reason="The 2 % of the setting standard.",
         ),
         Acceptance(
             "work",
             "Work of friction in a zone: difference over the largest.",
             LIMITS["work"],
-            reason="2 % of the force and 5 % of the slip, of which it is the product.",
+            reason="2 % of the force and 5 % of the slip, whose product it is.",
         ),
     ),
     seconds=(280, 5),

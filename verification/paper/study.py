@@ -300,57 +300,47 @@ STUDY = Study(
     order=100,
     title="The paper's case",
     claim=(
-        "With the corrective forces calibrated on the paper's frictionless column alone, friction lowers mean and "
-        "spread of the slip in all three zones, as in the paper."
+        "With corrective forces calibrated on the paper's frictionless column alone, friction lowers mean and spread "
+        "of the slip in all three zones, as in the paper."
     ),
     reference=(
-        "Table 1 and section 4.2 of the paper, whose geometry is another: the values are set beside each "
-        "other, only the trend is claimed."
+        "Table 1 and section 4.2 of the paper, whose geometry differs. Values are compared side by side; only the "
+        "trend is claimed."
     ),
     acceptance=(
         Acceptance(
             "order",
             (
-                "The order of closing decides as much as friction does in the paper: range over the orders of the "
-                "frictional mean over the frictionless one, over what friction takes of it in the paper, least of the "
-                "zones."
+                "Effect of the closing order, over the effect of friction in the paper: range of mean ratios, least "
+                "of the zones."
             ),
             1.0,
             bound="at least",
-            reason="As much as friction does in the paper: what is smaller does not explain it.",
+            reason="An effect as large as friction's in the paper.",
         ),
         Acceptance(
             "calibration",
-            "The frictionless column is met: largest relative difference of the means and 6σ, on fresh samples.",
+            "Frictionless means and 6σ on fresh samples: largest relative difference from the paper.",
             0.15,
-            reason="100 samples, as many as the paper has, know a 6σ to 14 %.",
+            reason="100 samples, as in the paper, determine a 6σ to 14 %.",
         ),
         Acceptance(
             "trend",
-            (
-                "Friction lowers mean and spread of the slip in every zone: largest ratio of frictional to "
-                "frictionless, both laws."
-            ),
+            "Mean and spread of slip with friction over without: largest ratio, both laws.",
             1.0,
-            reason="Lower is below one: a trend, and no amount, is claimed.",
+            reason="Friction lowers both; no amount is claimed.",
         ),
         Acceptance(
             "laws",
-            (
-                "The paper's programme and Coulomb's law, the path cut alike, predict mean slips that differ by no "
-                "more than this: largest relative difference over the cuts."
-            ),
+            "Mean slips of programme (13) and Coulomb's law with equal increments: largest relative difference.",
             0.08,
-            reason="What 500 samples, as many as are compared, leave of a ratio of two 6σ: √2 times 6.2 %.",
+            reason="The uncertainty of a ratio of two 6σ of 500 samples: √2 times 6.2 %.",
         ),
         Acceptance(
             "slip-force",
-            (
-                "Friction forces are of the published size: the 95 % quantile over the active contacts, over the "
-                "largest published."
-            ),
+            "95 % quantile of friction forces of active contacts, over the largest published.",
             1.0,
-            reason="A bound of the published forces is what is claimed.",
+            reason="The published forces are a bound.",
         ),
     ),
     seconds=(250, 60),

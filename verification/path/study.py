@@ -401,56 +401,63 @@ def picture(table):
 
 
 COST = (
-    "Asked of the method before it was chosen: twice where contacts close and stay, four times where they close in "
-    "groups, ten times where they slide."
+    "Set before the method was chosen: twice where contacts close and stay, four times where they close in groups, ten "
+    "times where they slide."
 )
 
 STUDY = Study(
     order=30,
     title="Path",
     claim=(
-        "The path that production follows by default leaves means and 6σ within what a measurement could tell, says "
-        "how far off each sample may be, and is the one that the full finite elements follow by another method."
+        "The default path keeps means and 6σ within measurement accuracy, estimates the error of each sample, and "
+        "agrees with the path of the full finite elements, which use another method."
     ),
     reference=(
-        "The same path ever tighter, which ever more increments near; closed forms of one and two contacts and of the "
-        "layered cantilever; the full finite elements, whose path is extrapolated."
+        "The same path ever tighter, approached by increments; closed forms of one and two contacts and of the "
+        "layered cantilever; full finite elements with an extrapolated path."
     ),
     acceptance=(
         Acceptance(
             "slip",
-            "Mean and 6σ of zone slip, and of tangential displacement, by the followed path against one 250 times "
-            "tighter: largest difference, of what is allowed, 1 % or 2 µm (a sixth of what 500 samples leave open).",
+            (
+                "Mean and 6σ of zone slip and tangential displacement against a path 250 times tighter: largest "
+                "difference over the larger of 1 % and 2 µm."
+            ),
             1.0,
             reason=(
-                "1 % is a sixth of what 500 samples leave open of a 6σ; 2 µm what a coordinate measuring machine tells."
+                "1 % is a sixth of the uncertainty of 500 samples; 2 µm is the resolution of a coordinate measuring "
+                "machine."
             ),
         ),
         Acceptance(
             "key-characteristic",
-            "Mean and 6σ of key characteristics: the same, of 0.5 % of 6σ or 2 µm (what a measuring machine tells).",
+            "Mean and 6σ of key characteristics: largest difference over the larger of 0.5 % of 6σ and 2 µm.",
             1.0,
-            reason="0.5 % is a twelfth of what 500 samples leave open; 2 µm what a coordinate measuring machine tells.",
+            reason=(
+                "0.5 % is a twelfth of the uncertainty of 500 samples; 2 µm is the resolution of a coordinate "
+                "measuring machine."
+            ),
         ),
         Acceptance(
             "judge",
-            "What the judge may itself be off by: the difference of the two tightest paths, of the same for either.",
+            "Error of the reference path: difference of the two tightest paths, the same ratio.",
             0.2,
-            reason="A judge errs by no more than a fifth of what it judges.",
+            reason="A reference errs by at most a fifth of the limit.",
         ),
         Acceptance(
             "nearing",
-            "Increments, which share nothing with the judge but the law, near it: by this factor for each doubling of "
-            "their number falls the median distance of the contacts' positions (first order: 2).",
+            (
+                "Factor by which the median distance of contact positions from the reference falls for each doubling "
+                "of the increments."
+            ),
             1.5,
             bound="at least",
-            reason="Theory: 2 for each doubling; √2, half an order, would be a method of another order.",
+            reason="Theory: 2; √2 would be another order.",
         ),
         *(
             Acceptance(
                 f"cost-{name}",
-                f"Factorisations of the followed path on {name.replace('_', ' ')}, times those of one increment a "
-                "step.",
+                f"Factorisations of the followed path over those of one increment a step, {name.replace('_', ' ')}.",
                 limit,
                 reason=COST,
             )
@@ -458,56 +465,62 @@ STUDY = Study(
         ),
         Acceptance(
             "coverage",
-            "A sample's own estimate covers the error of its contacts' positions: share of the ends of stages.",
+            "Share of stage ends at which a sample's own estimate covers the error of its contact positions.",
             0.95,
             bound="at least",
-            reason="It is told as a bound of 95 %.",
+            reason="It is reported as a 95 % bound.",
         ),
         Acceptance(
             "order",
-            "Round a corner, error before over error after each halving of the steps, from 8 on (second order: 4).",
+            "Around a corner: error before over error after each halving of the steps, from 8 on.",
             3.5,
             bound="at least",
-            reason="Theory: 4 for each halving; 3.5 is an order of 1.8, which no method of first order reaches.",
+            reason="Theory: 4; 3.5 is order 1.8.",
         ),
         Acceptance(
             "linear",
-            "Paths that are piecewise linear (a contact that closes while it moves, a load that turns round, two "
-            "contacts in series): error over the way, but for rounding.",
+            (
+                "Piecewise linear paths (closing while moving, load reversal, two contacts in series): error over "
+                "the path length."
+            ),
             1e-8,
-            reason="Rounding: straight pieces leave nothing else.",
+            reason="Rounding: straight pieces have no other error.",
         ),
         Acceptance(
             "curved",
-            "Round a corner, and on an arc, followed by default: error over the way.",
+            "Around a corner and on an arc with default settings: error over the path length.",
             1e-3,
             reason="Four times the tolerance of a step, 2.5e-4.",
         ),
         Acceptance(
             "cantilever",
-            "The layered cantilever, up and back, against 64 increments each way on the same mesh: difference over "
-            "the largest deflection (a third of what the mesh may leave of the closed form).",
+            (
+                "Layered cantilever, loading and unloading, against 64 increments each way: difference over the "
+                "largest deflection."
+            ),
             1e-3,
-            reason="A third of what the mesh may leave of the closed form, 0.003.",
+            reason="A third of the mesh error allowed against the closed form, 0.003.",
         ),
         Acceptance(
             "reversal",
-            "A load that skips a reversal loses the deflection that friction keeps: lost share.",
+            "Share of the deflection retained by friction that a load without its reversal loses.",
             0.9,
             bound="at least",
-            reason="Theory: all of it; a tenth is what the error budget grants a slip.",
+            reason="Theory: all of it; a tenth is granted.",
         ),
         Acceptance(
             "full",
-            "Both routes with fine paths of their own methods on the lap joint: largest relative difference of "
-            "forces, gaps, displacements, slips and key characteristics.",
+            (
+                "Both routes with fine paths of their own methods on the lap joint: largest relative difference of "
+                "forces, gaps, displacements, slips and key characteristics."
+            ),
             1e-6,
             quick=1e-3,
-            reason=("Less than a hundredth of the tolerance of a production step, 2.5e-4, which it must not blur."),
+            reason="Less than a hundredth of the step tolerance, 2.5e-4.",
         ),
         Acceptance(
             "same",
-            "With the same increments, or all in one step, both routes solve the same problems: the same difference.",
+            "Both routes with the same increments, or in one step: the same difference.",
             1e-8,
             reason="Rounding of a solve, 1e-8.",
         ),

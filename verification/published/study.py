@@ -183,35 +183,36 @@ STUDY = Study(
     order=82,
     title="Published benchmarks",
     claim=(
-        "The contact solver, given the compliance of bodies that are no sheets, finds what others published of them: "
-        "sticking, sliding, partial slip, contacts that grow."
+        "The contact solver, given the compliance of bodies that are no sheets, reproduces published results: stick, "
+        "slip, partial slip, growing contact."
     ),
     reference=(
-        "code_aster's validation cases SSNV503 (closed form), SSNV128 (average of codes), SSNP154 and SSNA122 (NAFEMS "
-        "contact benchmarks 1 and 2); Hertz, Cattaneo and Mindlin. Each on three meshes of quadratic triangles."
+        "code_aster's validation cases SSNV503 (closed form), SSNV128 (average of codes), SSNP154 and SSNA122 "
+        "(NAFEMS contact benchmarks 1 and 2); Hertz, Cattaneo and Mindlin. Each on three meshes of quadratic "
+        "triangles."
     ),
     acceptance=(
         Acceptance(
             "shoe",
-            "SSNV503, a shoe on a plane: largest error of its displacements over the 9 mm that it slides.",
+            "SSNV503, a shoe on a plane: largest error of its displacements over the 9 mm of sliding.",
             0.004,
-            reason="The closed form neglects that the shoe yields: 0.035 of 9 mm.",
+            reason="The closed form neglects the shoe's compliance: 0.035 of 9 mm.",
         ),
         Acceptance(
             "shoe-force",
             "SSNV503: largest error of normal and friction force over 12 000 and 3600 N.",
             4e-5,
-            reason="The closed form neglects that the shoe yields: the springs take 0.14 N of 3600 N.",
+            reason="The closed form neglects the shoe's compliance: 0.14 N of 3600 N.",
         ),
         Acceptance(
             "plate",
             "SSNV128, a plate pressed and pushed along a plane: largest relative error of its motion.",
             0.05,
-            reason="The 5 % that the source grants its own codes.",
+            reason="The 5 % that the source allows its own codes.",
         ),
         Acceptance(
             "hertz",
-            "SSNP154, a roller on a block: relative error of half width and pressure by Hertz.",
+            "SSNP154, a roller on a block: relative error of Hertz's half width and pressure.",
             0.015,
             reason="The half-space neglects (a/R)² = 0.015.",
         ),
@@ -219,34 +220,31 @@ STUDY = Study(
             "roller",
             "SSNP154: relative error of the displacement of the block's top.",
             0.027,
-            reason=(
-                "The reference is of large displacements: strains of 2.7 % by Hertz are what a linear theory may be "
-                "off by."
-            ),
+            reason="The reference has large displacements; Hertz's largest strain is 2.7 %.",
         ),
         Acceptance(
             "punch",
             "SSNA122, a punch with a rounded edge: relative error of the displacement below it.",
             0.017,
-            reason="What the two published meshes differ by.",
+            reason="The difference of the two published meshes.",
         ),
         Acceptance(
             "punch-friction",
-            "SSNA122: relative error of what friction changes in that displacement.",
+            "SSNA122: relative error of friction's effect on that displacement.",
             0.003,
-            reason="What the two published meshes differ by on this, 0.3 %.",
+            reason="The difference of the two published meshes, 0.3 %.",
         ),
         Acceptance(
             "cattaneo",
-            "Cylinders pressed and sheared: relative error of the half widths of contact and of stick.",
+            "Cylinders pressed and sheared: relative error of the half widths of contact and stick.",
             0.007,
             reason="The half-space neglects (a/R)² = 0.007.",
         ),
         Acceptance(
             "own",
-            "What the meshes leave of each of these numbers, as a share of its limit.",
+            "Mesh error of each of these numbers, over its limit.",
             0.2,
-            reason="A reference errs by no more than a fifth of the limit.",
+            reason="A reference errs by at most a fifth of the limit.",
         ),
     ),
     seconds=(25, 30),

@@ -148,8 +148,8 @@ STUDY = Study(
     order=40,
     title="Sampling of the interface",
     claim=(
-        "About a hundred pairs with patch averages on the sheets' facing surfaces stand for the continuous "
-        "interface to the numbers below; the spread of key characteristics asks for more."
+        "About a hundred pairs with patch averages on the facing surfaces represent the continuous interface to the "
+        "numbers below; the spread of key characteristics needs more."
     ),
     reference="The same wheelhouse with ever more pairs; the same pairs on a finer mesh; beam theory for the surfaces.",
     acceptance=(
@@ -157,47 +157,32 @@ STUDY = Study(
             "density",
             "Zone slip with 102 pairs against the densest interface: relative difference.",
             0.04,
-            reason=(
-                "A tenth of a slip is granted to all sources of the error budget: to each of six that are independent "
-                "0.1/√6."
-            ),
+            reason="A tenth for all sources of the error budget: 0.1/√6 for each of six independent ones.",
         ),
         Acceptance(
             "density-kc",
-            (
-                "Key characteristics with 102 pairs against the densest interface: difference of the means over the "
-                "tolerance."
-            ),
+            "Means of key characteristics with 102 pairs against the densest interface, over the tolerance.",
             0.04,
-            reason=(
-                "A tenth of the tolerance is granted to all sources of the error budget: to each of six that are "
-                "independent 0.1/√6."
-            ),
+            reason="A tenth of the tolerance for all sources: 0.1/√6 for each of six independent ones.",
         ),
         Acceptance(
             "patch",
-            "With tributary patches, a finer mesh changes the zone slip by little: relative difference.",
+            "Effect of a finer mesh on zone slip with tributary patches, relative.",
             0.04,
             reason="As for the density: one of six sources.",
         ),
         Acceptance(
             "surfaces",
-            (
-                "Read on the facing surfaces, two stuck leaves are as stiff as one beam of double depth: compliance "
-                "over that beam's."
-            ),
+            "Two stuck leaves read on the facing surfaces: compliance over that of a beam of double depth.",
             1.01,
-            reason="The 1 % that the setting reference promises of a figure.",
+            reason="The 1 % of the setting reference.",
         ),
         Acceptance(
             "mid-surface",
-            (
-                "Read on the mid-surfaces they are not: compliance over that of one beam, four where friction does not "
-                "couple the leaves at all."
-            ),
+            "The same read on the mid-surfaces.",
             3.92,
             bound="at least",
-            reason="Theory: 4, less the 2 % that the setting standard promises of a figure.",
+            reason="Theory: 4, less the 2 % of the setting standard.",
         ),
     ),
     seconds=(240, 70),

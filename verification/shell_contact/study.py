@@ -102,10 +102,10 @@ def run(context):
 STUDY = Study(
     order=84,
     title="Twelve cases of frictional contact of shells",
-    claim="The values that the twelve cases state are those that the program computes, mesh by mesh.",
+    claim="The program reproduces the published values of the twelve cases on every mesh.",
     reference=(
-        "The shipped values of each case on meshes of three sizes. Nobody else has published such cases: what the "
-        "values are worth is told by their uncertainty, from meshes, candidates for contact and paths."
+        "The shipped values of each case on meshes of three sizes. No other such cases are published; the "
+        "uncertainty of the values comes from meshes, candidates and paths."
     ),
     acceptance=(
         Acceptance(
@@ -113,15 +113,15 @@ STUDY = Study(
             "Largest change of a value on a mesh, over the larger of 1e-4 of it and 0.01 µm, 0.01 N or 1e-4 N mm.",
             1.0,
             reason=(
-                "A path of controlled error takes other steps with the last digit of its input and may leave 1e-4; the "
-                "others are hundredths of what gauges and load cells tell."
+                "A path with error control takes other steps if the last digit of its input changes, with an effect "
+                "of up to 1e-4; the absolute limits are hundredths of the resolution of gauges and load cells."
             ),
         ),
         Acceptance(
             "finer",
-            "Share of the values that a mesh 1.5 times finer than the finest moves by more than their uncertainty.",
+            "Share of values that a mesh 1.5 times finer than the finest moves by more than their uncertainty.",
             0.05,
-            reason="The uncertainties claim to be intervals of 95 %.",
+            reason="The uncertainties are 95 % intervals.",
         ),
     ),
     seconds=(372, 25),

@@ -205,74 +205,77 @@ def _table(scene: Scene, outcomes: list[tuple[str, Outcome]]) -> pd.DataFrame:
 STUDY = Study(
     order=86,
     title="The whole process in another code",
-    claim="Solids of another code, taken through the whole process, come to forces, slips and shapes of production.",
+    claim="Solids of another code, taken through the whole process, give the forces, slips and shapes of production.",
     reference=(
-        "The lap joint and the hat on the plate of CalculiX's C3D8I, two through each thickness, every node of the "
-        "faces touching what it lies before, pads as discs, nuggets as one piece, friction in eight increments a step; "
-        "on three meshes each."
+        "Lap joint and hat on the plate with CalculiX's C3D8I, two through each thickness, contact at every node of "
+        "the faces, pads as discs, nuggets as one piece, friction in eight increments a step; three meshes each."
     ),
     acceptance=(
         Acceptance(
             "force",
-            "Lap joint: sum of normal forces beyond three radii of the nuggets, over the largest stage's.",
+            "Lap joint: sum of normal forces beyond three nugget radii, over the largest stage's.",
             0.01,
-            reason="A sixth of what 500 samples leave unsure of a 6σ, 6.2 %: a user does not see it.",
+            reason="A sixth of the uncertainty of 500 samples in 6σ, 6.2 %.",
         ),
         Acceptance(
             "slip",
-            "Lap joint: root mean square of what the faces move along each other, over the largest stage's.",
+            "Lap joint: root mean square relative displacement of the faces, over the largest stage's.",
             0.01,
             reason="As for the force.",
         ),
         Acceptance(
             "key-characteristic",
-            "Lap joint: key characteristics, sample by sample, over the larger of 5 % and 2 µm.",
+            "Lap joint: key characteristics of each sample, over the larger of 5 % and 2 µm.",
             1.0,
             quick=2.0,
             reason=(
-                "2 µm is what coordinate measuring machines tell apart on sheets; 5 % is less than what 500 samples "
-                "leave unsure of a 6σ."
+                "2 µm is the resolution of coordinate measuring machines; 5 % is less than the uncertainty of 500 "
+                "samples."
             ),
         ),
         Acceptance(
             "nearing",
-            "Lap joint: by this factor the difference of key characteristics falls from the last mesh but one to the "
-            "last.",
+            (
+                "Lap joint: factor by which the difference of key characteristics falls from the second to the "
+                "finest mesh."
+            ),
             1.0,
             bound="at least",
-            reason="A reference that goes away from what it judges as it is refined has not converged to it.",
+            reason="A reference that moves away under refinement has not converged.",
         ),
         Acceptance(
             "hat-force",
-            "Hat: sum of a zone's normal forces beyond three radii of the nuggets, in every stage in which it carries "
-            "more than a tenth of the clamps' force, sample by sample.",
+            (
+                "Hat: sum of a zone's normal forces beyond three nugget radii, in every stage with more than a tenth "
+                "of the clamp force, each sample."
+            ),
             0.05,
             quick=0.1,
-            reason="Less than what 500 samples leave unsure of a 6σ, 6.2 %: a user does not see it.",
+            reason="Less than the uncertainty of 500 samples in 6σ, 6.2 %.",
         ),
         Acceptance(
             "hat-slip",
-            "Hat: root mean square of what a zone's faces move along each other, in those of these stages in which it "
-            "is more than a tenth of the largest.",
+            (
+                "Hat: root mean square relative displacement of a zone's faces, in those stages where it exceeds a "
+                "tenth of the largest."
+            ),
             0.08,
             quick=0.16,
-            reason=(
-                "A tenth is what the error budget grants in all; a fifth of that is left to the error of the solids."
-            ),
+            reason="The tenth of the error budget, less a fifth for the error of the solids.",
         ),
         Acceptance(
             "hat-key-characteristic",
-            "Hat: key characteristics, sample by sample, over the larger of 10 % and 2 µm.",
+            "Hat: key characteristics of each sample, over the larger of 10 % and 2 µm.",
             1.0,
             quick=2.0,
-            reason="2 µm as above; a tenth is what the error budget grants in all.",
+            reason="2 µm as above, and the tenth of the error budget.",
         ),
         Acceptance(
             "hat-settled",
-            "Hat: what solids change from the last mesh but one to the last, over the three limits.",
+            "Hat: change of the solids from the second to the finest mesh, over the three limits.",
             0.5,
             quick=2.0,
-            reason="A reference that may move by half of what it allows leaves as much to what it judges.",
+            reason="A reference may move by half of the limit.",
         ),
     ),
     seconds=(330, 100),

@@ -175,60 +175,45 @@ def run(context):
 STUDY = Study(
     order=70,
     title="Statistics",
-    claim=(
-        "Mean, σ, 6σ and Cpk come with intervals that hold the truth as often as they say, and their error falls "
-        "as the theory says."
-    ),
+    claim="Mean, σ, 6σ and Cpk have intervals with the stated coverage, and their error falls at the theoretical rate.",
     reference=(
-        "Populations whose values are known exactly: the normal distribution, and a large set of wheelhouse "
-        "samples taken as the whole population."
+        "Populations with known values: the normal distribution, and a large set of wheelhouse samples taken as the "
+        "population."
     ),
     acceptance=(
         Acceptance(
             "rate",
-            (
-                "The error of each estimate falls with the square root of the number of samples: largest departure of "
-                "the fitted rate from -1/2."
-            ),
+            "Rate of the error of each estimate in the number of samples: largest deviation from -1/2.",
             0.02,
             quick=0.05,
             reason=(
-                "Theory: 1/2, but for 1/(4 n) of a spread of n samples, which turns the slope over two decades by "
-                "0.006; three times that (quick: what a tenth of the repetitions know)."
+                "Theory: 1/2, with a bias of 1/(4 n) that changes the slope by 0.006; three times that (quick: a "
+                "tenth of the repetitions)."
             ),
         ),
         Acceptance(
             "coverage",
-            (
-                "Intervals said to hold at 95 % do, on normal samples: largest departure of the share that held, over "
-                "all counts and estimates."
-            ),
+            "Coverage of 95 % intervals on normal samples: largest deviation, over all counts and estimates.",
             0.012,
             quick=0.02,
             reason=(
-                "Five standard errors of a share of 20 000 repetitions are 0.008; approximate intervals of 20 samples "
-                "are granted half of that again (quick: 2000 repetitions)."
+                "Five standard errors for 20 000 repetitions are 0.008; approximate intervals of 20 samples are "
+                "granted half of that again (quick: 2000 repetitions)."
             ),
         ),
         Acceptance(
             "sigma-500",
-            "What 500 samples leave unknown of σ is what normal theory says: relative difference.",
+            "Uncertainty of σ from 500 samples against normal theory: relative difference.",
             0.02,
             quick=0.06,
-            reason="Four standard errors of a spread of 20 000 repetitions, 0.5 % each (quick: of 2000, 1.6 % each).",
+            reason="Four standard errors for 20 000 repetitions, 0.5 % each (quick: 2000, 1.6 % each).",
         ),
         Acceptance(
             "scene-coverage",
-            (
-                "On the wheelhouse's own, not normal, slips and key characteristics the 95 % intervals still hold: "
-                "lowest share."
-            ),
+            "Coverage of 95 % intervals on the wheelhouse's slips and key characteristics: lowest share.",
             0.92,
             bound="at least",
-            reason=(
-                "An interval that is wrong more than once in twelve, in place of once in twenty, is no longer one of "
-                "95 % to who reads it."
-            ),
+            reason="An interval that misses more than once in twelve is no longer a 95 % interval.",
         ),
     ),
     seconds=(110, 10),

@@ -453,52 +453,57 @@ STUDY = Study(
     order=110,
     title="The trade",
     claim=(
-        "Accuracy can be bought knob by knob; three named settings buy it well, and anyone can read off what 6σ to "
-        "1, 2, 5 or 10 % takes."
+        "Accuracy can be bought parameter by parameter. Three named settings buy it well, and the study states the "
+        "cost of 6σ to 1, 2, 5 or 10 %."
     ),
-    reference="Lap joint and bracket, finer in every knob than any setting (elements, distance of candidates, path), "
-    "on the same samples; what this truth leaves itself is told from versions one notch coarser in each knob.",
+    reference=(
+        "Lap joint and bracket, finer in every parameter than any setting (elements, candidate distance, path), on "
+        "the same samples; the error of this reference comes from versions one notch coarser in each parameter."
+    ),
     acceptance=(
         Acceptance(
             "draft",
-            "Setting draft: largest error of a 6σ, of key characteristics and zones' slips, sampling left out.",
+            "Setting draft: largest error of a 6σ of key characteristics and zone slips, without sampling error.",
             LIMITS["draft"],
-            reason="Variants that differ by less are told apart by nobody: 500 samples leave 6.2 % of a 6σ open.",
+            reason="500 samples leave 6.2 % of a 6σ open.",
         ),
         Acceptance(
             "standard",
             "Setting standard: the same.",
             LIMITS["standard"],
-            reason="A third of what its own 500 samples leave open of a 6σ, 6.2 %.",
+            reason="A third of the uncertainty of its own 500 samples, 6.2 %.",
         ),
         Acceptance(
             "reference",
             "Setting reference: the same.",
             LIMITS["reference"],
-            reason="A third of what its own 2000 samples leave open of a 6σ, 3.1 %.",
+            reason="A third of the uncertainty of its own 2000 samples, 3.1 %.",
         ),
         Acceptance(
             "truth",
-            "What the truth leaves itself, over the limit of the setting reference.",
+            "Error of the reference version, over the limit of the setting reference.",
             0.2,
-            reason="A judge errs by no more than a fifth of what it judges.",
+            reason="A reference errs by at most a fifth of the limit.",
         ),
         Acceptance(
             "saving",
-            "Full solves instead cost many times as much: the largest ratio.",
+            "Cost of full solves over that of the reduced model: the largest ratio.",
             50,
             bound="at least",
-            reason="A full solve takes seconds to minutes: fifty times less, and 500 samples are minutes, not hours.",
+            reason="With fifty times less than a full solve, 500 samples take minutes instead of hours.",
         ),
         Acceptance(
             "tolerance",
-            "Between tolerances of 1e-6 and 1e-12 no 6σ changes by more than this share.",
+            "Effect of contact tolerances between 1e-6 and 1e-12 on 6σ, relative.",
             1e-4,
-            reason="A hundredth of what the best setting promises.",
+            reason="A hundredth of the error of the best setting.",
         ),
         Acceptance(
             "penalty",
-            "The augmented full solve and the reduced model on the same mesh: relative difference of the measurements.",
+            (
+                "Augmented full solve against the reduced model on the same mesh: relative difference of the "
+                "measurements."
+            ),
             1e-7,
             reason="Ten times the rounding of the two routes, 1e-8.",
         ),
