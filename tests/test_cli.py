@@ -54,7 +54,8 @@ def test_run_check_report(command, cache, tmp_path):
         and "200 samples × 3 laws" in checked
         and "The scene is valid" in checked
     )
-    first = command("run", LAP, "--samples", 20).stdout
+    scene = lap_with(tmp_path, ("friction = 0.27", "friction = 0.27\npairs = 12"))
+    first = command("run", scene, "--samples", 20).stdout
     assert "report:" in first and "RMS slip under load" in first and "RMS tangential displacement" in first
     assert "coulomb: worst residual" in first and "12 samples on a tighter path change key characteristics" in first
     folder = tmp_path / "results" / "lap-joint"
@@ -69,9 +70,7 @@ def test_run_check_report(command, cache, tmp_path):
     assert summary["laws"]["coulomb"]["path"]["repeated"] == 12 and zone["six_sigma_rms_slip_path"] is not None
     assert (folder / "report.html").stat().st_size > 10_000
     (folder / "report.html").unlink()
-    again = CliRunner().invoke(
-        app, ["run", str(LAP), "--samples", "20"], env={"MIC_CACHE": str(cache), "COLUMNS": "200"}
-    )
+    again = CliRunner().invoke(app, ["run", scene, "--samples", "20"], env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
     assert again.exit_code == 0 and "reused" in again.output
     assert (folder / "report.html").is_file()
     record = json.loads((folder / "run.json").read_text())
@@ -149,18 +148,18 @@ def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cac
     process = printed[printed.index("Process") : printed.index("Optimisation")].splitlines()
     assert "• may change: force of C1-upper, 30 to 90 N (60 as it is)\n" in printed
     assert process[3:] == [
-        "clamp: contact active, path followed",
+        "clamp: contact active, load path followed",
         "  1. parts that overlap come to rest on each other",
         "  2. clamp C1-lower closes (60 N)",
         "  3. clamp C1-upper closes (60 N)",
         "weld: nothing moves",
-        "  1. welds W1 and W2 keep what they find",
-        "release: contact active, path followed",
+        "  1. welds W1 and W2 join the sheets as they stand",
+        "release: contact active, load path followed",
         "  1. clamp C1-upper opens",
         "  2. clamp C1-lower opens",
         "  3. locators upper-A1, upper-A2, upper-A3, upper-B1, upper-B2 and upper-C1 open",
         "measure: nothing moves",
-        "  1. 2 key characteristics are read",
+        "  1. 2 key characteristics are measured",
     ]
     assert "note: stage clamp: friction changes where the contacts end by no more than 5 %" in printed
     nothing_at_hand = {"MIC_CACHE": str(tmp_path / "empty"), "COLUMNS": "200"}

@@ -248,7 +248,7 @@ def test_limits_and_guns_in_words():
     assert sentences(model.scene, plans["clamp"])[-1] == "clamp C closes to 0.5 mm, with at most 300 N"
     assert sentences(model.scene, plans["weld"]) == [
         "guns W and V press (100 N each), gun U presses (50 N)",
-        "welds W, V and U keep what they find, guns W, V and U open",
+        "welds W, V and U join the sheets as they stand, guns W, V and U open",
     ]
     assert sentences(model.scene, plans["release"])[0] == "clamp C opens"
     assert plans["weld"].judged_names(model.scene, model.weld_size) == ["W", "V", "U", "C"]

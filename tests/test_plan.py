@@ -243,10 +243,13 @@ def test_the_process_in_words():
         "clamp hold closes to -0.25 mm",
         "clamp press closes (40 N)",
     ]
-    assert sentences(scene, plans["join"]) == ["weld W1 keeps what it finds", "weld W2 closes its gap"]
+    assert sentences(scene, plans["join"]) == [
+        "weld W1 joins the sheets as they stand",
+        "weld W2 closes its gap and joins the sheets",
+    ]
     assert sentences(scene, plans["open"])[:2] == ["clamp press2 opens", "clamp press opens"]
     assert sentences(scene, plans["set"]) == [
-        "a is set down on a0, a1, a2, a3, a4 and a5; b is set down on b0, b1, b2, b3, b4 and b5"
+        "a is placed on a0, a1, a2, a3, a4 and a5; b is placed on b0, b1, b2, b3, b4 and b5"
     ]
     together = variant(set={"settle": False}, close={"order": [["press", "further", "hold"]]})["close"]
     assert sentences(scene, together) == [
@@ -255,11 +258,11 @@ def test_the_process_in_words():
     ]
     said = {name: opening(plan, contacts=True) for name, plan in plans.items()}
     assert said == {
-        "set": "parts touch nothing yet",
-        "close": "contact active, path followed",
+        "set": "parts are placed without contact",
+        "close": "contact active, load path followed",
         "close2": "contact active, 3 increments for each step",
-        "join": "contact active, path followed",
-        "open": "contact active, path followed",
+        "join": "contact active, load path followed",
+        "open": "contact active, load path followed",
         "read": "nothing moves",
     }
 

@@ -319,7 +319,7 @@ def test_a_scene_needs_no_locator_where_pads_and_friction_hold_its_part():
     np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
     np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 1], -4.0, rtol=1e-6)
     np.testing.assert_allclose(found.measurements[0], -PAIR / 2 * carried, rtol=1e-7)
-    assert sentences(model.scene, plans[0]) == ["b is laid down; contact alone holds b"]
+    assert sentences(model.scene, plans[0]) == ["b is placed without locators; b is held by contact alone"]
 
 
 def test_without_a_locator_and_without_friction_it_is_said_what_slides():
@@ -535,9 +535,9 @@ def test_the_process_in_words_says_what_rests():
     model = table([push(100, (30, 20, 0))])
     said = [sentences(model.scene, plan) for plan in plan_stages(model.scene, model.weld_size)]
     assert said == [
-        ["a is set down on al0, al1, al2, al3, al4 and al5; b is laid down; contact alone holds b"],
+        ["a is placed on al0, al1, al2, al3, al4 and al5; b is placed without locators; b is held by contact alone"],
         ["parts that overlap come to rest on each other", "clamp C closes (100 N)"],
-        ["3 key characteristics are read"],
+        ["3 key characteristics are measured"],
     ]
 
 

@@ -464,7 +464,7 @@ def test_places_of_what_a_resting_part_meets_are_refused():
     labels = model.labels | {"position": ["locators.al0.x"]}
     model = replace(model, rows=rows, labels=labels, position_gap=np.zeros(1))
     with pytest.raises(
-        SceneError, match=r"stages \(locate\): part 'b' rests by contact alone there, and no derivative by"
+        SceneError, match=r"stages \(locate\): part 'b' rests by contact alone, and derivatives by positions"
     ):
         model.sensitivities({}, "coulomb", ["locators.al0.x"])
 

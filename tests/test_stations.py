@@ -87,9 +87,10 @@ def test_inspection_in_words_and_steps():
     model = joined(on_b)
     plan = plan_stages(model.scene, model.weld_size)[-1]
     assert sentences(model.scene, plan) == [
-        "all that holds the assembly opens, it is set down on m0, m1, m2, m3, m4 and m5; 2 key characteristics are read"
+        "all locators and clamps open, and the assembly is placed on m0, m1, m2, m3, m4 and m5; "
+        "2 key characteristics are measured"
     ]
-    assert opening(plan, contacts=True) == "contact active, path followed"
+    assert opening(plan, contacts=True) == "contact active, load path followed"
     assert {row for row in plan.bilateral if row[0] == "locator"} == {("locator", 12 + i) for i in range(6)}
 
 
@@ -188,7 +189,7 @@ def test_a_part_that_comes_later_into_the_same_station_leaves_the_others_where_t
     # c's face, 0.1 mm within a's as drawn, meets it 0.15 mm lower: the way is free until H lets go.
     assert found.resolutions["clamp"].force[0, 1, 0] == 0.0
     plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
-    assert sentences(model.scene, plans["second"]) == ["c is set down on cs0, cs1, cs2, cs3, cs4 and cs5"]
+    assert sentences(model.scene, plans["second"]) == ["c is placed on cs0, cs1, cs2, cs3, cs4 and cs5"]
     assert plans["second"].steps[0].released == () and plans["second"].steps[0].loads == (0,)
     assert "second" not in found.resolutions
 
@@ -278,11 +279,11 @@ def test_stations_in_words():
     model = stations(clamps=[push(1.0)])
     plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
     assert sentences(model.scene, plans["locate"]) == [
-        "a is set down on al0, al1, al2, al3, al4 and al5; b is set down on bl0, bl1, bl2, bl3, bl4 and bl5"
+        "a is placed on al0, al1, al2, al3, al4 and al5; b is placed on bl0, bl1, bl2, bl3, bl4 and bl5"
     ]
     assert sentences(model.scene, plans["second"]) == [
-        "all that holds the assembly opens, it is set down on s0, s1, s2, s3, s4 and s5; "
-        "c is set down on cs0, cs1, cs2, cs3, cs4 and cs5"
+        "all locators and clamps open, and the assembly is placed on s0, s1, s2, s3, s4 and s5; "
+        "c is placed on cs0, cs1, cs2, cs3, cs4 and cs5"
     ]
     assert [step.away for step in plans["second"].steps] == [(1,)]
     assert [(step.settles, step.away) for step in plans["clamp"].steps] == [(True, ()), (False, ())]

@@ -32,7 +32,7 @@ from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, in
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
 from mic.model.rest_rows import separating_motion
-from mic.process.actions import Joints, Row, Settle
+from mic.process.actions import Joints, Row, ResolveOverlap
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, yielding
 
@@ -391,7 +391,7 @@ class _Way:
     @property
     def still(self) -> bool:
         """Whether nothing moves: parts settle, and nothing else, and overlap nowhere."""
-        settles = all(isinstance(action, Settle) for action in self.step.move)
+        settles = all(isinstance(action, ResolveOverlap) for action in self.step.move)
         return settles and bool((self.start[2] == self.end[2]).all())
 
     def start_point(self, solution: State, anchor: np.ndarray) -> Point:

@@ -1,14 +1,14 @@
-"""What a stage does: a list of actions on what holds the assembly.
+"""Actions of a stage: how each changes the rows that hold and push the assembly.
 
 An action changes a :class:`Fixture`, the set of rows that hold and push; nothing is solved here. A stage of the scene
-is sugar for a list of moves (:data:`SUGAR`), each of them actions that happen together; the production solve and the
-full finite-element reference both follow it.
+stands for a list of moves (:data:`SUGAR`), each of them actions that happen together. The production solver and the
+full finite-element reference both follow this list.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,34 +19,35 @@ from mic.scene.stages import moves_assembly, set_down_in
 __all__ = [
     "SUGAR",
     "Action",
-    "Arrive",
+    "AddParts",
     "Close",
     "Fixture",
     "Hold",
     "Joints",
     "Move",
+    "MoveAssembly",
     "Open",
+    "PlaceParts",
+    "Placement",
     "Press",
     "Push",
     "Read",
+    "ResolveOverlap",
     "Retract",
-    "SetDown",
-    "Settle",
-    "Transfer",
     "Withdraw",
-    "moves_of",
+    "stage_moves",
     "together",
     "tongs",
 ]
 
-OPPOSITE = -0.9  # cosine of the angle between two clamps below which they push against each other
+MAX_COSINE = -0.9  # of the angle between the directions of two clamps that push against each other
 
 Row = tuple[str, int]  #: a row by its kind and its number
 
 
 @dataclass(frozen=True)
 class Fixture:
-    """What holds and pushes the assembly.
+    """The rows that hold and push the assembly.
 
     Attributes
     ----------
@@ -55,15 +56,15 @@ class Fixture:
     strokes : tuple of int
         Clamp rows that hold a position.
     forces : tuple of int
-        Clamp rows that push with a force; the weights of the parts that are there among them.
+        Clamp rows that push with a force, with the weights of the parts that are placed.
     limited : tuple of int
-        Clamp rows that push towards a position, with a limited force.
+        Clamp rows that push towards a position with a limited force.
     guns : tuple of int
         Welds whose gun presses.
     welds : tuple of int
         Welds made.
     waiting : tuple of int
-        Locator rows that hold parts which later stages set down: where they will stand, touching nothing.
+        Locator rows that hold parts placed by later stages, in their future position and without contact.
     """
 
     locators: tuple[int, ...] = ()
@@ -76,97 +77,101 @@ class Fixture:
 
 
 class Action(Protocol):
-    """One step of a stage."""
+    """One action of a stage."""
 
     def apply(self, fixture: Fixture) -> Fixture:
         """The fixture afterwards."""
         ...
 
 
+class _Adds:
+    """An action that adds its rows to those of the same name in the fixture."""
+
+    def apply(self, fixture):
+        return replace(fixture, **{f.name: getattr(fixture, f.name) + getattr(self, f.name) for f in fields(self)})
+
+
+class _Removes:
+    """An action that removes its rows from those of the same name in the fixture."""
+
+    def apply(self, fixture):
+        return replace(
+            fixture, **{f.name: _without(getattr(fixture, f.name), getattr(self, f.name)) for f in fields(self)}
+        )
+
+
+def _without(numbers: tuple[int, ...], removed: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(i for i in numbers if i not in removed)
+
+
 @dataclass(frozen=True)
-class SetDown:
-    """Set the parts down on locators, one by one: they touch nothing yet, and whatever overlaps then settles later."""
+class Placement:
+    """Place parts, or the assembly, on locators; they touch nothing yet."""
 
     locators: tuple[int, ...]
     weights: tuple[int, ...] = ()
 
     def apply(self, fixture):
-        return replace(fixture, locators=fixture.locators + self.locators, forces=fixture.forces + self.weights)
+        return replace(
+            fixture,
+            locators=fixture.locators + self.locators,
+            forces=fixture.forces + self.weights,
+            waiting=_without(fixture.waiting, self.locators),
+        )
 
 
-@dataclass(frozen=True)
-class Arrive:
-    """Set down parts that were waiting, beside the others, which stay as they are; they touch nothing yet."""
-
-    locators: tuple[int, ...]
-    weights: tuple[int, ...] = ()
-
-    def apply(self, fixture):
-        waiting = tuple(i for i in fixture.waiting if i not in self.locators)
-        forces = fixture.forces + self.weights
-        return replace(fixture, locators=fixture.locators + self.locators, forces=forces, waiting=waiting)
+class PlaceParts(Placement):
+    """Place the first parts on locators, one by one; overlaps are resolved later."""
 
 
-@dataclass(frozen=True)
-class Transfer:
-    """Open all that holds the assembly, and set it down on other locators; parts that wait for these join it.
+class AddParts(Placement):
+    """Place further parts beside the others, which stay as they are."""
 
-    The assembly moves as it is, its contacts active; it touches nothing of the new station yet.
+
+class MoveAssembly(Placement):
+    """Open all locators and clamps, and place the assembly on other locators; parts that wait for these join it.
+
+    The assembly moves as it is, with its contacts active; it does not touch the new station yet.
     """
 
-    locators: tuple[int, ...]
-    weights: tuple[int, ...] = ()
-
     def apply(self, fixture):
-        waiting = tuple(i for i in fixture.waiting if i not in self.locators)
+        waiting = _without(fixture.waiting, self.locators)
         return Fixture(locators=self.locators, forces=self.weights, welds=fixture.welds, waiting=waiting)
 
 
 @dataclass(frozen=True)
-class Hold:
+class Hold(_Adds):
     """Close locators and clamps that hold a position: their rows move to their targets and stay there."""
 
     locators: tuple[int, ...] = ()
     strokes: tuple[int, ...] = ()
 
-    def apply(self, fixture):
-        return replace(fixture, locators=fixture.locators + self.locators, strokes=fixture.strokes + self.strokes)
-
 
 @dataclass(frozen=True)
-class Push:
+class Push(_Adds):
     """Close clamps that push with a force."""
 
     forces: tuple[int, ...]
 
-    def apply(self, fixture):
-        return replace(fixture, forces=fixture.forces + self.forces)
-
 
 @dataclass(frozen=True)
-class Press:
+class Press(_Adds):
     """Close clamps that push towards a position with a limited force, and guns, which press sheets until they touch."""
 
     limited: tuple[int, ...] = ()
     guns: tuple[int, ...] = ()
 
-    def apply(self, fixture):
-        return replace(fixture, limited=fixture.limited + self.limited, guns=fixture.guns + self.guns)
-
 
 @dataclass(frozen=True)
-class Retract:
-    """Open guns: the welds made under them take over what they carried."""
+class Retract(_Removes):
+    """Open guns: the welds made under them take over their forces."""
 
     guns: tuple[int, ...]
-
-    def apply(self, fixture):
-        return replace(fixture, guns=tuple(i for i in fixture.guns if i not in self.guns))
 
 
 @dataclass(frozen=True)
 class Close:
-    """Make welds: each freezes the relative position that it finds, or closes its gap first where `gap` names it.
+    """Make welds: each freezes the current relative position of its sheets; those in `gap` close their gap first.
 
     Attributes
     ----------
@@ -181,7 +186,7 @@ class Close:
 
 
 @dataclass(frozen=True)
-class Withdraw:
+class Withdraw(_Removes):
     """Open clamps."""
 
     strokes: tuple[int, ...] = ()
@@ -193,30 +198,19 @@ class Withdraw:
         """All of them."""
         return self.strokes + self.forces + self.limited
 
-    def apply(self, fixture):
-        return replace(
-            fixture,
-            strokes=tuple(i for i in fixture.strokes if i not in self.strokes),
-            forces=tuple(i for i in fixture.forces if i not in self.forces),
-            limited=tuple(i for i in fixture.limited if i not in self.limited),
-        )
-
 
 @dataclass(frozen=True)
-class Open:
+class Open(_Removes):
     """Open locators."""
 
     locators: tuple[int, ...]
 
-    def apply(self, fixture):
-        return replace(fixture, locators=tuple(i for i in fixture.locators if i not in self.locators))
-
 
 @dataclass(frozen=True)
-class Settle:
-    """Parts that overlap where they were set down come to rest on each other, along the contact normals.
+class ResolveOverlap:
+    """Separate parts that overlap where they were placed, along the contact normals.
 
-    It comes before whatever closes first, or with it.
+    It happens before the first thing closes, or together with it.
     """
 
     def apply(self, fixture):
@@ -233,13 +227,13 @@ class Read:
 
 @dataclass(frozen=True)
 class Joints:
-    """Which rows the welds have.
+    """The rows of each weld.
 
     Attributes
     ----------
     size : tuple of int
-        Rows of each weld: the means along n, t1, t2; behind them rotations about these, or moments along them, first
-        those over t1 and then those over t2.
+        Rows of each weld: the means along n, t1, t2; then rotations about these, or moments along them, first those
+        over t1 and then those over t2.
     """
 
     size: tuple[int, ...]
@@ -255,46 +249,46 @@ class Joints:
         return [("weld", row) for row in range(start, start + self.size[weld])]
 
     def normal(self, weld: int) -> list[int]:
-        """The rows of a weld that tell how far its sheets stand apart: the mean along n, and how that tilts."""
+        """The rows of a weld along its normal: the mean gap of its sheets, and how the gap tilts."""
         return [int(self.first[weld]) + row for row in NORMAL[self.size[weld]]]
 
     @property
     def normals(self) -> np.ndarray:
-        """(k,) those of all welds."""
+        """(k,) the normal rows of all welds."""
         return np.array([row for weld in range(len(self.size)) for row in self.normal(weld)], dtype=int)
 
 
 Move = tuple[Action, ...]  #: actions that happen together, contact active throughout
 
 
-def _of_stage(items, stage) -> tuple[int, ...]:
+def _in_stage(items, stage) -> tuple[int, ...]:
     return tuple(i for i, item in enumerate(items) if item.stage == stage.name)
 
 
 def _locate(scene, stage, before) -> list[Move]:
-    """The first sets the parts down; a later one sets further ones down, or is another station."""
-    own = _of_stage(scene.locators, stage)
+    """The first stage places parts; a later one adds parts, or moves the assembly to another station."""
+    own = _in_stage(scene.locators, stage)
     if not before:
-        return [(SetDown(own, _weights(scene, stage.name, [stage.name])),)]
+        return [(PlaceParts(own, _weights(scene, stage.name, [stage.name])),)]
     if moves_assembly(scene, stage):
         return [(_transfer(scene, stage, own),)]
-    stations = [one.name for one in _before(scene, stage) if one is scene.stages[0] or moves_assembly(scene, one)]
-    return [(Arrive(own, _weights(scene, stations[-1], [stage.name])),)]
+    stations = [one.name for one in _stages_up_to(scene, stage) if one is scene.stages[0] or moves_assembly(scene, one)]
+    return [(AddParts(own, _weights(scene, stations[-1], [stage.name])),)]
 
 
-def _before(scene, stage) -> list[Any]:
-    """The stages up to one, it among them."""
+def _stages_up_to(scene, stage) -> list[Any]:
+    """The stages up to and including this one."""
     return scene.stages[: 1 + next(i for i, one in enumerate(scene.stages) if one is stage)]
 
 
-def _transfer(scene, stage, locators) -> Transfer:
-    return Transfer(locators, _weights(scene, stage.name, [one.name for one in _before(scene, stage)]))
+def _transfer(scene, stage, locators) -> MoveAssembly:
+    return MoveAssembly(locators, _weights(scene, stage.name, [one.name for one in _stages_up_to(scene, stage)]))
 
 
 def _weights(scene, station: str, stages: Sequence[str]) -> tuple[int, ...]:
-    """Rows of the weights, in a station, of the parts that these stages set down.
+    """Rows of the weights, in one station, of the parts that these stages place.
 
-    They lie behind the clamps' rows, those of each deviation of kind gravity together.
+    They follow the clamps' rows, grouped by deviation of kind gravity.
     """
     there, first = set_down_in(scene), scene.stages[0].name
     gravity = [item for item in scene.deviations if item.kind == "gravity"]
@@ -307,13 +301,13 @@ def _weights(scene, station: str, stages: Sequence[str]) -> tuple[int, ...]:
 
 
 def _clamp(scene, stage, before) -> list[Move]:
-    """Further locators together, then clamp after clamp as the file has them; or the groups of `order`."""
-    locators, clamps = _of_stage(scene.locators, stage), _of_stage(scene.clamps, stage)
+    """Further locators together, then clamp after clamp in the order of the file; or the groups of `order`."""
+    locators, clamps = _in_stage(scene.locators, stage), _in_stage(scene.clamps, stage)
     if stage.order is None:
         moves = [(Hold(locators),)] if locators else []
         return moves + [_close(scene, group) for group in tongs(scene, clamps)]
     return [
-        _close(scene, _among(scene.clamps, clamps, names), _among(scene.locators, locators, names))
+        _close(scene, _numbers_of(scene.clamps, clamps, names), _numbers_of(scene.locators, locators, names))
         for names in stage.order
     ]
 
@@ -330,9 +324,9 @@ def _close(scene, clamps, locators=()) -> Move:
 
 
 def tongs(scene, clamps: Sequence[int]) -> list[tuple[int, ...]]:
-    """Clamps in the order of the file; neighbours there that push two parts together are one pair of tongs.
+    """Clamps in the order of the file, neighbours that push two parts together as one pair of tongs.
 
-    They do where they act on different parts, in opposite directions, at points no farther apart than their pads.
+    They do so if they act on different parts, in opposite directions, at points no farther apart than their pads.
     """
     groups: list[tuple[int, ...]] = []
     for i in clamps:
@@ -344,38 +338,40 @@ def tongs(scene, clamps: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 def _facing(a, b) -> bool:
-    apart = np.linalg.norm(np.subtract(a.point, b.point))
-    return bool(a.part != b.part and np.dot(a.direction, b.direction) < OPPOSITE and apart <= a.radius + b.radius)
+    distance = np.linalg.norm(np.subtract(a.point, b.point))
+    return bool(a.part != b.part and np.dot(a.direction, b.direction) < MAX_COSINE and distance <= a.radius + b.radius)
 
 
 def _weld(scene, stage, before) -> list[Move]:
     """All welds together; one after the other in a `sequence`, or in the groups of `order`.
 
-    The guns of a group press together before its welds are made, and open once they are.
+    The guns of a group press together before its welds are made, and open afterwards.
     """
-    welds = _of_stage(scene.welds, stage)
+    welds = _in_stage(scene.welds, stage)
     if stage.order is not None:
-        groups = [_among(scene.welds, welds, names) for names in stage.order]
+        groups = [_numbers_of(scene.welds, welds, names) for names in stage.order]
     else:
         groups = [(i,) for i in welds] if stage.sequence else [welds]
     moves: list[Move] = []
     for group in groups:
         guns = tuple(i for i in group if scene.welds[i].gun is not None)
-        made = Close(group, tuple(i for i in group if scene.welds[i].close))
-        moves += [(Press(guns=guns),), (made, Retract(guns))] if guns else [(made,)]
+        close = Close(group, tuple(i for i in group if scene.welds[i].close))
+        moves += [(Press(guns=guns),), (close, Retract(guns))] if guns else [(close,)]
     return moves
 
 
 def _release(scene, stage, before) -> list[Move]:
-    """What closed last opens first; or the groups of `order`. What is kept stays, all locators if nothing is named."""
+    """Open everything but `keep` (default: all locators) in reverse order of closing, or in the groups of `order`."""
     fixture = Fixture()
     for move in before:
         for action in move:
             fixture = action.apply(fixture)
     keep = {locator.name for locator in scene.locators} if stage.keep is None else set(stage.keep)
-    kept_clamps, kept_locators = _among(scene.clamps, None, keep), _among(scene.locators, None, keep)
+    kept_clamps, kept_locators = _numbers_of(scene.clamps, None, keep), _numbers_of(scene.locators, None, keep)
     if stage.order is not None:
-        groups = [(_among(scene.clamps, None, names), _among(scene.locators, None, names)) for names in stage.order]
+        groups = [
+            (_numbers_of(scene.clamps, None, names), _numbers_of(scene.locators, None, names)) for names in stage.order
+        ]
     else:
         groups = [_closed(move) for move in reversed(before)]
     moves = []
@@ -403,18 +399,21 @@ def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
             clamps += action.forces
         elif isinstance(action, Press):
             clamps += action.limited
-        elif isinstance(action, SetDown | Arrive | Transfer):
+        elif isinstance(action, Placement):
             locators += action.locators
     return clamps, locators
 
 
-def _among(items, allowed, names) -> tuple[int, ...]:
-    """Numbers of the items of these names, of those allowed; `mic.scene.stages` has seen that every name exists."""
+def _numbers_of(items, allowed, names) -> tuple[int, ...]:
+    """Numbers of the items with these names, among those allowed.
+
+    :mod:`mic.scene.stages` has checked that every name exists.
+    """
     return tuple(i for i, item in enumerate(items) if item.name in names and (allowed is None or i in allowed))
 
 
-def moves_of(scene) -> Iterator[tuple[Any, list[Move]]]:
-    """The stages of a scene, and the moves of each as its kind has them."""
+def stage_moves(scene) -> Iterator[tuple[Any, list[Move]]]:
+    """The stages of a scene, each with its moves."""
     before: list[Move] = []
     for stage in scene.stages:
         moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
@@ -423,17 +422,17 @@ def moves_of(scene) -> Iterator[tuple[Any, list[Move]]]:
 
 
 def together(moves: Sequence[Move]) -> list[Move]:
-    """All moves as one."""
+    """All moves merged into one."""
     return [tuple(action for move in moves for action in move)]
 
 
 def _measure(scene, stage, before) -> list[Move]:
-    """Read, on locators of its own if any name it."""
-    own = _of_stage(scene.locators, stage)
+    """Read the measurements, on the locators that name the stage if there are any."""
+    own = _in_stage(scene.locators, stage)
     return [(_transfer(scene, stage, own), Read()) if own else (Read(),)]
 
 
-#: Kind of a scene's stage → ``moves(scene, stage, before)``, with the moves of the stages before.
+#: Kind of a scene's stage → ``moves(scene, stage, before)``, given the moves of all stages before.
 SUGAR: dict[str, Callable[..., Sequence[Move]]] = {
     "locate": _locate,
     "clamp": _clamp,

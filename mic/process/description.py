@@ -1,4 +1,4 @@
-"""The process in words: what happens in each step of a stage, one sentence each."""
+"""The process in words: one sentence for each step of a stage."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from typing import Any
 
 from mic.process.actions import (
     Action,
-    Arrive,
     Close,
     Hold,
     Open,
+    Placement,
+    PlaceParts,
     Press,
     Push,
     Read,
+    ResolveOverlap,
     Retract,
-    SetDown,
-    Settle,
-    Transfer,
     Withdraw,
 )
 from mic.process.plan import StagePlan, Step
@@ -25,7 +24,7 @@ from mic.scene.stages import set_down_in
 
 __all__ = ["opening", "sentences"]
 
-MOST = 6  # names in a row; of more, the first and the last are given
+MAX_NAMES = 6  # longer lists are shortened to their first names and the last
 
 
 def opening(plan: StagePlan, contacts: bool) -> str:
@@ -35,27 +34,27 @@ def opening(plan: StagePlan, contacts: bool) -> str:
     ----------
     plan : StagePlan
     contacts : bool
-        Whether the assembly has any.
+        Whether the assembly has any contact pairs.
     """
     if not contacts:
         return "no contact"
     if not plan.resolves:
-        return "nothing moves" if plan.kind != "locate" else "parts touch nothing yet"
+        return "parts are placed without contact" if plan.kind == "locate" else "nothing moves"
     if plan.path == "followed":
-        return "contact active, path followed"
+        return "contact active, load path followed"
     if plan.path == "one-step":
-        return "contact active, all at once in one step"
+        return "contact active, everything at once in one step"
     return f"contact active, {plan.increments} increment{'s' * (plan.increments > 1)} for each step"
 
 
 def sentences(scene, plan: StagePlan) -> list[str]:
-    """What each step of a stage does."""
-    found = [_sentence(scene, step) for step in plan.steps]
-    return [line for line in found if line] or [_NOTHING[plan.kind]]
+    """One sentence for each step of a stage."""
+    lines = [_step_sentence(scene, step) for step in plan.steps]
+    return [line for line in lines if line] or [_EMPTY[plan.kind]]
 
 
-_NOTHING = {
-    "locate": "no part is set down",
+_EMPTY = {
+    "locate": "no part is placed",
     "clamp": "nothing closes",
     "weld": "nothing is welded",
     "release": "nothing opens",
@@ -63,76 +62,85 @@ _NOTHING = {
 }
 
 
-def _sentence(scene, step: Step) -> str:
+def _step_sentence(scene, step: Step) -> str:
     clauses = [clause for action in step.move for clause in _clauses(scene, action)]
     rests = [scene.parts[p].name for p in step.resting if p not in step.parked]
-    if rests and any(isinstance(action, SetDown | Arrive | Transfer | Open | Withdraw) for action in step.move):
-        clauses.append(f"contact alone holds {_listed(rests)}")
+    if rests and any(isinstance(action, Placement | Open | Withdraw) for action in step.move):
+        clauses.append(f"{_enumeration(rests)} {'is' if len(rests) == 1 else 'are'} held by contact alone")
     if step.settles and len(clauses) > 1:
         return f"{', '.join(clauses[1:])}; meanwhile {clauses[0]}"
-    return ("; " if any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move) else ", ").join(
-        clauses
-    )
+    return ("; " if any(isinstance(action, Placement) for action in step.move) else ", ").join(clauses)
 
 
 def _clauses(scene, action: Action) -> Iterable[str]:
-    if isinstance(action, SetDown | Arrive | Transfer):
+    if isinstance(action, Placement):
         there, locators = set_down_in(scene), [scene.locators[i] for i in action.locators]
         others = [one.name for one in locators if there[one.part] != one.stage]
         if others:
-            yield f"all that holds the assembly opens, it is set down on {_listed(others)}"
+            yield f"all locators and clamps open, and the assembly is placed on {_enumeration(others)}"
         for part in scene.parts:
-            own = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
-            if own:
-                yield f"{part.name} is set down on {_listed(own)}"
+            names = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
+            if names:
+                yield f"{part.name} is placed on {_enumeration(names)}"
         if action.weights:
             yield "gravity acts"
-        if isinstance(action, SetDown):
+        if isinstance(action, PlaceParts):
             for part in scene.parts:
                 if all(one.part != part.name for one in scene.locators):
-                    yield f"{part.name} is laid down"
-    elif isinstance(action, Settle):
+                    yield f"{part.name} is placed without locators"
+    elif isinstance(action, ResolveOverlap):
         yield "parts that overlap come to rest on each other"
     elif isinstance(action, Hold):
         if action.locators:
-            yield _do("locator", _names(scene.locators, action.locators), "close", "closes")
-        for stroke, own in _alike(action.strokes, lambda i: scene.clamps[i].stroke):
-            yield _do("clamp", _names(scene.clamps, own), "close", "closes") + f" to {stroke:g} mm"
+            yield _clause("locator", _names(scene.locators, action.locators), "close", "closes")
+        for stroke, numbers in _groups(action.strokes, lambda i: scene.clamps[i].stroke):
+            yield _clause("clamp", _names(scene.clamps, numbers), "close", "closes") + f" to {stroke:g} mm"
     elif isinstance(action, Push):
-        for force, own in _alike(action.forces, lambda i: scene.clamps[i].force):
-            each = " each" * (len(own) > 1)
-            yield _do("clamp", _names(scene.clamps, own), "close", "closes") + f" ({force:g} N{each})"
+        for force, numbers in _groups(action.forces, lambda i: scene.clamps[i].force):
+            each = " each" * (len(numbers) > 1)
+            yield _clause("clamp", _names(scene.clamps, numbers), "close", "closes") + f" ({force:g} N{each})"
     elif isinstance(action, Press):
-        for (stroke, limit), own in _alike(action.limited, lambda i: (scene.clamps[i].stroke, scene.clamps[i].limit)):
-            yield _do("clamp", _names(scene.clamps, own), "close", "closes") + _towards(stroke, limit, len(own))
-        for force, own in _alike(action.guns, lambda i: scene.welds[i].gun):
-            each = " each" * (len(own) > 1)
-            yield _do("gun", _names(scene.welds, own), "press", "presses") + f" ({force:g} N{each})"
+        for (stroke, limit), numbers in _groups(
+            action.limited, lambda i: (scene.clamps[i].stroke, scene.clamps[i].limit)
+        ):
+            yield _clause("clamp", _names(scene.clamps, numbers), "close", "closes") + _towards(
+                stroke, limit, len(numbers)
+            )
+        for force, numbers in _groups(action.guns, lambda i: scene.welds[i].gun):
+            each = " each" * (len(numbers) > 1)
+            yield _clause("gun", _names(scene.welds, numbers), "press", "presses") + f" ({force:g} N{each})"
     elif isinstance(action, Retract):
         if action.guns:
-            yield _do("gun", _names(scene.welds, action.guns), "open", "opens")
+            yield _clause("gun", _names(scene.welds, action.guns), "open", "opens")
     elif isinstance(action, Close):
-        found = [i for i in action.welds if i not in action.gap]
-        if found:
-            yield _do("weld", _names(scene.welds, found), "keep what they find", "keeps what it finds")
+        as_found = [i for i in action.welds if i not in action.gap]
+        if as_found:
+            yield _clause(
+                "weld", _names(scene.welds, as_found), "join the sheets as they stand", "joins the sheets as they stand"
+            )
         if action.gap:
-            yield _do("weld", _names(scene.welds, action.gap), "close their gaps", "closes its gap")
+            yield _clause(
+                "weld",
+                _names(scene.welds, action.gap),
+                "close their gaps and join the sheets",
+                "closes its gap and joins the sheets",
+            )
     elif isinstance(action, Withdraw):
-        own = sorted(action.clamps)
-        yield _do("clamp", _names(scene.clamps, own), "open", "opens")
+        numbers = sorted(action.clamps)
+        yield _clause("clamp", _names(scene.clamps, numbers), "open", "opens")
     elif isinstance(action, Open):
-        yield _do("locator", _names(scene.locators, action.locators), "open", "opens")
+        yield _clause("locator", _names(scene.locators, action.locators), "open", "opens")
     elif isinstance(action, Read):
         count = len(scene.measurements)
-        yield "1 key characteristic is read" if count == 1 else f"{count} key characteristics are read"
+        yield "1 key characteristic is measured" if count == 1 else f"{count} key characteristics are measured"
 
 
 def _towards(stroke: float, limit: float, count: int) -> str:
     return f" to {stroke:g} mm, with at most {limit:g} N{' each' * (count > 1)}"
 
 
-def _alike(numbers: Sequence[int], value) -> Iterable[tuple[Any, list[int]]]:
-    """Numbers of items of one value together, in their order."""
+def _groups(numbers: Sequence[int], value) -> Iterable[tuple[Any, list[int]]]:
+    """Items grouped by value, in their order."""
     for one in dict.fromkeys(value(i) for i in numbers):
         yield one, [i for i in numbers if value(i) == one]
 
@@ -141,11 +149,11 @@ def _names(items, numbers: Sequence[int]) -> list[str]:
     return [items[i].name for i in numbers]
 
 
-def _do(noun: str, names: Sequence[str], plural: str, singular: str) -> str:
-    return f"{noun}s {_listed(names)} {plural}" if len(names) > 1 else f"{noun} {names[0]} {singular}"
+def _clause(noun: str, names: Sequence[str], plural: str, singular: str) -> str:
+    return f"{noun}s {_enumeration(names)} {plural}" if len(names) > 1 else f"{noun} {names[0]} {singular}"
 
 
-def _listed(names: Sequence[str]) -> str:
-    if len(names) > MOST:
-        return f"{', '.join(names[: MOST - 2])}, … {names[-1]} ({len(names)})"
+def _enumeration(names: Sequence[str]) -> str:
+    if len(names) > MAX_NAMES:
+        return f"{', '.join(names[: MAX_NAMES - 2])}, … {names[-1]} ({len(names)})"
     return ", ".join(names[:-1]) + " and " + names[-1] if len(names) > 1 else names[0]

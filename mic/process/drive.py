@@ -1,13 +1,13 @@
-"""What drives a process: the positions, forces and gaps that a sample's deviations ask of the assembly.
+"""The drive of a process: prescribed positions, forces and gaps that follow from a sample's deviations.
 
 With amplitudes a of the scene's deviations, and the readings y⁰ of the parts' stress-free shapes,
 
 - a locator or a clamp that holds a position prescribes ``stroke + offset − y⁰`` to its row,
-- a clamp pushes with its force and the deviation of it,
-- a contact or a weld has the gap ``g⁰ + n·(shape deviation of b − of a)``, a weld one for each row along its normal:
-  its mean, and how it tilts.
+- a clamp pushes with its force plus the deviation of it,
+- a contact or a weld has the gap ``g⁰ + n·(shape deviation of b − of a)``; a weld has one for each row along its
+  normal: its mean, and how it tilts.
 
-A tangential *shape* deviation is not a motion and drives nothing: it would make friction pull the parts together.
+A tangential *shape* deviation is not a motion and drives nothing: otherwise friction would pull the parts together.
 """
 
 from __future__ import annotations
@@ -20,27 +20,28 @@ import numpy as np
 from mic.model.sources import sources
 from mic.process.actions import Joints
 
-__all__ = ["Asks", "Drive", "drive"]
+__all__ = ["DriveTerms", "Drive", "drive"]
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What n assemblies are driven by.
+    """Prescribed positions, forces and gaps of n assemblies.
 
     Attributes
     ----------
     target : dict of str to (n, r) array
-        Positions that ``"locator"`` and ``"clamp"`` rows prescribe, mm, and where ``"rest"`` rows read parts as drawn.
+        Positions prescribed to ``"locator"`` and ``"clamp"`` rows, mm, and readings of ``"rest"`` rows for parts in
+        their nominal position.
     push : (n, c) array
         Forces of the clamp rows, N.
     gap : (n, m) array
-        Of the contacts before anything moves, mm, positive when open.
+        Initial gaps of the contacts, mm, positive when open.
     weld_gap : (n, r) array
-        Likewise, what each of the welds' rows reads of the gap over the nugget, mm and rad; 0 of tangential rows.
+        Readings of the welds' rows of the initial gap over the nugget, mm and rad; 0 for tangential rows.
     between : (n, q) array
-        Likewise, of the points between the contacts.
+        Initial gaps at the points between the contacts, mm.
     measured : (n, k) array
-        What the measurements read of the parts' shapes, mm.
+        Readings of the measurements of the parts' shapes, mm.
     """
 
     target: dict[str, np.ndarray]
@@ -55,15 +56,15 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Asks:
-    """What deviations ask beside shapes, whatever their values.
+class DriveTerms:
+    """Terms of the drive that do not depend on shapes: nominal values and coefficients of the deviations.
 
     Attributes
     ----------
     stroke : (k,) array
-        Of the clamps.
+        Of the clamps, mm.
     force : (c,) array
-        Of the clamp rows: those of the clamps, and behind them the parts' weights.
+        Of the clamp rows, N: those of the clamps, then the parts' weights.
     target : tuple of (str, int, int, float)
         Kind and number of a row, number of a deviation, and how far its unit moves the row's target.
     push : tuple of (int, int, float)
@@ -76,38 +77,38 @@ class Asks:
     push: tuple[tuple[int, int, float], ...]
 
     @classmethod
-    def of(cls, assembly) -> Asks:
-        """Of a :class:`mic.model.assembly.Assembly` or :class:`mic.model.reduction.Reduction`."""
+    def of(cls, assembly) -> DriveTerms:
+        """The terms of a :class:`mic.model.assembly.Assembly` or :class:`mic.model.reduction.Reduction`."""
         scene, labels = assembly.scene, assembly.labels
         stroke = np.array([clamp.stroke or 0.0 for clamp in scene.clamps])
         force = np.zeros(len(labels["clamp"]))
         force[: len(stroke)] = [clamp.force or 0.0 for clamp in scene.clamps]
-        every = list(enumerate(sources(scene)))
-        target = ((*row, j, share) for j, source in every for row, share in source.target(labels).items())
-        push = ((row, j, share) for j, source in every for (_, row), share in source.push(labels).items())
+        numbered = list(enumerate(sources(scene)))
+        target = ((*row, j, share) for j, source in numbered for row, share in source.target(labels).items())
+        push = ((row, j, share) for j, source in numbered for (_, row), share in source.push(labels).items())
         return cls(stroke, force, tuple(target), tuple(push))
 
 
-def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], asks: Asks | None = None) -> Drive:
-    """What the deviations ask of an assembly.
+def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], terms: DriveTerms | None = None) -> Drive:
+    """The drive of an assembly for given deviations.
 
     Parameters
     ----------
     assembly : mic.model.assembly.Assembly or mic.model.reduction.Reduction
     deviations : (n, p) array
     shape : mapping of str to (n, r) array
-        What the rows of each kind, and rest rows (:class:`mic.model.rest_rows.RestRows`), read of the parts' stress-free
-        shapes, mm.
-    asks : Asks, optional
-        Of the assembly, where they are known.
+        Readings of the parts' stress-free shapes by the rows of each kind, and by rest rows
+        (:class:`mic.model.rest_rows.RestRows`), mm.
+    terms : DriveTerms, optional
+        Of the assembly, if known already.
     """
-    asks = asks or Asks.of(assembly)
+    terms = terms or DriveTerms.of(assembly)
     target = {kind: -shape[kind] for kind in ("locator", "clamp", "rest") if kind in shape}
-    target["clamp"][:, : len(asks.stroke)] += asks.stroke
-    push = np.tile(asks.force, (len(deviations), 1))
-    for kind, row, j, share in asks.target:
+    target["clamp"][:, : len(terms.stroke)] += terms.stroke
+    push = np.tile(terms.force, (len(deviations), 1))
+    for kind, row, j, share in terms.target:
         target[kind][:, row] += share * deviations[:, j]
-    for row, j, share in asks.push:
+    for row, j, share in terms.push:
         push[:, row] += share * deviations[:, j]
     contacts, normal = assembly.contacts, Joints(tuple(assembly.weld_size)).normals
     weld_gap = np.tile(assembly.weld_gap, (len(deviations), 1))

@@ -1,4 +1,4 @@
-"""What the process hands out: contact solutions per stage, key characteristics, forces."""
+"""Results of the process: contact solutions by stage, key characteristics, forces."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from mic.contact.path import Trace
 from mic.process.state import ProcessState
 
-__all__ = ["REACHED", "Course", "Evaluation", "Resolution", "Resolutions"]
+__all__ = ["REACHED", "ProcessHistory", "Evaluation", "Resolution", "LazyResolutions"]
 
-REACHED = 1e-3  # mm: a way that no gauge reads
+REACHED = 1e-3  # mm: a smaller distance to the position counts as reached, for no gauge can measure it
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Contact solution of one stage for n samples and m pairs of dimension d (3, or 1 where only normals are modelled).
+    """Contact solution of one stage for n samples and m pairs of dimension d (3, or 1 for normals only).
 
     Attributes
     ----------
@@ -26,35 +26,38 @@ class Resolution:
     force : (n, m, d) array
         N; normal compression positive.
     displacement : (n, m, d) array
-        mm; the normal component is the gap, the tangential ones the tangential displacement since the stage before,
-        that of open contacts included.
+        mm; the normal component is the gap, the tangential ones are the tangential displacement since the stage before,
+        for open contacts too.
     state : (n, m) int8 array
         A :class:`mic.contact.states.ContactState` each.
     trace : mic.contact.path.Trace
-        What the contacts went through on the way: slip under load, friction's work, shares of the path.  Its error is
-        that of the contacts' positions at the end of the stage: what this path left and, at most, what all before did.
+        History of the contacts along the path: slip under load, friction work, shares of the path. Its error is that of
+        the contacts' positions at the end of the stage: the error of this path plus, as a bound, those of all paths
+        before.
     residual : (n,) array
-        The scale-free natural-map residual, the largest of the increments, or of the ends of the steps followed.
+        Scale-free natural-map residual, the largest over the increments, or over the ends of the steps followed.
     converged : (n,) bool array
-        True where all of these met the tolerance.
+        True if all of these met the tolerance.
     iterations : (n,) int array
     status : (n,) object array
         Outcome of the last step.
     rung : (n,) object array
-        ``"followed"``, or which rung of the ladder found the last force, see :class:`mic.contact.ContactSolution`.
+        ``"followed"``, or the rung of the solver ladder that found the last force, see
+        :class:`mic.contact.ContactSolution`.
     reaction : (n, b) array
         Forces of the bilateral rows on the parts, N or N mm.
     unseen : (n,) array
-        Deepest penetration at the end at points between the pairs, where no pair sees it, mm; 0 where there is none.
+        Deepest penetration at the end, at points between the pairs, where no pair detects it, mm; 0 if there is none.
     unseen_at : (n,) int array
-        Which of the model's points between the pairs; -1 where there is none.
+        Which of the model's points between the pairs; -1 if there is none.
     pushed : (n, p) array
-        What the clamps and guns of limited force push with where they are judged
-        (:attr:`mic.process.plan.StagePlan.judged`), N.
+        Forces of the clamps and guns of limited force when they are checked
+        (:attr:`mic.process.plan.StagePlan.checked_limits`), N.
     left : (n, p) array
-        The way that each has left to its position, mm; 0 where it is reached.
+        Distance of each to its position, mm; 0 if it is reached.
     needed : (n, p) array
-        Where a position is not reached, what each would push with if none of that sample had a limit, N; else NaN.
+        If a position is not reached: the force of each clamp and gun without any limit in that sample, N; otherwise
+        NaN.
     """
 
     stage: str
@@ -81,25 +84,25 @@ class Resolution:
 
     @classmethod
     def join(cls, pieces: Sequence[Resolution]) -> Resolution:
-        """Resolutions of one stage, put one after the other."""
+        """Concatenate solutions of one stage."""
         trace = Trace(**_stacked([piece.trace for piece in pieces], Trace))
         return cls(stage=pieces[0].stage, trace=trace, **_stacked(pieces, cls))
 
 
 @dataclass(frozen=True)
-class Course:
-    """What n assemblies went through.
+class ProcessHistory:
+    """Results of n assemblies over all stages.
 
     Attributes
     ----------
     resolutions : dict of str to Resolution
-        By stage, for the stages that resolve contact.
+        By stage, for the stages that solve contact.
     readings : (n, r) array
-        As :class:`Evaluation` has them.
+        As in :class:`Evaluation`.
     failed : (n,) bool array
-        Likewise.
+        As in :class:`Evaluation`.
     state : mic.process.state.ProcessState
-        At the end of the stage that is told.
+        At the end of the requested stage.
     """
 
     resolutions: dict[str, Resolution]
@@ -108,31 +111,31 @@ class Course:
     state: ProcessState
 
 
-class Resolutions(Mapping[str, Resolution]):
-    """By stage, in order; a course is gone through when one of them is first asked for.
+class LazyResolutions(Mapping[str, Resolution]):
+    """Contact solutions by stage, in order; computed when the first of them is requested.
 
     Parameters
     ----------
     stages : sequence of str
-        Those that resolve contact.
-    course : function
-        Gives the :class:`Course`; called once.
+        Those that solve contact.
+    history : function
+        Computes the :class:`ProcessHistory`; called once.
     """
 
-    def __init__(self, stages: Sequence[str], course: Callable[[], Course]):
-        self._stages, self._course = stages, course
+    def __init__(self, stages: Sequence[str], history: Callable[[], ProcessHistory]):
+        self._stages, self._compute = stages, history
 
     @cached_property
-    def course(self) -> Course:
-        """What the assemblies went through."""
-        course = self._course()
-        del self._course  # with all that it was made from
-        return course
+    def history(self) -> ProcessHistory:
+        """Results over all stages."""
+        history = self._compute()
+        del self._compute  # frees its arguments
+        return history
 
     def __getitem__(self, stage: str) -> Resolution:
         if stage not in self._stages:
             raise KeyError(stage)
-        return self.course.resolutions[stage]
+        return self.history.resolutions[stage]
 
     def __contains__(self, stage: object) -> bool:
         return stage in self._stages
@@ -146,22 +149,22 @@ class Resolutions(Mapping[str, Resolution]):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Outcome of n assemblies.
+    """Results of n assemblies.
 
     Attributes
     ----------
     law : str
     deviations : (n, p) array
     resolutions : mapping of str to Resolution
-        By stage, for the stages that resolve contact; made when they are first asked for.
+        By stage, for the stages that solve contact; computed when first requested.
     measurements : (n, k) array
-        Key characteristics in the scene's order, mm from nominal; empty where nothing reads them.
+        Key characteristics in the scene's order, mm from nominal; empty if nothing is measured.
     readings : (n, r) array
-        The readings that they are made of (`mic.model.characteristics`), mm; empty likewise.
+        The readings from which they are computed (`mic.model.characteristics`), mm; empty likewise.
     failed : (n,) bool array
-        Samples whose contact missed its tolerance in some stage.
+        Samples whose contact did not meet its tolerance in some stage.
     equilibrium : function
-        Finds :attr:`functional_force` and :attr:`motion`, when either is first asked for.
+        Computes :attr:`functional_force` and :attr:`motion` when either is first requested.
     """
 
     law: str
@@ -174,13 +177,12 @@ class Evaluation:
 
     @property
     def functional_force(self) -> np.ndarray:
-        """(n, F) all forces on the retained functionals in the last stage, those that made the parts' shapes
-        included, N."""
+        """(n, F) all forces on the retained functionals in the last stage, N, with those that make the parts' shapes."""
         return self._equilibrium[0]
 
     @property
     def motion(self) -> np.ndarray:
-        """(n, 6P) rigid-body motions of the parts in the last stage, shape deviation included, mm and rad."""
+        """(n, 6P) rigid-body motions of the parts in the last stage, mm and rad, with those of the shape deviation."""
         return self._equilibrium[1]
 
     @cached_property
@@ -189,13 +191,13 @@ class Evaluation:
 
     @property
     def built(self) -> np.ndarray:
-        """(n,) whether every clamp and gun of limited force reached its position; true where there is none."""
-        every = [resolution.reached.all(axis=1) for resolution in self.resolutions.values()]
-        return np.logical_and.reduce([np.ones(len(self.failed), dtype=bool), *every])
+        """(n,) whether every clamp and gun of limited force reached its position; true if there are none."""
+        reached = [resolution.reached.all(axis=1) for resolution in self.resolutions.values()]
+        return np.logical_and.reduce([np.ones(len(self.failed), dtype=bool), *reached])
 
     @classmethod
     def join(cls, pieces: Sequence[Evaluation]) -> Evaluation:
-        """Evaluations of one law, put one after the other."""
+        """Concatenate evaluations under one law."""
         if len(pieces) == 1:
             return pieces[0]
         stages = pieces[0].resolutions
@@ -208,6 +210,6 @@ class Evaluation:
 
 
 def _stacked(pieces, cls) -> dict[str, np.ndarray]:
-    """Every field that is an array with the sample as its first axis, put one after the other."""
+    """All fields that are arrays over samples, concatenated."""
     arrays = [field.name for field in fields(cls) if field.type == "np.ndarray"]
     return {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in arrays}

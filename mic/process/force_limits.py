@@ -1,8 +1,8 @@
-"""Stops among the contacts of a step: what the contact solver sees of rows that are pushed by a limited force.
+"""Stops of limited forces, as additional contacts of a step.
 
-A stop is a contact of one row, normal, without friction. Where the solver wants three rows for each contact, a stop has
-two more that nothing drives and nothing loads: uncoupled, of the compliance of its first, without friction, so that
-they stay zero.
+A stop is a frictionless contact of one normal row. If the solver needs three rows for each contact, a stop has two more
+rows that nothing drives or loads: uncoupled, with the compliance of its first row and without friction, so that they
+stay zero.
 """
 
 from __future__ import annotations
@@ -43,46 +43,46 @@ class Stops:
         """d m."""
         return self.contacts * self.dimension
 
-    def spread(self, values: np.ndarray) -> np.ndarray:
-        """(n, d (m + s)) for the solver, from (n, d m + s)."""
+    def pad(self, values: np.ndarray) -> np.ndarray:
+        """(n, d (m + s)) values for the solver, from (n, d m + s)."""
         if not self.count:
             return values
         stops = np.zeros((len(values), self.count, self.dimension))
         stops[:, :, 0] = values[:, self.rows :]
         return np.concatenate([values[:, : self.rows], stops.reshape(len(values), -1)], axis=1)
 
-    def compliance(self, S: Columns, own: np.ndarray) -> Columns:
-        """(d (m + s), d (m + s)) for the solver, from (d m + s, d m + s) and its diagonal."""
+    def compliance(self, S: Columns, diagonal: np.ndarray) -> Columns:
+        """(d (m + s), d (m + s)) compliance for the solver, from (d m + s, d m + s) and its diagonal."""
         if not self.count:
             return S
-        wide = self.dimension * self.total
-        return Columns(partial(self._spread, S, own), (wide, wide))
+        size = self.dimension * self.total
+        return Columns(partial(self._padded_columns, S, diagonal), (size, size))
 
-    def _spread(self, S: Columns, own: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        """(k, d (m + s)) columns for the solver."""
+    def _padded_columns(self, S: Columns, diagonal: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """(k, d (m + s)) columns of the padded compliance."""
         stop = self.rows + self.dimension * np.arange(self.count)
-        place = np.concatenate([np.arange(self.rows), stop])
-        found = np.zeros((len(numbers), self.dimension * self.total))
-        driven = np.isin(numbers, place)
-        found[np.ix_(driven, place)] = S.passed(np.searchsorted(place, numbers[driven]))
-        idle = numbers[~driven]
-        found[~driven, idle] = own[self.rows + (idle - self.rows) // self.dimension]
-        return found
+        rows_used = np.concatenate([np.arange(self.rows), stop])
+        columns = np.zeros((len(numbers), self.dimension * self.total))
+        present = np.isin(numbers, rows_used)
+        columns[np.ix_(present, rows_used)] = S.passed(np.searchsorted(rows_used, numbers[present]))
+        padding = numbers[~present]
+        columns[~present, padding] = diagonal[self.rows + (padding - self.rows) // self.dimension]
+        return columns
 
     def friction(self, friction: Friction) -> Friction:
-        """Of the contacts and the stops, from that of the contacts."""
+        """Friction of the contacts and stops, from that of the contacts."""
         if not self.count:
             return friction
-        none, pressure = np.zeros(self.count), friction.pressure
+        zero, pressure = np.zeros(self.count), friction.pressure
         if pressure is not None:
             constant = np.zeros((self.count, *pressure.shape[1:]))
             constant[:, 1:, 0] = np.inf
             pressure = np.concatenate([pressure, constant])
         compliance = friction.compliance
         return Friction(
-            np.concatenate([friction.coefficient, none]),
+            np.concatenate([friction.coefficient, zero]),
             pressure,
-            None if compliance is None else np.concatenate([compliance, none]),
+            None if compliance is None else np.concatenate([compliance, zero]),
         )
 
     def split(self, solution: PathSolution) -> tuple[PathSolution, np.ndarray]:
@@ -90,7 +90,7 @@ class Stops:
         if not self.count:
             return solution, np.zeros((len(solution.force), 0))
         m, trace = self.contacts, solution.trace
-        own = replace(
+        contacts_only = replace(
             solution,
             force=solution.force[:, : self.rows],
             displacement=solution.displacement[:, : self.rows],
@@ -100,9 +100,9 @@ class Stops:
                 trace.length[:, :m],
                 trace.work[:, :m],
                 trace.share[:, :m],
-                trace.error * np.sqrt(self.total / max(m, 1)),  # a root mean square, of contacts alone
+                trace.error * np.sqrt(self.total / max(m, 1)),  # root mean square over contacts only
                 trace.steps,
                 trace.factorisations,
             ),
         )
-        return own, solution.force[:, self.rows :: self.dimension]
+        return contacts_only, solution.force[:, self.rows :: self.dimension]

@@ -26,7 +26,7 @@ from scipy.sparse import csr_matrix, hstack, identity, vstack
 from mic.compliance.support import completing_rows
 from mic.contact.laws import LAWS
 from mic.errors import FreeMotion, SceneError
-from mic.process.actions import Arrive, Joints, SetDown, Transfer
+from mic.process.actions import Joints, Placement
 
 __all__ = ["check_resting", "free", "rested", "towards"]
 
@@ -65,7 +65,7 @@ def rested(scene, joints: Joints, plan):
         except FreeMotion as error:
             resting = bodies.moved(error.motions)
             # What arrives touches nothing yet, but will.
-            arrives = any(isinstance(action, SetDown | Arrive | Transfer) for action in step.move)
+            arrives = any(isinstance(action, Placement) for action in step.move)
             zones = [zone for i, zone in enumerate(scene.zones) if arrives or i not in step.away]
             try:
                 completing_rows(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)

@@ -19,11 +19,11 @@ from mic.process.inputs import Place
 from mic.process.stage import EliminatedStep
 from mic.process.state import ProcessState
 
-__all__ = ["Shift"]
+__all__ = ["MovingRows"]
 
 
 @dataclass(frozen=True)
-class Shift:
+class MovingRows:
     """The places that count in a step.
 
     Attributes
@@ -39,7 +39,7 @@ class Shift:
     first: int
 
     @classmethod
-    def of(cls, places: Sequence[Place], stage, eliminated) -> Shift:
+    def of(cls, places: Sequence[Place], stage, eliminated) -> MovingRows:
         """Of a step of a :class:`mic.process.stage.PreparedStage`."""
         step = eliminated.step
         rows = {*step.bilateral, *step.load_rows, *(stop.row for stop in step.stops)}

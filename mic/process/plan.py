@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 
 from mic.process.actions import (
-    Arrive,
     Close,
     Fixture,
     Joints,
     Move,
+    MoveAssembly,
+    Placement,
+    PlaceParts,
     Read,
+    ResolveOverlap,
     Row,
-    SetDown,
-    Settle,
-    Transfer,
-    moves_of,
+    stage_moves,
     together,
 )
 from mic.process.free_motions import check_resting, rested
@@ -244,7 +244,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     fixture = Fixture(waiting=tuple(waiting))
     away = tuple(range(len(scene.zones)))
     due, first, standing = False, True, set[str]()
-    for stage, moves in moves_of(scene):
+    for stage, moves in stage_moves(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
         if path == "one-step":
             moves = together(moves)
@@ -253,17 +253,17 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             after = fixture
             for action in move:
                 after = action.apply(after)
-            if any(isinstance(action, Transfer) for action in move):  # on its way the assembly touches no fixture
+            if any(isinstance(action, MoveAssembly) for action in move):  # on its way the assembly touches no fixture
                 standing = set()
                 away = _away(scene, _parts_of(scene, fixture))
             step = replace(_step(move, rows, fixture, after), away=away, parked=_parked(scene, after))
             if due and stage.kind == "clamp" and not any(moves):
-                due, step = False, replace(step, move=(Settle(),), settles=True, resolves=True)
+                due, step = False, replace(step, move=(ResolveOverlap(),), settles=True, resolves=True)
             elif due and step.resolves:
                 if first and path != "one-step":
                     steps.append(
                         Step(
-                            (Settle(),),
+                            (ResolveOverlap(),),
                             rows.held(fixture),
                             fixture.forces,
                             limits=rows.limits(fixture),
@@ -275,10 +275,10 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                         )
                     )
                 else:
-                    step = replace(step, move=(Settle(), *move), settles=True)
+                    step = replace(step, move=(ResolveOverlap(), *move), settles=True)
                 due = False
             steps.append(step)
-            if any(isinstance(action, SetDown | Arrive | Transfer) for action in move):
+            if any(isinstance(action, Placement) for action in move):
                 first, before = stage.settle, away
                 standing |= _standing(scene, stage)
                 away = _away(scene, _parts_of(scene, after) | standing)
@@ -369,7 +369,7 @@ def _step(move, rows: _Rows, before: Fixture, after: Fixture) -> Step:
     closing = tuple(i for action in move if isinstance(action, Close) for i in action.gap)
     if not rows.limited:  # a gun without a limit closes the gap
         closing += tuple(i for i in after.guns if i not in before.guns)
-    sets_down = any(isinstance(action, SetDown) for action in move)
+    sets_down = any(isinstance(action, PlaceParts) for action in move)
     opened = any(limit.row not in now for limit in dropped)  # a weld takes its gun's force over, and nothing moves
     pressed = any(limit not in limits for limit in limits_now)
     changed = bool(added or released or closing or opened or pressed or set(after.forces) != set(before.forces))

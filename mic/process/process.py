@@ -15,8 +15,8 @@ from mic.contact.path import Increments, Path, PathSolution, Trace
 from mic.contact.working_set import Foreseen, WatchedSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
-from mic.process.drive import Asks, Drive, drive
-from mic.process.evaluation import Course, Evaluation, Resolution, Resolutions
+from mic.process.drive import Drive, DriveTerms, drive
+from mic.process.evaluation import Evaluation, LazyResolutions, ProcessHistory, Resolution
 from mic.process.free_motions import check_resting
 from mic.process.linear_maps import Linear
 from mic.process.plan import StagePlan, Step, plan_stages, yielding
@@ -258,16 +258,16 @@ class Process:
             The stage at whose end all forces and the parts' motions are told; default: the last.
         """
         if (deviations[:, self._changing] != self._changed_by).any():
-            parted = self.parted(deviations)
-            return Evaluation.join([process.evaluate(deviations[part], at) for part, process in parted])
+            by_model = self.by_model(deviations)
+            return Evaluation.join([process.evaluate(deviations[part], at) for part, process in by_model])
         told = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1
         asked, solutions = deviations.copy(), None
         if self._linear is not None:
             solutions, readings, failed = self._linear.follow(self.stages, deviations)
         names = [stage.plan.name for stage in self.stages if stage.resolves]
-        resolutions = Resolutions(names, partial(self._through, asked, told, solutions))
+        resolutions = LazyResolutions(names, partial(self._through, asked, told, solutions))
         if solutions is None:
-            readings, failed = resolutions.course.readings, resolutions.course.failed
+            readings, failed = resolutions.history.readings, resolutions.history.failed
         read = self.model.characteristics.values(readings) if readings.size else readings
         equilibrium = partial(self._equilibrium, self.stages[told], resolutions, asked)
         found = Evaluation(self.law, deviations, resolutions, read, readings, failed, equilibrium)
@@ -278,7 +278,9 @@ class Process:
         return found
 
     @one_thread
-    def _through(self, deviations: np.ndarray, told: int, solutions: Sequence[PathSolution] | None = None) -> Course:
+    def _through(
+        self, deviations: np.ndarray, told: int, solutions: Sequence[PathSolution] | None = None
+    ) -> ProcessHistory:
         """Take samples through all stages, one by one; where the contacts' paths are known, by these."""
         asked, state = self.asked(deviations), self.start(len(deviations))
         resolutions, readings, resolve = {}, np.zeros((len(deviations), 0)), None
@@ -293,7 +295,7 @@ class Process:
                 readings = state.reading["measurement"] + asked.measured
             if i == told:
                 end = state
-        return Course(resolutions, readings, state.failed, end)
+        return ProcessHistory(resolutions, readings, state.failed, end)
 
     @cached_property
     def _linear(self) -> Linear | None:
@@ -306,7 +308,7 @@ class Process:
         """What deviations (n, p) ask of the assembly, affine in them."""
         every, own = self._unit_shapes
         shapes = product(deviations, every)
-        return drive(self.model, deviations, {kind: shapes[:, rows] for kind, rows in own.items()}, self._asks)
+        return drive(self.model, deviations, {kind: shapes[:, rows] for kind, rows in own.items()}, self._drive_terms)
 
     def start(self, n: int) -> ProcessState:
         """The state of n assemblies before anything happens."""
@@ -314,7 +316,7 @@ class Process:
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
         return ProcessState.start(n, len(model.contacts), model.contacts.dimension, rows)
 
-    def parted(self, deviations: np.ndarray) -> Iterator[tuple[slice, Process]]:
+    def by_model(self, deviations: np.ndarray) -> Iterator[tuple[slice, Process]]:
         """Samples in runs (slices of them) whose deviations change contacts and parts alike, and the process of each,
         one by one: this one where nothing changes them."""
         own = deviations[:, self._changing]
@@ -350,7 +352,7 @@ class Process:
             vars(process)["_unit_motions"] = self._unit_motions
             if how["like"] is not None:
                 vars(process).update(
-                    {name: getattr(self, name) for name in ("_held", "_unit_shapes", "_asks", "_linear")}
+                    {name: getattr(self, name) for name in ("_held", "_unit_shapes", "_drive_terms", "_linear")}
                 )
             if len(self._varied) >= (KEPT if model.compliance is self.model.compliance else 1):  # compliance is large
                 self._varied.clear()
@@ -441,8 +443,8 @@ class Process:
         return np.ascontiguousarray(every.T), {kind: slice(a, b) for kind, a, b in zip(rows, edges, edges[1:])}
 
     @cached_property
-    def _asks(self) -> Asks:
-        return Asks.of(self.model)
+    def _drive_terms(self) -> DriveTerms:
+        return DriveTerms.of(self.model)
 
     @cached_property
     def _unit_motions(self) -> np.ndarray:
@@ -467,14 +469,14 @@ class Process:
         return self._held[name]
 
     @one_thread
-    def _equilibrium(self, last: PreparedStage, resolutions: Resolutions, deviations):
+    def _equilibrium(self, last: PreparedStage, resolutions: LazyResolutions, deviations):
         """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end of a stage, the shape deviation
         included.
 
         The motions put the bilateral rows A at their values v: least squares over ``A G q = v − A H f``. Redundant rows
         take no part: their values have no effect, and may contradict the others.
         """
-        model, n, state = self.model, len(deviations), resolutions.course.state
+        model, n, state = self.model, len(deviations), resolutions.history.state
         reaction, value = (one.take(last.plan.bilateral) for one in (state.reaction, state.value))
         push = np.zeros((n, model.rows["clamp"].shape[0]))
         for i, force in state.push.items():

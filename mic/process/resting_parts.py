@@ -46,11 +46,11 @@ from mic.contact.states import SLIP, STICK
 from mic.process.free_motions import towards
 from mic.system.matrix_product import product
 
-__all__ = ["Leg", "Rest"]
+__all__ = ["Segment", "Rest"]
 
 SOFT = 10.0  # c, of the largest compliance of a contact
 FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
-LEGS = 4  # of what is left of it
+SEGMENTS = 4  # of what is left of it
 PASSES = 60
 STAYS = 0.1  # of λ: what changes by less from one pass to the next stays
 OFF = 10.0  # mm: a part that has gone so far and is still pushed is pushed off
@@ -62,7 +62,7 @@ LOOSE = 1e-8  # of the best held motion: what is held by less is not held
 
 
 @dataclass(frozen=True)
-class Leg:
+class Segment:
     """A part of a step, for n samples.
 
     Attributes
@@ -122,23 +122,23 @@ class Rest:
         as these do no work on the motions that they leave free."""
         return product(p, response.reaction_L[self.columns(response)].T)
 
-    def legs(self, path: Path, law: Law) -> list[tuple[float, Path]]:
-        """Where the legs of a path end, and how each is followed: every increment is one of its own.
+    def segments(self, path: Path, law: Law) -> list[tuple[float, Path]]:
+        """Where the segments of a path end, and how each is followed: every increment is one of its own.
 
         A part that lay loose comes to lie on something as soon as anything presses it, and moves by a finite way under
-        no load at all: no path to be followed. That takes the first leg, in one increment. What steps of a path that is
-        followed leave differs from pass to pass by their error; so the last leg stands still.
+        no load at all: no path to be followed. That takes the first segment, in one increment. What steps of a path that is
+        followed leave differs from pass to pass by their error; so the last segment stands still.
         """
         if isinstance(path, Increments) or not law.frictional:
             ends = path.ends if law.frictional else [1.0]
             return [(float(end), Increments(1)) for end in ends]
-        ends = np.linspace(FIRST, 1.0, LEGS + 1)[1:]
+        ends = np.linspace(FIRST, 1.0, SEGMENTS + 1)[1:]
         return [(FIRST, Increments(1)), *((float(end), path) for end in ends), (1.0, Increments(1))]
 
     def settle(
         self,
         response: Response,
-        leg: Leg,
+        segment: Segment,
         drawn: np.ndarray,
         place: np.ndarray,
         force: np.ndarray,
@@ -146,15 +146,15 @@ class Rest:
         follow: Callable[..., tuple[PathSolution, np.ndarray]],
         path: Path,
     ) -> tuple[PathSolution, np.ndarray, np.ndarray]:
-        """Go along a leg, and find where the parts come to rest at its end.
+        """Go along a segment, and find where the parts come to rest at its end.
 
         Parameters
         ----------
         response : Response
             Of the step.
-        leg : Leg
+        segment : Segment
         drawn, place : (n, k) array
-            What the rest rows read where the leg's b was taken, and where it begins.
+            What the rest rows read where the segment's b was taken, and where it begins.
         force : (n, d m + s) array
             Of contacts and stops, where it begins.
         anchor : (n, m, d - 1) array
@@ -177,15 +177,15 @@ class Rest:
         def unloaded(b, e, target):
             return b + product(target - drawn - c * e, G.T)
 
-        # Springs that carry at first what acts at first, so that the leg starts in equilibrium.
-        start = unloaded(leg.start, leg.pushed_start, place + c * (leg.pushed_start - product(force, G)))
+        # Springs that carry at first what acts at first, so that the segment starts in equilibrium.
+        start = unloaded(segment.start, segment.pushed_start, place + c * (segment.pushed_start - product(force, G)))
         target = place.copy()
-        solution, found = follow(start, unloaded(leg.end, leg.pushed_end, target), force, anchor, path)
+        solution, found = follow(start, unloaded(segment.end, segment.pushed_end, target), force, anchor, path)
         exact = isinstance(path, Increments)
         before, stride, enough = np.full(place.shape, np.inf), np.ones(len(place)), BALANCED if exact else NOISE
         for _ in range(PASSES):
-            λ = leg.pushed_end - product(found, G)
-            scale = np.abs(np.column_stack([found, leg.pushed_end])).max(axis=1, initial=0.0)
+            λ = segment.pushed_end - product(found, G)
+            scale = np.abs(np.column_stack([found, segment.pushed_end])).max(axis=1, initial=0.0)
             carried = np.abs(λ).max(axis=1, initial=0.0)
             position = target - c * λ
             free = (carried > PRESSED * scale) & (c * carried <= STILL)
@@ -198,12 +198,12 @@ class Rest:
             if not todo.size:
                 break
             target[todo] -= c * stride[todo, None] * λ[todo]
-            end = unloaded(leg.end, leg.pushed_end, target)
+            end = unloaded(segment.end, segment.pushed_end, target)
             again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], path)
             solution = solution.put(todo, again)
             found[todo] = pressed
-        position = target - c * (leg.pushed_end - product(found, G))
-        if not exact:  # the last leg judges
+        position = target - c * (segment.pushed_end - product(found, G))
+        if not exact:  # the last segment judges
             return solution, found, position
         status, converged = solution.status.copy(), solution.converged & ~open_
         for sample in np.flatnonzero(open_):

@@ -40,10 +40,10 @@ from mic.process.drive import Drive
 from mic.process.evaluation import Resolution
 from mic.process.force_limits import Stops
 from mic.process.free_motions import free
-from mic.process.handover import Handover, known
-from mic.process.path import Ramp
 from mic.process.plan import Limit, StagePlan, Step, yielding
-from mic.process.resting_parts import Leg, Rest
+from mic.process.ramp import Ramp
+from mic.process.ramp_columns import RampColumns, known
+from mic.process.resting_parts import Rest, Segment
 from mic.process.row_values import Values, columns
 from mic.process.state import ProcessState
 from mic.system.matrix_product import product
@@ -211,7 +211,7 @@ class PreparedStage:
     ):
         self.plan, self.steps, self.path, self._solver_of = plan, steps, path, solver
         self._solvers: dict[int, tuple[EliminatedStep, ContactSolver | WatchedSolver]] = {}
-        self._handovers: dict[tuple[int, ...], Handover] = {}
+        self._ramp_column_cache: dict[tuple[int, ...], RampColumns] = {}
         self._contacts, self._between, self._joints = model.contacts, model.between, model.joints
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
@@ -378,7 +378,7 @@ class PreparedStage:
             None where no contact was resolved.
         """
         step, response = eliminated.step, eliminated.response
-        handed = self._handover(step, state, drive)
+        handed = self._ramp_columns(step, state, drive)
         v, p = ramp.at(1.0)
         v = _beside(v, place)
         if converged is None and step.sets_down and len(self._contacts):  # one by one: they touch nothing yet
@@ -401,17 +401,17 @@ class PreparedStage:
 
     def ramp(self, step: Step, state: ProcessState, drive: Drive) -> Ramp:
         """From what the rows read, and the forces that act, to what the step asks for."""
-        return self._handover(step, state, drive).ramp(state, drive)
+        return self._ramp_columns(step, state, drive).ramp(state, drive)
 
-    def _handover(self, step: Step, state: ProcessState, drive: Drive) -> Handover:
+    def _ramp_columns(self, step: Step, state: ProcessState, drive: Drive) -> RampColumns:
         """From states like this to the step; made once, as long as the steps are the stage's own."""
         before = known(state)
         key = (id(step), *map(id, before))
-        found = self._handovers.get(key)
+        found = self._ramp_column_cache.get(key)
         if found is None or found.step is not step or found.known != before:
-            if len(self._handovers) >= KEPT * len(self.steps):
-                self._handovers.clear()
-            found = self._handovers[key] = Handover.of(step, state, drive, self._joints)
+            if len(self._ramp_column_cache) >= KEPT * len(self.steps):
+                self._ramp_column_cache.clear()
+            found = self._ramp_column_cache[key] = RampColumns.of(step, state, drive, self._joints)
         return found
 
     def stopped(self, step: Step, state: ProcessState) -> np.ndarray:
@@ -462,12 +462,12 @@ class PreparedStage:
         solver = self.solver(eliminated)
 
         def follow(b0, b1, force, anchor, path) -> tuple[PathSolution, np.ndarray]:
-            way = np.stack([stops.spread(b0), stops.spread(b1)], axis=1)
+            way = np.stack([stops.pad(b0), stops.pad(b1)], axis=1)
             if not stops.count:
                 solution = solver.follow(way, force, anchor, path)
                 return solution, solution.force
             none = np.zeros((len(b0), stops.count, self._dimension - 1))
-            found = solver.follow(way, stops.spread(force), np.concatenate([anchor, none], axis=1), path)
+            found = solver.follow(way, stops.pad(force), np.concatenate([anchor, none], axis=1), path)
             solution, stopped = stops.split(found)
             return solution, np.column_stack([solution.force, stopped])
 
@@ -475,16 +475,16 @@ class PreparedStage:
             solution, force = follow(start + lift, end, force, anchor, self.path)
             return solution, force[:, contacts:], place
 
-        def leg(s0, s1) -> Leg:
+        def segment(s0, s1) -> Segment:
             """Of the step, whatever its place: loads without contacts, and what they leave to the rest rows."""
             left = [rest.pushed(response, ramp.at(s)[1]) for s in (s0, s1)]
-            return Leg(unloaded(s0, place) + (1 - s0) * lift, unloaded(s1, place) + (1 - s1) * lift, *left)
+            return Segment(unloaded(s0, place) + (1 - s0) * lift, unloaded(s1, place) + (1 - s1) * lift, *left)
 
-        legs, s0 = rest.legs(self.path, solver.law), 0.0
+        segments, s0 = rest.segments(self.path, solver.law), 0.0
         pieces, begin, at = [], place[:, rest.soft], place[:, rest.soft]
-        for s1, path in legs:
-            solution, force, at = rest.settle(response, leg(s0, s1), begin, at, force, anchor, follow, path)
-            anchor, trace = solution.anchor, solution.trace.weighted((s1 - s0) * len(legs))
+        for s1, path in segments:
+            solution, force, at = rest.settle(response, segment(s0, s1), begin, at, force, anchor, follow, path)
+            anchor, trace = solution.anchor, solution.trace.weighted((s1 - s0) * len(segments))
             if isinstance(self.path, Followed) and isinstance(path, Increments):  # short: they belong to the path
                 solution = replace(solution, rung=np.where(solution.rung == "increments", "followed", solution.rung))
                 trace = replace(trace, error=np.zeros(n))

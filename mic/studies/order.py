@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN
 from mic.errors import SceneError
-from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, moves_of, together
+from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, stage_moves, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.sample_tables import zone_motion
@@ -154,7 +154,7 @@ def variants(scene: Scene, path: Path) -> list[Order]:
 def _process(scene: Scene):
     """What happens, whatever it is called: what makes two orders one."""
     told = []
-    for stage, moves in moves_of(scene):
+    for stage, moves in stage_moves(scene):
         told.append([frozenset(move) for move in (together(moves) if stage.path == "one-step" else moves)])
     return told, scene.stages[0].settle
 
@@ -190,7 +190,7 @@ def _releasing(scene: Scene) -> Iterator[tuple[str, Scene]]:
 def _reordered(scene: Scene, kind: str, change: Callable[[Groups], Groups]) -> Scene:
     """The scene with the groups of all its stages of a kind changed."""
     updates: dict[int, dict] = {}
-    for i, (stage, moves) in enumerate(moves_of(scene)):
+    for i, (stage, moves) in enumerate(stage_moves(scene)):
         groups = [names for move in moves if (names := named(scene, move))]
         if stage.kind == kind and len(groups) + len(groups[0] if groups else ()) > 2:
             path = None if stage.path == "one-step" else stage.path

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.model.assembly import assemble
-from mic.process.actions import Action, Close, Hold, Open, Press, Push, SetDown, Withdraw
+from mic.process.actions import Action, Close, Hold, Open, Press, Push, PlaceParts, Withdraw
 from mic.process.description import sentences
 from verification.shell_contact.case import Case
 
@@ -81,7 +81,7 @@ def _step(scene, move: Iterable[Action]) -> dict:
     """What closes and opens in a step, by name."""
     closes, opens, welds = [], [], []
     for one in move:
-        if isinstance(one, SetDown):
+        if isinstance(one, PlaceParts):
             closes += [scene.locators[i].name for i in one.locators]
         elif isinstance(one, Hold):
             closes += [scene.locators[i].name for i in one.locators] + [scene.clamps[i].name for i in one.strokes]

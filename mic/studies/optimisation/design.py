@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mic.process.actions import moves_of, tongs
+from mic.process.actions import stage_moves, tongs
 from mic.process.model import ReducedModel
 from mic.scene import Scene
 from mic.scene.optimisation import jaws, mover, standing
@@ -109,7 +109,7 @@ class Space:
         self.groups = [_groups(self.scene, one) for one in asked.orders]
         together = {
             stage.name: [set(names) for move in moves if (names := named(self.scene, move))]
-            for stage, moves in moves_of(self.scene)
+            for stage, moves in stage_moves(self.scene)
         }
         self.stated_groups = [together[stage] for stage in self.stages]
         self.items = [one.item for one in asked.places]
@@ -209,7 +209,7 @@ def _shim(scene, choice) -> Adjustment:
 
 def _groups(scene, choice) -> tuple[tuple[str, ...], ...]:
     """What closes, or opens, together in a stage, in the order of the scene."""
-    stage, moves = next((stage, moves) for stage, moves in moves_of(scene) if stage.name == choice.stage)
+    stage, moves = next((stage, moves) for stage, moves in stage_moves(scene) if stage.name == choice.stage)
     if choice.groups is not None:
         called = lambda name: [one.name for one in jaws(scene, name)] or [name]
         return tuple(tuple(one for name in group for one in called(name)) for group in choice.groups)

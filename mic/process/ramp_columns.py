@@ -11,16 +11,16 @@ import numpy as np
 
 from mic.process.actions import Joints
 from mic.process.drive import Drive
-from mic.process.path import Ramp
 from mic.process.plan import Step
+from mic.process.ramp import Ramp
 from mic.process.row_values import Names, Values
 from mic.process.state import KEPT, ProcessState
 
-__all__ = ["Handover", "known"]
+__all__ = ["RampColumns", "known"]
 
 
 @dataclass(frozen=True)
-class Handover:
+class RampColumns:
     """From states of one kind to a step.
 
     Attributes
@@ -52,7 +52,7 @@ class Handover:
     after: np.ndarray
 
     @classmethod
-    def of(cls, step: Step, state: ProcessState, drive: Drive, joints: Joints) -> Handover:
+    def of(cls, step: Step, state: ProcessState, drive: Drive, joints: Joints) -> RampColumns:
         """Of a state like this."""
         value, reaction, push, frozen = state.value, state.reaction, state.push, state.frozen
         read = _edges([value.table, *(state.reading[kind] for kind in READ)])

@@ -1,0 +1,511 @@
+"""One pass of samples and their derivatives through the process.
+
+The steps of the contacts' paths are recorded, then retraced with derivatives (:mod:`mic.contact.tangent`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from mic.contact.friction import Friction
+from mic.contact.path import Path
+from mic.contact.states import OPEN
+from mic.contact.tangent import Bend, Contact, End, Varied, retrace
+from mic.model.rest_rows import separating_motion_slope
+from mic.process.drive import Drive
+from mic.process.force_limits import Stops
+from mic.process.inputs import Inputs
+from mic.process.moving_rows import MovingRows
+from mic.process.plan import Step
+from mic.process.ramp import Ramp
+from mic.process.resting_parts import Segment
+from mic.process.sensitivity_results import ContactSensitivity, Sensitivities
+from mic.process.stage import EliminatedStep, PreparedStage
+from mic.process.state import ProcessState
+
+__all__ = ["DifferentiatedProcess"]
+
+RESTS = 1e-10  # of the largest gap or force: closer contacts that no input moves stay at their change of state
+TOUCHES = 1e-11  # mm: a contact with more overlap closes
+ROUNDS = 20  # Newton iterations for the positions of resting parts
+SETTLED = 1e-11  # of the largest force: largest spring force at the solution
+FREE = 1e-9  # of the largest stiffness: stiffness that counts as zero
+LOOSE = 1e-6  # relative residual of a derivative above which nothing determines a resting part's position
+
+
+class DifferentiatedProcess:
+    """n samples, with one more assembly for each sample and input that holds the derivatives.
+
+    Derivatives are ordered by sample, and by input within a sample.
+
+    Parameters
+    ----------
+    process : mic.process.process.Process
+    deviations : (n, p') array
+    names : list of str
+        The p inputs.
+    sigma : (p,) array
+        Their standard deviations.
+    steps : mapping or None
+        Recorded path steps to be retraced; None: each path is followed and recorded first.
+    offset : (n,) array, optional
+        Offset of the only input from its value in each sample.
+    """
+
+    def __init__(self, process, deviations, names, sigma, steps, offset=None):
+        self.process, self.names, self.sigma, self.given_steps = process, names, sigma, steps
+        self.n, self.p = len(deviations), len(names)
+        self.inputs = Inputs.of(process.model, names)
+        self.drive, self.drive_slope = process.asked(deviations), self.inputs.drive(process, deviations)
+        self.undetermined = np.zeros(self.n, dtype=bool)
+        self.offset = np.zeros(self.n) if offset is None else offset
+        if offset is not None:
+            self.drive = _offset_drive(self.drive, self.drive_slope, offset)
+        self.steps: dict[tuple, np.ndarray] = {}
+        self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
+        self.reach_along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
+
+    def sensitivities(self) -> Sensitivities:
+        """Take the samples and their derivatives through all stages."""
+        state, slope = self.process.start(self.n), self.process.start(self.n * self.p)
+        contacts, read = {}, (np.zeros((self.n, 0)), np.zeros((self.n * self.p, 0)))
+        for stage in self.process.stages:
+            before, last = slope, None
+            for number, eliminated in enumerate(stage.needed):
+                state, slope, end = self._step(stage, number, eliminated, state, slope)
+                last = end or last
+            if last is not None:
+                contacts[stage.plan.name] = self._contacts(state, slope, before, last)
+            if stage.plan.reads:
+                read = (
+                    state.reading["measurement"] + self.drive.measured,
+                    slope.reading["measurement"] + self.drive_slope.measured,
+                )
+        values, jacobian = read[0], self._columns(read[1])
+        if values.size:
+            characteristics = self.process.model.characteristics
+            jacobian = np.matmul(characteristics.tangent(values), jacobian)
+            values = characteristics.values(values)
+        jacobian[state.failed | self.undetermined] = np.nan
+        return Sensitivities(
+            self.process.law,
+            self.names,
+            self.sigma,
+            values,
+            jacobian,
+            np.repeat(jacobian[..., None], 2, axis=-1),
+            contacts,
+            self.reach,
+            self.reach_along,
+            self.where,
+            state.failed | self.undetermined,
+            self.exact,
+            self.steps,
+        )
+
+    def _columns(self, slope: np.ndarray) -> np.ndarray:
+        """(n, ..., p) from (n p, ...)."""
+        return np.moveaxis(slope.reshape(self.n, self.p, *slope.shape[1:]), 1, -1)
+
+    def _rows(self, slope: np.ndarray) -> np.ndarray:
+        """(n p, ...) from (n, ..., p)."""
+        return np.moveaxis(slope, -1, 1).reshape(self.n * self.p, *slope.shape[1:-1])
+
+    def _step(self, stage: PreparedStage, number: int, eliminated: EliminatedStep, state, slope):
+        """The states after a step, and the end of its contact path; None where contact is not solved."""
+        driven, plain = (replace(eliminated, step=step) for step in self._limited_steps(eliminated.step))
+        sides = (driven, state, self.drive), (plain, self._with_moved_rows(state, slope), self.drive_slope)
+        ramps = [stage.ramp(each.step, of, drive) for each, of, drive in sides]
+        moving = MovingRows.of(self.inputs.places, stage, eliminated)
+        places = [
+            (drive.target if each.step.sets_down else of.reading)["rest"][:, each.rest.row] for each, of, drive in sides
+        ]
+        ends = [(of.force, of.left, of.anchor, stage.stopped(each.step, of)) for each, of, _ in sides]
+        end: End | None = None
+        converged = None
+        if stage.solved(eliminated):
+            stops = stage.stops(eliminated)
+            anchors = [of.anchor for _, of, _ in sides]
+            soft = eliminated.rest.soft.any()
+            if soft and eliminated.step.settles:
+                self._separate_resting_parts(stage, eliminated, sides, ramps, places, anchors)
+            starts, stop = (
+                [
+                    stage.unloaded(each, drive, ramp, place, s)
+                    for (each, _, drive), ramp, place in zip(sides, ramps, places)
+                ]
+                for s in (0.0, 1.0)
+            )
+            bend = moving.bend()
+            for s, (_, moved) in enumerate((starts, stop)):
+                moving.load(moved, self.p, *_values_and_loads(ramps[0], places[0], float(s)))
+            over, slope_over = (
+                stage.overlap(each, of, drive, start) for (each, of, drive), start in zip(sides, starts)
+            )
+            if bend is not None and eliminated.step.settles:
+                touching = np.column_stack([state.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
+                normal = slice(0, stops.rows, stops.dimension)
+                slope_over[:, normal] -= self._rows(bend.under(touching, self.p))[:, normal]
+            lifts = [np.maximum(0.0, over), np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)]
+            anchors_now = self._varied(*(_pad_anchor(stops, one) for one in anchors))
+            if soft:
+                end, converged = self._step_with_resting_parts(
+                    stage, number, eliminated, ramps, places, starts, stop, lifts, ends, anchors_now
+                )
+            else:
+                starts = [start + lift for start, lift in zip(starts, lifts)]
+                record, converged = self._recorded_path(stage, number, eliminated, state, starts[0], stop[0])
+                end = self._differentiated_path(
+                    self._excluded(eliminated),
+                    self._contact(stage, eliminated, bend),
+                    self._varied(*(stops.pad(one) for one in starts)),
+                    self._varied(*(stops.pad(one) for one in stop)),
+                    anchors_now,
+                    record,
+                )
+            self.exact &= end.solved | ~converged
+            self._update_reach(stage, eliminated, end)
+            found = (end.force, end.displacement, end.anchor)
+            ends = [
+                _split_stops(stops, self.drive.gap, *(one.value for one in found)),
+                _split_stops(stops, self.drive_slope.gap, *(self._rows(one.slope) for one in found)),
+            ]
+
+        def left_behind(side: int, solved: np.ndarray | None) -> ProcessState:
+            each, of, drive = sides[side]
+            force, left, anchor, stop = ends[side]
+            return stage.after(each, of, drive, ramps[side], places[side], force, left, anchor, stop, solved)
+
+        after = left_behind(0, converged)
+        slope_after = left_behind(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
+        if len(moving):
+            moving.read(
+                stage, slope_after, after, self.p, *_values_and_loads(ramps[0], places[0], 1.0), end is not None
+            )
+        return after, slope_after, end
+
+    def _separate_resting_parts(self, stage, eliminated, sides, ramps, places, anchors) -> None:
+        """Separate resting parts that overlap before the step; update positions, anchors and their slopes in place."""
+        (_, state, drive), (plain, _, drive_slope) = sides
+        start = stage.unloaded(eliminated, drive, ramps[0], places[0], 0.0)
+        slope = self._columns(stage.unloaded(plain, drive_slope, ramps[1], places[1], 0.0))
+        place, anchor = stage.separating_motion(eliminated, state, start, places[0])
+        soft, (_, m, d) = eliminated.rest.soft, state.force.shape
+        G = eliminated.rest.springs(eliminated.response)[1][: m * d].reshape(m, d, -1)
+        G = np.where(self._excluded(eliminated)[:m, None, None], 0.0, G)
+        moved, turned = self._columns(places[1]), self._columns(anchors[1])
+        for i in np.flatnonzero((place != places[0]).any(axis=1)):
+            way = (place - places[0])[i, soft]
+            own = separating_motion_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], way)
+            moved[i, soft] += own
+            turned[i] += np.einsum("mjk,kp->mjp", G[:, 1:], own)
+        places[:], anchors[:] = [place, self._rows(moved)], [anchor, self._rows(turned)]
+
+    def _step_with_resting_parts(self, stage, number, eliminated, ramps, places, starts, stop, lifts, ends, anchor):
+        """End of the contact path of a step with resting parts, and whether their positions converged.
+
+        `places`, the positions of the resting parts and their slopes, are updated in place. The position q̄ of a part
+        is an additional input of each segment, determined by ``λ(x, q̄) = 0``: nothing is left for the springs to carry
+        (:mod:`mic.process.resting_parts`)."""
+        rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
+        (c, G), law = rest.springs(response), stage.solver(eliminated).law
+        k, p = int(rest.soft.sum()), self.p
+        contact = self._contact(stage, eliminated, None)
+        contact = replace(contact, rougher=np.pad(contact.rougher, ((0, 0), (0, k))))
+        nominal = self._varied(*(place[:, rest.soft] for place in places))
+        force = self._varied(*(np.column_stack([f.reshape(len(f), -1), s]) for f, _, _, s in ends))
+        at, s0, converged = nominal, 0.0, np.ones(self.n, dtype=bool)
+
+        def loads(s: float) -> tuple[Varied, Varied]:
+            """b, and the loads e on the rest rows, at s of the step."""
+            b = [(1 - s) * (start + lift) + s * last for start, lift, last in zip(starts, lifts, stop)]
+            return self._varied(*b), self._varied(*(rest.pushed(response, ramp.at(s)[1]) for ramp in ramps))
+
+        for segment, (s1, path) in enumerate(rest.segments(stage.path, law)):
+            (b0, _), (b1, e1) = loads(s0), loads(s1)
+            record, target, good = self._rest_positions(
+                stage, number, segment, eliminated, (loads(s0), loads(s1)), nominal, at, force, anchor, path
+            )
+            converged &= good
+            carried = _times(force, G)
+            moved = _each(lambda now, nominal, f: now - nominal - c * f, at, nominal, carried)
+            begin = _each(np.add, b0, _times(moved, G.T))
+            offset = _times(_each(lambda nominal, e: nominal + c * e, nominal, e1), G.T)
+            without_parts = _each(np.subtract, b1, offset)
+            none = np.zeros((self.n, len(G), k))
+            for _ in range(ROUNDS):
+                end = Varied(
+                    without_parts.value + target @ G.T, np.concatenate([without_parts.slope, none + G], axis=2)
+                )
+                found = self._differentiated_path(
+                    self._excluded(eliminated),
+                    contact,
+                    _for_solver(stops, Varied(begin.value, np.concatenate([begin.slope, none], axis=2))),
+                    _for_solver(stops, end),
+                    Varied(anchor.value, np.pad(anchor.slope, ((0, 0), (0, 0), (0, k)))),
+                    record,
+                )
+                f = _without_padding(stops, found.force)
+                λ, M = e1.value - f.value @ G, np.einsum("rk,nrj->nkj", G, f.slope[:, :, p:])
+                scale = np.maximum(np.abs(f.value).max(axis=1, initial=0.0), np.abs(e1.value).max(axis=1, initial=0.0))
+                if (np.abs(λ).max(axis=1) <= SETTLED * scale).all():
+                    break
+                target = target + _least_norm_solution(M, λ[..., None])[..., 0]
+            before = e1.slope - np.einsum("rk,nrp->nkp", G, f.slope[:, :, :p])
+            dq = at.slope + _least_norm_solution(M, before - M @ at.slope)
+            left = np.abs(before - M @ dq).max(axis=(1, 2), initial=0.0)
+            self.undetermined |= left > LOOSE * np.maximum(np.abs(before).max(axis=(1, 2), initial=0.0), 1e-300)
+            found = _chain_rule(found, p, dq)
+            force, anchor, at = _without_padding(stops, found.force), found.anchor, Varied(target, dq)
+            self.exact &= found.solved | ~good
+            s0 = s1
+        for side, values in enumerate((at.value, self._rows(at.slope))):
+            places[side] = places[side].copy()
+            places[side][:, rest.soft] = values
+        return found, converged
+
+    def _rest_positions(self, stage, number, segment, eliminated, loads, nominal, at, force, anchor, path):
+        """Recorded steps (n,) of a segment, spring targets (n, k) of its resting parts, and whether they converged."""
+        key, position_key = (stage.plan.name, number, segment), (stage.plan.name, number, segment, "at")
+        if self.given_steps is not None:
+            self.steps[key], self.steps[position_key] = self.given_steps[key], self.given_steps[position_key]
+            return self.given_steps[key], np.stack(list(self.given_steps[position_key])), np.ones(self.n, dtype=bool)
+        rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
+        solver, sides = stage.solver(eliminated), stops.dimension - 1
+        (b0, e0), (b1, e1) = loads
+
+        def follow(start, end, pressed, anchors_now, path):
+            way = np.stack([stops.pad(start), stops.pad(end)], axis=1)
+            none = np.zeros((len(start), stops.count, sides))
+            recorded = replace(path, recorded=True)
+            found = solver.follow(way, stops.pad(pressed), np.concatenate([anchors_now, none], axis=1), recorded)
+            solution, stopped = stops.split(found)
+            return solution, np.column_stack([solution.force, stopped])
+
+        anchors_now = anchor.value.reshape(self.n, stops.total, sides)[:, : stops.contacts]
+        moving = Segment(b0.value, b1.value, e0.value, e1.value)
+        solution, pressed, place = rest.settle(
+            response, moving, nominal.value, at.value, force.value, anchors_now, follow, path
+        )
+        c, G = rest.springs(response)
+        target = place + c * (e1.value - pressed @ G)
+        record: Any = solution.trail
+        positions = np.empty(self.n, dtype=object)
+        positions[:] = list(target)
+        self.steps[key], self.steps[position_key] = record, positions
+        return record, target, solution.converged
+
+    def _differentiated_path(
+        self, out: np.ndarray, contact: Contact, start: Varied, end: Varied, anchor: Varied, record
+    ) -> End:
+        """Retrace the recorded paths with derivatives; contacts `out` (m + s,) take no part.
+
+        An offset sample has the friction at its offset, and contacts that were open throughout its recorded path are
+        added if they overlap."""
+        if not self.offset.any():
+            return retrace(contact, start, end, anchor, record)
+        ends = []
+        for i, way in enumerate(self.offset):
+            coefficient = np.maximum(contact.friction.coefficient + way * contact.rougher[:, 0], 0.0)
+            there = replace(contact, friction=replace(contact.friction, coefficient=coefficient))
+            b0, b1, anchors_now = (Varied(one.value[i : i + 1], one.slope[i : i + 1]) for one in (start, end, anchor))
+            also = np.zeros(len(out), dtype=bool)
+            while True:
+                found = retrace(there, b0, b1, anchors_now, record[i : i + 1], also)
+                new = ~out & ~also & (found.state[0] == OPEN) & (found.normal.value[0] < -TOUCHES)
+                if not new.any():
+                    break
+                also |= new
+            ends.append(found)
+        return End.join(ends)
+
+    def _with_moved_rows(self, state: ProcessState, slope: ProcessState) -> ProcessState:
+        """The slope state with the readings of rows whose positions are inputs."""
+        if not self.inputs.places:
+            return slope
+        reading = {kind: values.copy() for kind, values in slope.reading.items()}
+        for place in self.inputs.places:
+            kind, row = place.row
+            reading[kind][place.input :: self.p, row] += state.reading["position"][:, place.number]
+        return replace(slope, reading=reading)
+
+    def _limited_steps(self, step: Step) -> tuple[Step, Step]:
+        """The step with the samples' force limits, and with the derivatives of the limits in their place."""
+        none = np.zeros(self.p)
+
+        def unit(limits):
+            return tuple(
+                replace(limit, force=np.tile(self.inputs.limit.get(limit.row, none), self.n)) for limit in limits
+            )
+
+        units = replace(step, limits=unit(step.limits), dropped_limits=unit(step.dropped_limits))
+        if not (self.offset.any() and self.inputs.limit):
+            return step, units
+
+        def beside(limits, of):
+            return tuple(replace(limit, force=limit.force + self.offset * one.force) for limit, one in zip(limits, of))
+
+        moved = beside(step.limits, units.limits), beside(step.dropped_limits, units.dropped_limits)
+        return replace(step, limits=moved[0], dropped_limits=moved[1]), units
+
+    def _varied(self, value, slope) -> Varied:
+        return Varied(value, self._columns(slope))
+
+    def _recorded_path(self, stage: PreparedStage, number: int, eliminated, state, b0, b1):
+        """Recorded path steps (n,) of the contacts, and whether the samples met their tolerance."""
+        key = stage.plan.name, number
+        if self.given_steps is not None:
+            self.steps[key] = self.given_steps[key]
+            return self.given_steps[key], np.ones(self.n, dtype=bool)
+        stops, d = stage.stops(eliminated), self.process.model.contacts.dimension
+        force = np.column_stack([state.force.reshape(self.n, stops.rows), stage.stopped(eliminated.step, state)])
+        anchor = _pad_anchor(stops, state.anchor).reshape(self.n, stops.total, d - 1)
+        path: Path = replace(stage.path, recorded=True)
+        way = np.stack([stops.pad(b0), stops.pad(b1)], axis=1)
+        found = stage.solver(eliminated).follow(way, stops.pad(force), anchor, path)
+        record: Any = found.trail
+        self.steps[key] = record
+        return record, found.converged
+
+    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep, bend: Bend | None) -> Contact:
+        contacts, law = self.process.model.contacts, stage.solver(eliminated).law
+        stops = stage.stops(eliminated)
+        friction = stops.friction(contacts.friction_in(stage.plan.name))
+        rougher = np.concatenate([self.inputs.rougher, np.zeros((stops.count, self.p))])
+        if law.varies and friction.pressure is not None:
+            rougher[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
+        return Contact(
+            law,
+            stops.compliance(*eliminated.compliance),
+            friction if law.frictional else Friction.of(0.0, stops.total),
+            rougher,
+            contacts.dimension,
+            bend and Bend(stops.pad(bend.left), stops.pad(bend.lean), bend.whose),
+        )
+
+    def _contacts(self, state: ProcessState, slope: ProcessState, before: ProcessState, end: End) -> ContactSensitivity:
+        m = state.force.shape[1]
+        return ContactSensitivity(
+            state.force,
+            end.state[:, :m],
+            self._columns(slope.force),
+            self._columns(slope.left[:, :, 1:] - before.left[:, :, 1:]),
+        )
+
+    def _excluded(self, eliminated: EliminatedStep) -> np.ndarray:
+        """(m + s,) whether each contact or stop takes no part in a step."""
+        step, contacts = eliminated.step, self.process.model.contacts
+        return np.concatenate([contacts.excluded(step.nuggets, step.away), np.zeros(len(step.stops), dtype=bool)])
+
+    def _update_reach(self, stage: PreparedStage, eliminated: EliminatedStep, end: End) -> None:
+        """Update the distance to the nearest change of state with the contacts at the end of a step."""
+        there = ~self._excluded(eliminated)
+        for margin in (end.normal, end.cone):
+            size = np.abs(margin.value)
+            finite = np.where(np.isfinite(size), size, 0.0)
+            pushed = np.abs(margin.slope) * self.sigma
+            joint = np.linalg.norm(pushed, axis=2)
+            rests = np.maximum(finite, joint) <= RESTS * finite.max(axis=1, keepdims=True, initial=0.0)
+            counts = there & np.isfinite(size) & ~rests & (joint > 0.0)
+            distance = np.where(counts, finite / np.where(counts, joint, 1.0), np.inf)
+            along = np.where(
+                counts[:, :, None] & (pushed > 0.0), finite[:, :, None] / np.where(pushed > 0, pushed, 1.0), np.inf
+            )
+            self.reach_along = np.minimum(self.reach_along, along.min(axis=1, initial=np.inf))
+            if not distance.shape[1]:
+                continue
+            nearest = distance.argmin(axis=1)
+            for i, k in enumerate(nearest):
+                if distance[i, k] < self.reach[i]:
+                    self.reach[i] = distance[i, k]
+                    self.where[i] = self._state_change(stage, eliminated, int(k), end.state[i, k], margin is end.cone)
+
+    def _state_change(self, stage: PreparedStage, eliminated: EliminatedStep, k: int, state: int, slips: bool) -> str:
+        """Describe a change of state: the stage, the contact or stop, and whether it slips, closes or opens."""
+        model = self.process.model
+        what = "slips" if slips else "closes" if state == 0 else "opens"
+        if k >= len(model.contacts):
+            kind, row = eliminated.step.stops[k - len(model.contacts)].row
+            return f"{stage.plan.name}: the stop of {model.labels[kind][row]} {what}"
+        return f"{stage.plan.name}: contact {k} of zone {model.scene.zones[model.contacts.zone[k]].name} {what}"
+
+
+def _pad_anchor(stops: Stops, anchor: np.ndarray) -> np.ndarray:
+    """(n, (d - 1)(m + s)) anchors of contacts (n, m, d - 1), padded with zeros for the stops."""
+    n, _, sides = anchor.shape
+    return np.column_stack([anchor.reshape(n, stops.contacts * sides), np.zeros((n, stops.count * sides))])
+
+
+def _split_stops(stops: Stops, gap, force, u, anchor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Contact forces (n, m, d), displacements at the end and anchors, and forces (n, s) of the stops."""
+    shape = len(force), stops.contacts, stops.dimension
+    left = u[:, : stops.rows].reshape(shape).copy()
+    left[:, :, 0] -= gap
+    sides = stops.dimension - 1
+    return (
+        force[:, : stops.rows].reshape(shape),
+        left,
+        anchor[:, : stops.contacts * sides].reshape(*shape[:2], sides),
+        force[:, stops.rows :: stops.dimension],
+    )
+
+
+def _values_and_loads(ramp: Ramp, place: np.ndarray, s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Values and loads of a step's rows at s of the ramp."""
+    v, loads = ramp.at(s)
+    return np.column_stack([v, place]), loads
+
+
+def _offset_drive(drive: Drive, slope: Drive, distance: np.ndarray) -> Drive:
+    """The drive of samples whose input is offset by `distance` (n,)."""
+    moved = {
+        one.name: getattr(drive, one.name) + distance[:, None] * getattr(slope, one.name)
+        for one in fields(Drive)
+        if one.name != "target"
+    }
+    return Drive(
+        {kind: value + distance[:, None] * slope.target[kind] for kind, value in drive.target.items()}, **moved
+    )
+
+
+def _each(function, *terms: Varied) -> Varied:
+    """A linear function of the values, and of the slopes."""
+    return Varied(function(*(term.value for term in terms)), function(*(term.slope for term in terms)))
+
+
+def _times(one: Varied, matrix: np.ndarray) -> Varied:
+    """``X A``, of rows (n, r) and A (r, k)."""
+    return Varied(one.value @ matrix, np.einsum("nrp,rk->nkp", one.slope, matrix))
+
+
+def _for_solver(stops: Stops, one: Varied) -> Varied:
+    """Values of contacts and stops, padded to d rows for each stop as the solver needs them."""
+    slope = [stops.pad(one.slope[:, :, i]) for i in range(one.slope.shape[2])]
+    return Varied(stops.pad(one.value), np.stack(slope, axis=2))
+
+
+def _without_padding(stops: Stops, force: Varied) -> Varied:
+    """(n, d m + s) forces of contacts and stops, without the rows that the solver adds to stops."""
+    own = np.concatenate([np.arange(stops.rows), np.arange(stops.rows, force.value.shape[1], stops.dimension)])
+    return Varied(force.value[:, own], force.slope[:, own])
+
+
+def _chain_rule(end: End, p: int, position_slope: np.ndarray) -> End:
+    """Derivatives by the p inputs, with those by the positions of resting parts, whose slopes are (n, k, p)."""
+
+    def own(one):
+        return (
+            Varied(one.value, one.slope[:, :, :p] + one.slope[:, :, p:] @ position_slope)
+            if isinstance(one, Varied)
+            else one
+        )
+
+    return End(**{one.name: own(getattr(end, one.name)) for one in fields(End)})
+
+
+def _least_norm_solution(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(n, k, p) least-norm solutions of systems (n, k, k) that may be singular."""
+    return np.matmul(np.linalg.pinv(matrix, rcond=FREE), right)
