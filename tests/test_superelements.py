@@ -282,7 +282,7 @@ def test_a_place_without_a_node_near_it_and_a_node_without_rotations_are_told(tm
         coefficients(tmp_path / "a.mtx", sheet)
     K = frame(sheet.points, edges_of(sheet))
     K[3::6], K[:, 3::6] = 0, 0
-    with pytest.raises(SceneError, match=r"resists a rigid rotation|reads freedom 4 of node"):
+    with pytest.raises(SceneError, match=r"resists a rigid rotation|reads degree of freedom 4 of node"):
         market(tmp_path / "b.mtx", K, sheet.points)
         coefficients(tmp_path / "b.mtx", sheet)
 
@@ -312,7 +312,7 @@ MALFORMED = {
     "rectangular.pch": (DMIG.replace("0,6,1", "0,2,1"), None, "KAAX is rectangular"),
     "complex.pch": (DMIG.replace("0,6,1", "0,6,3"), None, "KAAX is complex"),
     "a word.pch": (DMIG.replace("2.0", "two"), None, "line 3: a field of this DMIG is no number"),
-    "a freedom.pch": (DMIG.replace("1,1,2.0", "1,7,2.0"), None, "node 1 has a freedom 7"),
+    "a freedom.pch": (DMIG.replace("1,1,2.0", "1,7,2.0"), None, "node 1 has a degree of freedom 7"),
     "a system.pch": (DMIG.replace("GRID,1,,", "GRID,1,3,"), None, "line 2: grid points in coordinate system 3"),
     "no table.op4": (OP4, None, r"an OUTPUT4 file needs the table of its nodes, .* beside it: no table\.csv"),
     "no matrix.op4": ("", TABLE, "holds no matrix"),

@@ -63,7 +63,7 @@ class Blocks:
     def rigid(self, rows: csr_matrix) -> np.ndarray:
         """(r, 6P) readings ``rows @ G`` of the rigid motions."""
         columns = rows.tocsc()
-        return np.hstack([columns[:, own] @ G for own, G in zip(self.functionals, self.G)])
+        return np.hstack([columns[:, block] @ G for block, G in zip(self.functionals, self.G)])
 
     def gather(self, left: csr_matrix, right: csr_matrix) -> np.ndarray:
         """(l, r) ``left H rightᵀ`` for two sets of rows over the stacked functionals."""
@@ -83,20 +83,20 @@ class Blocks:
 
     def displace(self, forces: np.ndarray) -> np.ndarray:
         """(n, F) elastic readings ``f H`` of forces (n, F), one sample per row."""
-        return np.hstack([forces[:, own] @ H for own, H in zip(self.functionals, self.H)])
+        return np.hstack([forces[:, block] @ H for block, H in zip(self.functionals, self.H)])
 
     def carry(self, motions: np.ndarray) -> np.ndarray:
         """(n, F) readings ``q Gᵀ`` of rigid motions (n, 6P), one sample per row."""
-        return np.hstack([motions[:, own] @ G.T for own, G in zip(self.motions, self.G)])
+        return np.hstack([motions[:, block] @ G.T for block, G in zip(self.motions, self.G)])
 
     def resultants(self, forces: np.ndarray) -> np.ndarray:
         """(n, 6P) resultants ``f G`` of forces (n, F) on each part, one sample per row; zero in equilibrium."""
-        return np.hstack([forces[:, own] @ G for own, G in zip(self.functionals, self.G)])
+        return np.hstack([forces[:, block] @ G for block, G in zip(self.functionals, self.G)])
 
     def fit(self, readings: np.ndarray) -> np.ndarray:
         """(n, 6P) least-squares rigid motions of each part for readings (n, F)."""
         return np.hstack(
-            [np.linalg.lstsq(G, readings[:, own].T, rcond=None)[0].T for own, G in zip(self.functionals, self.G)]
+            [np.linalg.lstsq(G, readings[:, block].T, rcond=None)[0].T for block, G in zip(self.functionals, self.G)]
         )
 
     def dense(self) -> tuple[np.ndarray, np.ndarray]:
@@ -107,8 +107,8 @@ class Blocks:
     def single(cls, H: np.ndarray, G: np.ndarray, edges: Sequence[int] | None = None) -> Blocks:
         """Blocks of dense H (F, F) and G (F, 6P), split at `edges` (default: one part)."""
         edges = [0, len(H)] if edges is None else edges
-        own = [slice(a, b) for a, b in zip(edges, edges[1:])]
-        return cls(tuple(H[s, s] for s in own), tuple(G[s, 6 * p : 6 * p + 6] for p, s in enumerate(own)))
+        blocks = [slice(a, b) for a, b in zip(edges, edges[1:])]
+        return cls(tuple(H[s, s] for s in blocks), tuple(G[s, 6 * p : 6 * p + 6] for p, s in enumerate(blocks)))
 
 
 def _entries(rows: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -135,7 +135,7 @@ def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
                 if first <= L_column[k] < first + n:
                     read[L_column[k] - first] = True
                     touched[i] = True
-        columns, own = np.flatnonzero(read), np.flatnonzero(touched)
+        columns, touched_rows = np.flatnonzero(read), np.flatnonzero(touched)
         moved = np.zeros(n)
         for j in range(len(R_start) - 1):
             there = False
@@ -148,7 +148,7 @@ def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
                     for p in columns:
                         moved[p] += R_value[k] * H[q, p]
             if there:
-                for i in own:
+                for i in touched_rows:
                     sum = 0.0
                     for k in range(L_start[i], L_start[i + 1]):
                         p = L_column[k] - first

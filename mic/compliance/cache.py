@@ -58,7 +58,7 @@ def influence_coefficients(
     cached = {name: coefficients is not None for name, coefficients in stored.items()}
     if comm is not None:
         cached = comm.bcast(cached)
-    found = {name: coefficients for name, coefficients in stored.items() if coefficients is not None}
+    available = {name: coefficients for name, coefficients in stored.items() if coefficients is not None}
     missing = [part for part in every if not cached[part.name]]
     for part in missing:
         if progress:
@@ -68,16 +68,16 @@ def influence_coefficients(
             )
     providers = {part.name: provider.find(part) for part in missing}
     for one in dict.fromkeys(providers.values()):
-        own = [part for part in missing if providers[part.name] is one]
-        computed = one.coefficients(own, comm)
-        for part in own:
-            found[part.name] = computed[part.name]
+        parts_of_provider = [part for part in missing if providers[part.name] is one]
+        computed = one.coefficients(parts_of_provider, comm)
+        for part in parts_of_provider:
+            available[part.name] = computed[part.name]
             if first:
                 _write(part, computed[part.name], cache)
     whole = {
-        part.name: _combined(part, found)
+        part.name: _combined(part, available)
         for part in assembly.parts
-        if all(one.name in found for one in variants[part.name])
+        if all(one.name in available for one in variants[part.name])
     }
     return whole, {name: all(cached[one.name] for one in parts) for name, parts in variants.items()}
 
@@ -95,18 +95,18 @@ def _at_thicknesses(part: Part) -> list[Part]:
     return [part if abs(t - part.thickness) <= tolerance else part.at(t) for t in chebyshev(*part.thickness_range)]
 
 
-def _combined(part: Part, found: dict[str, InfluenceCoefficients]) -> InfluenceCoefficients:
+def _combined(part: Part, available: dict[str, InfluenceCoefficients]) -> InfluenceCoefficients:
     """A part's coefficients with those at its other thicknesses."""
-    own, variants = found[part.name], _at_thicknesses(part)
+    nominal, variants = available[part.name], _at_thicknesses(part)
     if part.thickness_range is None:
-        return own
-    H, G = (np.array([getattr(found[one.name], name) for one in variants]) for name in ("H", "G"))
+        return nominal
+    H, G = (np.array([getattr(available[one.name], name) for one in variants]) for name in ("H", "G"))
     t = np.array([one.thickness for one in variants])
-    return replace(own, thicknesses=Thicknesses(t, *part.thickness_range, H, G))
+    return replace(nominal, thicknesses=Thicknesses(t, *part.thickness_range, H, G))
 
 
 def _read(part: Part, cache: Path) -> InfluenceCoefficients | None:
-    stored = Cache(cache, "influence", FORMAT).find(part.fingerprint())
+    stored = Cache(cache, "influence", FORMAT).load(part.fingerprint())
     if stored is None:
         return None
     header, arrays = stored
@@ -115,4 +115,4 @@ def _read(part: Part, cache: Path) -> InfluenceCoefficients | None:
 
 def _write(part: Part, coefficients: InfluenceCoefficients, cache: Path) -> None:
     header = {"part": part.name, "provenance": coefficients.provenance}
-    Cache(cache, "influence", FORMAT).keep(part.fingerprint(), header, {"H": coefficients.H, "G": coefficients.G})
+    Cache(cache, "influence", FORMAT).store(part.fingerprint(), header, {"H": coefficients.H, "G": coefficients.G})

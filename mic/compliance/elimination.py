@@ -170,16 +170,17 @@ class _BilateralRows:
         H_RR = 0.5 * (H_RR + H_RR.T)
         if yielding is not None:
             H_RR[np.diag_indices(len(rest))] += yielding[rest]
-        kept = _independent(H_RR, compliance.diagonal(rows[rest]))
-        self._further, self._R = rest[kept], R.select(kept)
-        self.redundant = tuple(int(i) for i in np.delete(rest, kept))
+        independent = _independent(H_RR, compliance.diagonal(rows[rest]))
+        self._further, self._R = rest[independent], R.select(independent)
+        self.redundant = tuple(int(i) for i in np.delete(rest, independent))
         # H_RR = D⁻¹ C Cᵀ D⁻¹, so that H_CR H_RR⁻¹ H_RC = Z Zᵀ with Z = H_CR D C⁻ᵀ.
-        self._D, self._C = _cholesky(H_RR[np.ix_(kept, kept)])
+        self._D, self._C = _cholesky(H_RR[np.ix_(independent, independent)])
         # λ_R = D C⁻ᵀ (C⁻¹ D (v_R - R Q v_A) - Zᵀ f), and λ_A = -(J Q)ᵀ f from the balance Gᵀ(Aᵀ λ_A + Jᵀ f) = 0.
-        values = np.zeros((len(kept), self._count))
+        count = len(independent)
+        values = np.zeros((count, self._count))
         values[:, support] = -self._R.JQ
-        values[np.arange(len(kept)), self._further] = 1.0
-        self._CD = solve_triangular(self._C, np.diag(self._D), lower=True) if len(kept) else np.zeros((0, 0))  # C⁻¹ D
+        values[np.arange(count), self._further] = 1.0
+        self._CD = solve_triangular(self._C, np.diag(self._D), lower=True) if count else np.zeros((0, 0))  # C⁻¹ D
         self._CDv = self._CD @ values
 
     def _on_support(self, rows: csr_matrix, rigid: np.ndarray) -> _SupportedRows:
@@ -190,22 +191,22 @@ class _BilateralRows:
 
     def supported(self, rows: csr_matrix) -> _SupportedRows:
         """Rows of the held parts, with their correction by the rows R."""
-        own = self._on_support(rows, self._compliance.rigid(rows))
+        supported = self._on_support(rows, self._compliance.rigid(rows))
         if not len(self._further):
-            return own
-        return replace(own, Z=solve_triangular(self._C, (own.gather(self._R) * self._D).T, lower=True).T)
+            return supported
+        return replace(supported, Z=solve_triangular(self._C, (supported.gather(self._R) * self._D).T, lower=True).T)
 
-    def motion(self, own: _SupportedRows) -> np.ndarray:
+    def motion(self, rows: _SupportedRows) -> np.ndarray:
         """(j, b) motion of rows per prescribed value."""
-        motion = own.Z @ self._CDv
-        motion[:, self._support] += own.JQ
+        motion = rows.Z @ self._CDv
+        motion[:, self._support] += rows.JQ
         return motion
 
-    def reactions(self, own: _SupportedRows) -> np.ndarray:
+    def reactions(self, rows: _SupportedRows) -> np.ndarray:
         """(b, j) force of each bilateral row per force on the rows."""
-        force = np.zeros((self._count, len(own.Z)))
-        force[self._further] = -self._CD.T @ own.Z.T
-        force[self._support] = -self._R.JQ.T @ force[self._further] - own.JQ.T
+        force = np.zeros((self._count, len(rows.Z)))
+        force[self._further] = -self._CD.T @ rows.Z.T
+        force[self._support] = -self._R.JQ.T @ force[self._further] - rows.JQ.T
         return force
 
     def reactions_to_values(self) -> np.ndarray:
@@ -235,12 +236,12 @@ class _Columns:
     def __call__(self, numbers: np.ndarray) -> np.ndarray:
         """(k, j) columns with these numbers."""
         forced = self.forced.select(numbers)
-        found = self.read.gather(forced).T - product(forced.Z, self.read.Z.T)
+        columns = self.read.gather(forced).T - product(forced.Z, self.read.Z.T)
         if self.series is not None:
             # Rows that the bilateral rows hold completely have no compliance; rounding must not make it negative.
             diagonal = np.arange(len(numbers)), numbers
-            found[diagonal] = np.maximum(found[diagonal], 0.0) + self.series[numbers]
-        return found
+            columns[diagonal] = np.maximum(columns[diagonal], 0.0) + self.series[numbers]
+        return columns
 
 
 def _independent(matrix, reference):

@@ -62,7 +62,7 @@ def _unit_fields(part: Part, loaded: np.ndarray, cache: Path) -> tuple[np.ndarra
     """
     store, identity, v = Cache(cache, "fields", FORMAT, MOST), part.fingerprint(), len(part.surface.points)
     known, unit, rigid = np.zeros(0, dtype=int), np.zeros((0, 3 * v)), None
-    cached = store.find(identity)
+    cached = store.load(identity)
     if cached is not None:
         known, unit, rigid = (cached[1][name] for name in ("functional", "unit", "rigid"))
     missing = np.setdiff1d(loaded, known)
@@ -77,5 +77,5 @@ def _unit_fields(part: Part, loaded: np.ndarray, cache: Path) -> tuple[np.ndarra
         known = np.concatenate([known, missing])[order]
         unit = np.concatenate([unit, solved[:, :3].reshape(3 * v, -1).T])[order]
         rigid = np.ascontiguousarray(modes[:, :3].reshape(3 * v, 6))
-        store.keep(identity, {"part": part.name}, {"functional": known, "unit": unit, "rigid": rigid})
+        store.store(identity, {"part": part.name}, {"functional": known, "unit": unit, "rigid": rigid})
     return known, unit, rigid

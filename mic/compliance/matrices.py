@@ -107,8 +107,8 @@ def _market(path: Path) -> csr_matrix:
 
 
 def _output4(path: Path) -> csr_matrix:
-    found = matrices(path.read_bytes())
-    return found[_only(list(found), "no matrix")]
+    by_name = matrices(path.read_bytes())
+    return by_name[_only(list(by_name), "no matrix")]
 
 
 def _only(names: list[str], nothing: str) -> str:
@@ -124,18 +124,18 @@ def _only(names: list[str], nothing: str) -> str:
 def _by_table(matrix: csr_matrix, places: dict[int, tuple[float, ...]], table: Path) -> NodalMatrix:
     """A matrix in the order of the node table."""
     n, m = len(places), matrix.shape[0]
-    each = {6 * n: 6, 3 * n: 3}.get(m)
-    if each is None or matrix.shape != (m, m):
+    per_node = {6 * n: 6, 3 * n: 3}.get(m)
+    if per_node is None or matrix.shape != (m, m):
         raise FormatError(
             f"it has {matrix.shape[0]} × {matrix.shape[1]} entries, and the {n} nodes of {table.name} have {6 * n} "
-            f"freedoms, or {3 * n} displacements"
+            f"degrees of freedom, or {3 * n} displacements"
         )
-    node = np.repeat(np.fromiter(places, dtype=np.int64), each)
-    return NodalMatrix(node, np.tile(np.arange(each), n), _symmetric(matrix), places)
+    node = np.repeat(np.fromiter(places, dtype=np.int64), per_node)
+    return NodalMatrix(node, np.tile(np.arange(per_node), n), _symmetric(matrix), places)
 
 
 def _dmig(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
-    found: dict[str, dict[tuple[tuple[int, int], tuple[int, int]], float]] = {}
+    by_name: dict[str, dict[tuple[tuple[int, int], tuple[int, int]], float]] = {}
     forms: dict[str, str] = {}
     for where, card in nastran.cards(path):
         try:
@@ -148,7 +148,7 @@ def _dmig(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
                 if card[4] not in ("", "1", "2"):
                     raise FormatError(f"{card[1]} is complex; a stiffness is real")
             elif card[0] == "DMIG":
-                column, entries = (int(card[2]), int(card[3])), found.setdefault(card[1], {})
+                column, entries = (int(card[2]), int(card[3])), by_name.setdefault(card[1], {})
                 for first in range(5, len(card) - 2, 4):
                     if card[first]:
                         entries[(int(card[first]), int(card[first + 1])), column] = _real(card[first + 2])
@@ -156,10 +156,10 @@ def _dmig(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
             raise FormatError(f"{where}: {problem}") from None
         except (ValueError, IndexError):
             raise FormatError(f"{where}: a field of this {card[0]} is no number, or is missing") from None
-    name = _only(list(found), "no DMIG cards; it is no punched superelement")
+    name = _only(list(by_name), "no DMIG cards; it is no punched superelement")
     if forms.get(name, "6") not in ("1", "6"):
         raise FormatError(f"{name} is rectangular; a stiffness is square")
-    return _of_entries(found[name], places)
+    return _of_entries(by_name[name], places)
 
 
 def _labelled(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
@@ -172,8 +172,8 @@ def _labelled(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
             row, column, value = (int(fields[0]), int(fields[1])), (int(fields[2]), int(fields[3])), _real(fields[4])
         except (ValueError, IndexError):
             raise FormatError(
-                f"line {line}: this is no entry of a matrix, node, freedom, node, freedom, value; let Abaqus write "
-                "it by *MATRIX OUTPUT, FORMAT=MATRIX INPUT"
+                f"line {line}: this is no entry of a matrix (node, degree of freedom, node, degree of freedom, value); "
+                "write it with Abaqus by *MATRIX OUTPUT, FORMAT=MATRIX INPUT"
             ) from None
         entries[row, column] = value
     if not entries:
@@ -186,7 +186,7 @@ def _of_entries(entries, places) -> NodalMatrix:
     freedoms = sorted({freedom for pair in entries for freedom in pair})
     wrong = next((freedom for freedom in freedoms if not 1 <= freedom[1] <= 6), None)
     if wrong is not None:
-        raise FormatError(f"node {wrong[0]} has a freedom {wrong[1]}; those of a node are 1 to 6")
+        raise FormatError(f"node {wrong[0]} has a degree of freedom {wrong[1]}; allowed are 1 to 6")
     number = {freedom: i for i, freedom in enumerate(freedoms)}
     whole = dict(entries)
     for (row, column), value in entries.items():

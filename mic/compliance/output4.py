@@ -35,7 +35,7 @@ def matrices(data: bytes) -> dict[str, csr_matrix]:
         If the file is cut short or is no OUTPUT4 file, or a matrix is complex.
     """
     order = next((mark for mark in "<>" if data[:4] == struct.pack(f"{mark}i", HEADER)), None)
-    found = {}
+    by_name = {}
     try:
         source = _Text(data) if order is None else _Binary(data, order)
         while source.more():
@@ -52,12 +52,12 @@ def matrices(data: bytes) -> dict[str, csr_matrix]:
                 )
             )
             indices = (row.astype(np.int64), column.astype(np.int64))
-            found[name] = coo_matrix((value, indices), shape=(abs(rows), columns)).tocsr()
+            by_name[name] = coo_matrix((value, indices), shape=(abs(rows), columns)).tocsr()
     except FormatError:
         raise
     except (ValueError, IndexError, struct.error):
         raise FormatError("it is cut short, or no OUTPUT4 file; write it again with Nastran") from None
-    return found
+    return by_name
 
 
 def _strings(source, columns: int, rows: int, kind: int) -> Iterator[tuple[int, int, np.ndarray]]:
@@ -118,12 +118,12 @@ class _Text:
         self._line()
 
     def values(self, number: int, kind: int) -> np.ndarray:
-        found: list[float] = []
-        while len(found) < number:
+        numbers: list[float] = []
+        while len(numbers) < number:
             line = self._line().upper().replace("D", "E")
-            most = min(self._each, number - len(found))
-            found += [float(line[self._width * i : self._width * (i + 1)]) for i in range(most)]
-        return np.array(found)
+            most = min(self._each, number - len(numbers))
+            numbers += [float(line[self._width * i : self._width * (i + 1)]) for i in range(most)]
+        return np.array(numbers)
 
 
 class _Binary:

@@ -70,14 +70,14 @@ class Provider(Protocol):
 @cache
 def installed() -> tuple[dict[str, Provider], dict[str, str]]:
     """The providers that can be loaded, by name, and the error of each other one; superelements need no package."""
-    found: dict[str, Provider] = {"superelements": Superelements()}
+    providers: dict[str, Provider] = {"superelements": Superelements()}
     broken = {}
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         try:
-            found[point.name] = point.load()()
+            providers[point.name] = point.load()()
         except ImportError as error:
             broken[point.name] = str(error)
-    return found, broken
+    return providers, broken
 
 
 def check_element(element: str) -> None:
@@ -88,8 +88,8 @@ def check_element(element: str) -> None:
     SceneError
         Naming the known elements.
     """
-    found, broken = installed()
-    known = sorted({name for provider in found.values() for name in provider.elements if name != ELEMENT})
+    providers, broken = installed()
+    known = sorted({name for provider in providers.values() for name in provider.elements if name != ELEMENT})
     if known and not broken and element not in known:
         raise SceneError(f"element: there is none called {element!r}; known: {', '.join(known)}")
 
@@ -104,13 +104,13 @@ def find(part: Part) -> Provider:
     MissingProvider
         If there is none; the message says what to install.
     """
-    found, broken = installed()
-    for provider in found.values():
+    providers, broken = installed()
+    for provider in providers.values():
         if provider.accepts(part):
             return provider
     check_element(part.element)
     reasons = [f"{name}: {reason}" for name, reason in broken.items()]
-    refusing = [f"{name} does not accept it" for name in found if name != "superelements"]
+    refusing = [f"{name} does not accept it" for name in providers if name != "superelements"]
     reasons += refusing or ["no package registers one"] * (not broken)
     raise MissingProvider(
         f"part {part.name!r}: its compliance must be computed by finite elements, and no provider is installed "

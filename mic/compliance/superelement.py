@@ -66,10 +66,10 @@ class Superelement:
         modes[:, :3, :3] = modes[:, 3:, 3:] = np.eye(3)
         for axis in range(3):
             modes[:, :3, 3 + axis] = np.cross(np.eye(3)[axis], self.points - centre)
-        found = np.zeros((self.matrix.shape[0], 6))
-        there = self.freedom >= 0
-        found[self.freedom[there]] = modes[there]
-        return found
+        motions = np.zeros((self.matrix.shape[0], 6))
+        present = self.freedom >= 0
+        motions[self.freedom[present]] = modes[present]
+        return motions
 
     def readings(self, part: Any) -> csr_matrix:
         """(F, m) L: readings of a part's functionals by degree of freedom.
@@ -99,7 +99,7 @@ class Superelement:
                 if (freedom[read] < 0).any():
                     at, corner, axis = (index[0] for index in np.nonzero(read & (freedom < 0)))
                     raise SceneError(
-                        f"part {part.name!r}: {f.label[row]} reads freedom {first + axis + 1} of node "
+                        f"part {part.name!r}: {f.label[row]} reads degree of freedom {first + axis + 1} of node "
                         f"{self.numbers[nodes[at, corner]]}, which the superelement does not have; retain it"
                     )
                 rows.append(np.full(int(read.sum()), row))
@@ -175,10 +175,9 @@ def superelement(
     # an energy of K is in N mm when displacements are in mm
     force = stress * length**2
     scale = np.where(given.component < 3, length, 1.0)
-    matrix = diags(1 / scale) @ given.matrix @ diags(1 / scale) * (force * length)
-    if not stiffness:
-        matrix = diags(scale) @ given.matrix @ diags(scale) / (force * length)
-    matrix = csr_matrix(matrix)
+    scaling = diags(1 / scale if stiffness else scale)
+    scaled = scaling @ given.matrix @ scaling
+    matrix = csr_matrix(scaled * (force * length) if stiffness else scaled / (force * length))
     if (matrix.diagonal() < 0).any():
         raise SceneError(
             f"part {name!r}: {key}: its diagonal has negative entries, which no elastic body has; export it again"
@@ -191,10 +190,10 @@ def superelement(
         matrix = matrix[stiff][:, stiff]
     away, nearest = cKDTree(points).query(drawn.points)
     of_vertex = np.where(away <= SAME * drawn.diameter, nearest, -1)
-    found = Superelement(points, numbers, freedom, matrix, stiffness, of_vertex)
+    body = Superelement(points, numbers, freedom, matrix, stiffness, of_vertex)
     if stiffness:
-        _check_free(name, found)
-    return found
+        _check_free(name, body)
+    return body
 
 
 def _check_free(name: str, body: Superelement) -> None:
@@ -227,14 +226,14 @@ class Superelements:
         SceneError
             If a patch has no node near it, or a stiffness leaves other than rigid motions free.
         """
-        found = {}
+        coefficients = {}
         for part in parts:
             body = part.superelement
             L, R = body.readings(part), body.rigid(part.surface.centroid)
             H = _solved(part.name, body, L, R) if body.stiffness else (L @ body.matrix @ L.T).toarray()
             provenance = {"element": ELEMENT, "nodes": len(body.points), "triangles": len(part.surface.triangles)}
-            found[part.name] = InfluenceCoefficients(part.name, 0.5 * (H + H.T), L @ R, provenance)
-        return found
+            coefficients[part.name] = InfluenceCoefficients(part.name, 0.5 * (H + H.T), L @ R, provenance)
+        return coefficients
 
     def field(self, part: Any, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Refused: a superelement has displacements at its own nodes only."""

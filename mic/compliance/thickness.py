@@ -85,4 +85,6 @@ class Thicknesses:
     def _shares(self, thickness: float) -> np.ndarray:
         """(k,) Lagrange's polynomials at a thickness."""
         others = ~np.eye(len(self.t), dtype=bool)
-        return np.array([np.prod((thickness - self.t[row]) / (own - self.t[row])) for row, own in zip(others, self.t)])
+        return np.array(
+            [np.prod((thickness - self.t[row]) / (node - self.t[row])) for row, node in zip(others, self.t)]
+        )

@@ -22,7 +22,7 @@ from mic.scene.samples import take_samples
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format, fingerprint
 from mic.system.matrix_product import one_thread
-from mic.system.memoise import kept
+from mic.system.memoise import memoise
 
 __all__ = ["Assembly", "Contacts", "GapPoints", "assemble"]
 
@@ -81,7 +81,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
             if fixture.mesh is not None:
                 fixtures[fixture.name], hashes = load_fixture(fixture, scene.folder)
                 inputs |= hashes
-    problems.tell()
+    problems.raise_all()
     surfaces = {one.part.name: one.surface for one in loaded}
     decks = {one.part.name: one.deck for one in loaded}
     if any(one.part is not part for one, part in zip(loaded, scene.parts)):
@@ -98,7 +98,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     # Neither its names nor its sampling change the rows of a scene.
     sampling = scene.monte_carlo.model_copy(update={"samples": 1, "seed": 0})
     bare = scene.model_copy(update={"name": "", "description": "", "monte_carlo": sampling})
-    rows, identity = kept(
+    rows, identity = memoise(
         Cache(cache, "assemblies", FORMAT, MOST),
         [bare.model_dump_json(), every_node, inputs, meshes],
         surfaces,

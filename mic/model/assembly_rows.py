@@ -79,26 +79,12 @@ def assembly_rows(
     for part in loaded:
         with problems:
             matrices[part.part.name] = _superelement(scene, part)
-    problems.tell()
-    varied = thickness_ranges(scene)
-    parts = tuple(
-        Part(
-            part.name,
-            surfaces[part.name],
-            *part.sheet,
-            scene.element if matrices[part.name] is None else ELEMENT,
-            rows.functionals(part.name),
-            matrices[part.name],
-            varied.get(part.name),
-        )
-        for part in scene.parts
-    )
-    for body in parts:
-        if body.superelement is not None:
-            body.superelement.readings(body)  # raises its errors before anything is solved
-    apart = np.array([pair.apart for own in pairs for pair in own])
+    problems.raise_all()
+    apart = np.array([pair.spacing for zone in pairs for pair in zone])
     return AssemblyRows(
-        parts=tuple(refined_part(part, scene, contacts.zone, contacts.point, apart) for part in parts),
+        parts=tuple(
+            refined_part(part, scene, contacts.zone, contacts.point, apart) for part in _parts(scene, rows, matrices)
+        ),
         rows=rows.matrices(),
         labels=rows.labels,
         contacts=contacts,
@@ -113,6 +99,27 @@ def assembly_rows(
         ),
         position_gap=position_gap,
     )
+
+
+def _parts(scene: Scene, rows: Rows, matrices: Mapping[str, Superelement | None]) -> list[Part]:
+    """The parts with their retained functionals, on their meshes as drawn."""
+    varied = thickness_ranges(scene)
+    parts = [
+        Part(
+            part.name,
+            rows.surfaces[part.name],
+            *part.sheet,
+            scene.element if matrices[part.name] is None else ELEMENT,
+            rows.functionals(part.name),
+            matrices[part.name],
+            varied.get(part.name),
+        )
+        for part in scene.parts
+    ]
+    for part in parts:
+        if part.superelement is not None:
+            part.superelement.readings(part)  # raises its errors before anything is solved
+    return parts
 
 
 def _bodies(scene: Scene, surfaces, fixtures) -> dict[str, Side]:

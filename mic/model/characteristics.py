@@ -95,19 +95,19 @@ def _reading(rows: Rows, label: str, part: str, patch: int, d: np.ndarray) -> _R
     return _Reading(label, ((part, functional, 1.0),), np.concatenate([d, np.cross(x, d)]), x)
 
 
-def _fit(key: str, own: list[_Reading], fitted: list[_Reading]) -> list[tuple[str, tuple[Term, ...]]]:
+def _fit(key: str, measured: list[_Reading], fitted: list[_Reading]) -> list[tuple[str, tuple[Term, ...]]]:
     """Rows of a measurement after a best fit of other readings: ``r_i − N_i N_F⁺ r_F``."""
     if not fitted:
-        return [(reading.label, reading.terms) for reading in own]
+        return [(reading.label, reading.terms) for reading in measured]
     # About the centre of the fitted points, in units of their spread: then translations and rotations weigh alike.
     points = np.array([reading.point for reading in fitted])
     centre = points.mean(axis=0)
     spread = np.sqrt(((points - centre) ** 2).sum(axis=1).mean()) or 1.0
-    N, N_F = (np.array([reading.rigid for reading in readings]) for readings in (own, fitted))
+    N, N_F = (np.array([reading.rigid for reading in readings]) for readings in (measured, fitted))
     for matrix in (N, N_F):
         matrix[:, 3:] = (matrix[:, 3:] - np.cross(centre, matrix[:, :3])) / spread
     rows, largest = [], 0.0
-    for reading, shares in zip(own, N @ np.linalg.pinv(N_F, rcond=UNSEEN)):
+    for reading, shares in zip(measured, N @ np.linalg.pinv(N_F, rcond=UNSEEN)):
         terms: dict[tuple[str, int], float] = {(part, f): value for part, f, value in reading.terms}
         for other, share in zip(fitted, shares):
             for part, f, value in other.terms:
@@ -149,29 +149,29 @@ class Characteristics:
 
     def values(self, readings: np.ndarray) -> np.ndarray:
         """(n, k) characteristics of (n, r) readings, mm."""
-        found = np.empty((len(readings), len(self.kind)))
+        values = np.empty((len(readings), len(self.kind)))
         for k, kind in enumerate(self.kind):
-            own = readings[:, self.readings(k)]
+            selected = readings[:, self.readings(k)]
             if kind == "parallelism":
-                found[:, k] = own.max(axis=1) - own.min(axis=1)
+                values[:, k] = selected.max(axis=1) - selected.min(axis=1)
             elif kind == "profile":
-                found[:, k] = 2 * np.abs(own).max(axis=1)
+                values[:, k] = 2 * np.abs(selected).max(axis=1)
             else:
-                found[:, k] = own[:, 0]
-        return found
+                values[:, k] = selected[:, 0]
+        return values
 
     def tangent(self, readings: np.ndarray) -> np.ndarray:
         """(n, k, r) derivatives of the characteristics by their readings; for the first of several extreme points."""
-        found = np.zeros((len(readings), len(self.kind), readings.shape[1]))
+        derivatives = np.zeros((len(readings), len(self.kind), readings.shape[1]))
         sample = np.arange(len(readings))
         for k, kind in enumerate(self.kind):
-            first, own = self.start[k], readings[:, self.readings(k)]
+            first, selected = self.start[k], readings[:, self.readings(k)]
             if kind == "parallelism":
-                found[sample, k, first + own.argmax(axis=1)] += 1.0
-                found[sample, k, first + own.argmin(axis=1)] -= 1.0
+                derivatives[sample, k, first + selected.argmax(axis=1)] += 1.0
+                derivatives[sample, k, first + selected.argmin(axis=1)] -= 1.0
             elif kind == "profile":
-                most = np.abs(own).argmax(axis=1)
-                found[sample, k, first + most] = 2 * np.sign(own[sample, most])
+                most = np.abs(selected).argmax(axis=1)
+                derivatives[sample, k, first + most] = 2 * np.sign(selected[sample, most])
             else:
-                found[:, k, first] = 1.0
-        return found
+                derivatives[:, k, first] = 1.0
+        return derivatives

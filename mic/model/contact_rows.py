@@ -9,7 +9,7 @@ import numpy as np
 from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import Problems
-from mic.geometry.pairing import ContactPair, Pressed, Side, find_between
+from mic.geometry.pairing import ContactPair, PressedPoint, Side, find_between
 from mic.model.assembly_types import Contacts, GapPoints
 from mic.model.overlap import close_overlap, thinner_sheet
 from mic.model.rows import AXES, Rows
@@ -42,8 +42,8 @@ def contact_rows(
     """
     friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
-    pairs = [pair for own in pairs_of_zones for pair in own]
-    zone_of = np.array([i for i, own in enumerate(pairs_of_zones) for _ in own], dtype=np.int64)
+    pairs = [pair for zone_pairs in pairs_of_zones for pair in zone_pairs]
+    zone_of = np.array([i for i, zone_pairs in enumerate(pairs_of_zones) for _ in zone_pairs], dtype=np.int64)
     for k, (i, pair) in enumerate(zip(zone_of, pairs)):
         zone = scene.zones[i]
         _pair_rows(rows, "contact", f"{zone.name} {k}", zone, bodies, pair, dimension)
@@ -52,13 +52,14 @@ def contact_rows(
     drawn = np.array([[pair.overlap, pair.overlapping * pair.area] for pair in pairs]).reshape(-1, 2)
     point = np.array([pair.point for pair in pairs]).reshape(-1, 3)
     for i, zone in enumerate(scene.zones):
-        own = zone_of == i
+        in_zone = zone_of == i
         if zone.gap is not None:
-            gap[own], drawn[own] = zone.gap, 0.0
+            gap[in_zone], drawn[in_zone] = zone.gap, 0.0
             continue
         key = f"zones[{i}] ({zone.name}): nominal_overlap"
         with problems:
-            gap[own] = close_overlap(key, zone.nominal_overlap, gap[own], thinner_sheet(scene, zone), point[own])
+            thinner = thinner_sheet(scene, zone)
+            gap[in_zone] = close_overlap(key, zone.nominal_overlap, gap[in_zone], thinner, point[in_zone])
     by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
     stages = sorted({stage for table in by_stage for stage in table} - {"default"})
     discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
@@ -93,7 +94,7 @@ def gap_point_rows(
     scene: Scene,
     bodies: Mapping[str, Side],
     rows: Rows,
-    pressed: Sequence[Sequence[Pressed]],
+    pressed: Sequence[Sequence[PressedPoint]],
     pairs_of_zones: Sequence[Sequence[ContactPair]],
 ) -> GapPoints:
     """Add the normal readings of the points between the contact pairs; arguments as of :func:`contact_rows`."""

@@ -67,11 +67,11 @@ def gap_change(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.n
         before, after = (rows @ np.concatenate([of(part) for part in version]) for version in (assembly.parts, parts))
         return after - before
 
-    found = change(_position)
+    distance_change = change(_position)
     if kind == "contact":  # rotated directions cancel in a row, except in one with a fixture
         turned = change(_direction).reshape(len(assembly.contacts), -1, 3)
-        found -= np.einsum("kdi,ki->kd", turned, _fixture_points(assembly)).ravel()
-    return np.where(turns, read, found)
+        distance_change -= np.einsum("kdi,ki->kd", turned, _fixture_points(assembly)).ravel()
+    return np.where(turns, read, distance_change)
 
 
 def _fixture_points(assembly) -> np.ndarray:

@@ -82,7 +82,7 @@ def chosen_sizes(
         [GENERATION, scene.model_dump_json(exclude={"name", "description", "monte_carlo", "report"}), inputs]
     )
     store = Cache(cache, "meshes", FORMAT)
-    cached = store.find(identity)
+    cached = store.load(identity)
     if cached is not None:
         return {name: _graded(scene, name, size) for name, size in cached[0]["sizes"].items()}
     for number in range(ROUNDS):
@@ -92,7 +92,7 @@ def chosen_sizes(
         estimates = estimate_accuracy(assembly, cache, progress, stated)
         missed = {one.part: one for one in estimates if SAFETY * one.worst > stated[one.part]}
         if not missed:
-            store.keep(identity, {"sizes": sizes}, {"none": np.zeros(0)})
+            store.store(identity, {"sizes": sizes}, {"none": np.zeros(0)})
             return sizes
         finer = {
             name: _graded(
@@ -132,7 +132,7 @@ def _first_sizes(scene: Scene, cache: Path, stated) -> tuple[dict[str, GradedSiz
         if part.name not in stated:
             with problems:
                 load_part(part, scene.folder, cache)
-    problems.tell()
+    problems.raise_all()
     return sizes, inputs
 
 

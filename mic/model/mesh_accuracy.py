@@ -20,7 +20,6 @@ few contact pairs of each zone represent all of them.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
@@ -47,7 +46,7 @@ from mic.system.files import Format, fingerprint
 
 __all__ = ["Accuracy", "Estimate", "Mesh", "estimate_accuracy", "with_halved_elements"]
 
-FORMAT = Format("estimate of accuracy", 1, ABSENT)
+FORMAT = Format("estimate of accuracy", 2, ABSENT)
 PAIRS = 24  # contact pairs that represent a zone
 FINER = 0.5  # largest ratio of triangle areas that counts as refined; half the size gives a quarter
 ORDER = 2  # of the elements' energy error in the element size
@@ -115,11 +114,6 @@ class Accuracy:
         """The largest estimate."""
         return max(max(one.set_down, one.located) for one in self.estimates)
 
-    @property
-    def ratio(self) -> float:
-        """r: ratio of the two element sizes."""
-        return float(np.sqrt(self.finer.triangles / self.mesh.triangles))
-
     def _exponent(self, quantity: str) -> float:
         """Exponent with which a quantity grows with the number of nodes, as measured on the two meshes."""
         growth = getattr(self.finer, quantity) / getattr(self.mesh, quantity)
@@ -181,9 +175,9 @@ def estimate_accuracy(
                 for matrix in (rows.pushing, rows.reading, rows.datum, rows.locators)
             ]
         )
-        cached = store.find(identity)
+        cached = store.load(identity)
         if cached is not None:
-            estimates.append(_from_table(json.loads(cached[0]["accuracy"])))
+            estimates.append(_from_table(cached[0]["accuracy"]))
             continue
         if progress:
             progress(
@@ -191,7 +185,7 @@ def estimate_accuracy(
                 f"{len(part.surface.points)} and {len(finer.points)} nodes"
             )
         estimates.append(_estimate(rows, finer))
-        store.keep(identity, {"accuracy": json.dumps(asdict(estimates[-1]))}, {"none": np.zeros(0)})
+        store.store(identity, {"accuracy": asdict(estimates[-1])}, {"none": np.zeros(0)})
     return tuple(estimates)
 
 
@@ -248,9 +242,9 @@ class _ComparedRows:
 
 
 def _compared_rows(assembly: Assembly, p: int) -> _ComparedRows:
-    own = slice(assembly.offsets[p], assembly.offsets[p + 1])
+    functionals = slice(assembly.offsets[p], assembly.offsets[p + 1])
     part, contacts = assembly.parts[p], assembly.contacts
-    rows = {kind: matrix[:, own].tocsr() for kind, matrix in assembly.rows.items()}
+    rows = {kind: matrix[:, functionals].tocsr() for kind, matrix in assembly.rows.items()}
     acting = {kind: np.flatnonzero(np.diff(matrix.indptr)) for kind, matrix in rows.items()}
     normals = acting["contact"][acting["contact"] % contacts.dimension == 0]
     zone = contacts.zone[normals // contacts.dimension]
@@ -311,7 +305,7 @@ def _restricted(part: Part, functionals: np.ndarray) -> Part:
     """The part with some of its functionals only, at its nominal thickness."""
     f = part.functionals
     patches, number = np.unique(f.patch[functionals], return_inverse=True)
-    kept = replace(
+    selected = replace(
         f,
         patches=tuple(f.patches[i] for i in patches),
         patch=number.ravel(),
@@ -320,7 +314,7 @@ def _restricted(part: Part, functionals: np.ndarray) -> Part:
         side=f.side[functionals],
         label=tuple(f.label[i] for i in functionals),
     )
-    return replace(part, functionals=kept, thickness_range=None)
+    return replace(part, functionals=selected, thickness_range=None)
 
 
 def _on_surface(part: Part, surface: Surface) -> Part:
@@ -363,10 +357,12 @@ def _estimate(rows: _ComparedRows, surface: Surface) -> Accuracy:
 
 def _solve(part: Part) -> tuple[Blocks, Mesh]:
     start = time.perf_counter()
-    found = provider.find(part).coefficients([part])[part.name]
+    influence = provider.find(part).coefficients([part])[part.name]
     seconds = time.perf_counter() - start
-    memory = float(found.provenance.get("memory", 0.0))
-    return Blocks((found.H,), (found.G,)), Mesh(len(part.surface.points), len(part.surface.triangles), seconds, memory)
+    memory = float(influence.provenance.get("memory", 0.0))
+    return Blocks((influence.H,), (influence.G,)), Mesh(
+        len(part.surface.points), len(part.surface.triangles), seconds, memory
+    )
 
 
 def _responses(rows: _ComparedRows, blocks: Blocks, held: csr_matrix) -> list[np.ndarray]:

@@ -26,12 +26,12 @@ def nuggets(scene: Scene, zone: np.ndarray, point: np.ndarray, normal: np.ndarra
     (m,) int array
         Number of the weld in the scene, the last of several; -1 for none.
     """
-    found = np.full(len(zone), -1)
+    weld_of_point = np.full(len(zone), -1)
     for i, weld in enumerate(scene.welds):
         same_parts = [z for z, one in enumerate(scene.zones) if set(one.parts) == set(weld.parts)]
         step = point - np.array(weld.point)
         along = np.einsum("ij,ij->i", step, normal)
         sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
         reach = max(part.sheet[0] for part in scene.parts if part.name in weld.parts) + weld.radius
-        found[np.isin(zone, same_parts) & (sideways <= radii * weld.radius) & (np.abs(along) <= reach)] = i
-    return found
+        weld_of_point[np.isin(zone, same_parts) & (sideways <= radii * weld.radius) & (np.abs(along) <= reach)] = i
+    return weld_of_point

@@ -67,8 +67,8 @@ def one_sigma(assembly: Assembly, model: Reduction) -> list[SourceShape]:
         for name, skin in source.thickening().items():
             own_fields[name] = factor * (-skin if skin else 0.5) * bodies[name].vertex_normals
     for p, part in enumerate(assembly.parts):
-        own, G = model.compliance.functionals[p], model.compliance.G[p]
-        force = model.shape_forces[own] * amplitude
+        functionals, G = model.compliance.functionals[p], model.compliance.G[p]
+        force = model.shape_forces[functionals] * amplitude
         strain = np.array([strains.get(part.name, 0.0) for strains in expansion]) * amplitude
         chosen = np.flatnonzero(force.any(axis=0) | (strain != 0.0))
         if not len(chosen):
@@ -81,4 +81,4 @@ def one_sigma(assembly: Assembly, model: Reduction) -> list[SourceShape]:
         displacement = solved[:, :3] + expanded + np.einsum("vim,mk->vik", rigid[:, :3], q)
         for k, j in enumerate(chosen):
             fields[j][part.name] = displacement[:, :, k]
-    return [SourceShape(item.name, own, item.kind == "thickness") for item, own in zip(items, fields) if own]
+    return [SourceShape(item.name, shape, item.kind == "thickness") for item, shape in zip(items, fields) if shape]

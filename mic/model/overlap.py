@@ -77,10 +77,10 @@ def zone_of_weld(zones: Sequence, zone_of_pair: np.ndarray, points: np.ndarray, 
     weld : mic.scene.weld.Weld
     """
     candidates = [i for i, zone in enumerate(zones) if set(zone.parts) == set(weld.parts)]
-    own = np.flatnonzero(np.isin(zone_of_pair, candidates))
-    if not len(own):
+    pairs = np.flatnonzero(np.isin(zone_of_pair, candidates))
+    if not len(pairs):
         return None
-    nearest = own[np.argmin(np.linalg.norm(points[own] - np.array(weld.point), axis=1))]
+    nearest = pairs[np.argmin(np.linalg.norm(points[pairs] - np.array(weld.point), axis=1))]
     return zones[zone_of_pair[nearest]]
 
 

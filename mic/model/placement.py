@@ -78,7 +78,7 @@ def place(
         for table in ("locators", "clamps", "welds", "deviations", "measurements")
     }
     changes["fixtures"] = [work.pad(f"fixtures[{i}] ({item.name})", item) for i, item in enumerate(scene.fixtures)]
-    work.problems.tell()
+    work.problems.raise_all()
     changes = {table: items for table, items in changes.items() if items != getattr(scene, table)}
     if not changes:
         return scene, ()
@@ -192,18 +192,18 @@ class _Placing:
     def _node(self, key, number, part, surface: Surface, deck: Deck | None) -> Vector:
         if deck is None or not len(deck.nodes):
             raise SceneError(f"{key}: the mesh of part {part!r} has no node numbers; give point = [x, y, z]")
-        found = deck.points_of(number)
-        if len(found) > 1:
-            places = " and ".join(_text(surface.points[i]) for i in found[:3])
+        matches = deck.points_of(number)
+        if len(matches) > 1:
+            places = " and ".join(_text(surface.points[i]) for i in matches[:3])
             raise SceneError(f"{key}: {number} occurs more than once in part {part!r}, at {places}; give one as point")
-        if not len(found):
+        if not len(matches):
             on_surface = np.flatnonzero(deck.node_points >= 0)
             near = on_surface[np.argmin(np.abs(deck.nodes[on_surface] - number))]
             raise SceneError(
                 f"{key}: part {part!r} has no node {number} on its surface; the nearest number is {deck.nodes[near]}, "
                 f"at {_text(surface.points[deck.node_points[near]])}"
             )
-        point = surface.points[found[0]]
+        point = surface.points[matches[0]]
         self.messages.append(f"{key} {number}: {_text(point)}")
         return _vector(point)
 

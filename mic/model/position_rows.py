@@ -120,8 +120,8 @@ def _add(name: str, item, tangents: np.ndarray, read: Read, rows: Rows) -> list[
         shares = [float(e @ tangent) for tangent in tangents]
         if np.linalg.norm(shares) < FLAT:
             continue
-        for own, gap in zip(zip(*differences), np.dot(shares, gaps)):
-            terms = [(part, at, share * c) for share, terms in zip(shares, own) for part, at, c in terms]
+        for along_tangents, gap in zip(zip(*differences), np.dot(shares, gaps)):
+            terms = [(part, at, share * c) for share, terms in zip(shares, along_tangents) for part, at, c in terms]
             rows.add("position", f"{name}.{axis}", *terms)
             growth.append(float(gap))
     return growth

@@ -96,14 +96,14 @@ class Reduction:
                     f"part {part.name!r}: the influence coefficients have {len(influence[part.name].H)} rows, "
                     f"the assembly {len(part.functionals)} functionals: they belong to another scene"
                 )
-        own = [influence[part.name] for part in assembly.parts]
-        compliance = Blocks(tuple(one.H for one in own), tuple(one.G for one in own))
+        coefficients = [influence[part.name] for part in assembly.parts]
+        compliance = Blocks(tuple(one.H for one in coefficients), tuple(one.G for one in coefficients))
         shape, forces = shape_readings(assembly, compliance)
         return cls(
             compliance=compliance,
             shape=shape,
             shape_forces=forces,
-            thicknesses={one.part: one.thicknesses for one in own if one.thicknesses is not None},
+            thicknesses={one.part: one.thicknesses for one in coefficients if one.thicknesses is not None},
             **{name: getattr(assembly, name) for name in FROM_ASSEMBLY},
         )
 

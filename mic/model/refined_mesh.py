@@ -49,13 +49,13 @@ def refined_part(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, 
         return part
     welds = [weld for weld in scene.welds if part.name in weld.parts and weld.fused and weld.radius > 0]
     radius = np.array([weld.radius for weld in welds])
-    own = np.isfinite(apart) & np.array([part.name in one.parts for one in scene.zones], dtype=bool)[zone]
-    places = np.concatenate([np.reshape([weld.point for weld in welds], (-1, 3)), point[own]])
-    size = np.concatenate([NUGGET * radius, CANDIDATES * apart[own]])
+    of_part = np.isfinite(apart) & np.array([part.name in one.parts for one in scene.zones], dtype=bool)[zone]
+    places = np.concatenate([np.reshape([weld.point for weld in welds], (-1, 3)), point[of_part]])
+    size = np.concatenate([NUGGET * radius, CANDIDATES * apart[of_part]])
     if not len(size):
         return part
     drawn = part.surface
-    reach = np.concatenate([radius, apart[own] / 2])
+    reach = np.concatenate([radius, apart[of_part] / 2])
     fine = divided(drawn.points, drawn.triangles, drawn.corner_normals, drawn.project(places).point, reach, size)
     if len(fine.triangles) == len(drawn.triangles):
         return part

@@ -103,10 +103,10 @@ class RestRows:
         directions = contacts.frame[:, :, : contacts.dimension].transpose(0, 2, 1).reshape(-1, 3)
         for p in sorted(parts):
             functionals, motion = motions.functionals[p], motions.motions[p]
-            own = columns[:, functionals].tocsr()
-            chosen = independent_rows(own @ motions.G[p], size[motion])
-            own = own[chosen]
-            entries = own.data, own.indices + functionals.start, own.indptr
+            part_rows = columns[:, functionals].tocsr()
+            chosen = independent_rows(part_rows @ motions.G[p], size[motion])
+            part_rows = part_rows[chosen]
+            entries = part_rows.data, part_rows.indices + functionals.start, part_rows.indptr
             rows.append(csr_matrix(entries, shape=(len(chosen), motions.size)))
             owner.append(np.full(len(chosen), p))
             second = [assembly.scene.zones[contacts.zone[i // contacts.dimension]].parts[1] for i in chosen]

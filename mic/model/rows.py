@@ -27,25 +27,6 @@ NORMAL = {3: (0,), 6: (0, 4, 5), 9: (0, 3, 6)}
 REACH = 5.0  # mm: a point of the scene farther than this from its part is refused, not projected
 
 
-class _Retained:
-    """Collects the functionals of one part."""
-
-    def __init__(self):
-        self.patches: list[Patch] = []
-        self.entries: list[tuple] = []  # patch, direction, rotation, side, label
-
-    def functionals(self) -> Functionals:
-        patch, direction, rotation, side, label = zip(*self.entries) if self.entries else ((),) * 5
-        return Functionals(
-            tuple(self.patches),
-            np.array(patch, dtype=np.int64),
-            np.array(direction, dtype=float).reshape(-1, 3),
-            np.array(rotation, dtype=bool),
-            np.array(side, dtype=float),
-            tuple(label),
-        )
-
-
 class Rows:
     """The rows of an assembly, collected item by item.
 
@@ -57,21 +38,21 @@ class Rows:
 
     def __init__(self, surfaces: Mapping[str, Surface]):
         self.surfaces = dict(surfaces)
-        self._retained = {name: _Retained() for name in surfaces}
+        self._patches: dict[str, list[Patch]] = {name: [] for name in surfaces}
+        #: Patch, direction, rotation, side and label of each functional.
+        self._functionals: dict[str, list[tuple]] = {name: [] for name in surfaces}
         self._terms: dict[str, list] = {kind: [] for kind in KINDS}
         self.labels: dict[str, list[str]] = {kind: [] for kind in KINDS}
 
     def patch(self, part: str, patch: Patch) -> int:
         """Retain a patch of a part; returns its number."""
-        patches = self._retained[part].patches
-        patches.append(patch)
-        return len(patches) - 1
+        self._patches[part].append(patch)
+        return len(self._patches[part]) - 1
 
     def functional(self, part: str, patch: int, direction, label: str, rotation: bool = False, side: float = 0) -> int:
         """Retain a functional on a retained patch; returns its number in the part. Arguments as `Functionals`."""
-        entries = self._retained[part].entries
-        entries.append((patch, np.asarray(direction, dtype=float), rotation, side, label))
-        return len(entries) - 1
+        self._functionals[part].append((patch, np.asarray(direction, dtype=float), rotation, side, label))
+        return len(self._functionals[part]) - 1
 
     def add(self, kind: str, label: str, *terms: tuple[str, int, float]) -> None:
         """Add a row: the sum of (part, functional, coefficient)."""
@@ -114,8 +95,8 @@ class Rows:
 
     def mean_point(self, part: str, patch: int) -> np.ndarray:
         """(3,) weighted mean point of a retained patch, mm."""
-        own = self._retained[part].patches[patch]
-        return own.weight @ self.surfaces[part].at(own.triangle, own.barycentric)
+        disc = self._patches[part][patch]
+        return disc.weight @ self.surfaces[part].at(disc.triangle, disc.barycentric)
 
     def check_on_part(self, key: str, name: str, point, part: str) -> None:
         """Raise :class:`SceneError` if the point of an item is farther than `REACH` from its part."""
@@ -131,12 +112,21 @@ class Rows:
 
     def functionals(self, part: str) -> Functionals:
         """The retained functionals of a part."""
-        return self._retained[part].functionals()
+        columns = zip(*self._functionals[part]) if self._functionals[part] else [()] * 5
+        patch, direction, rotation, side, label = columns
+        return Functionals(
+            tuple(self._patches[part]),
+            np.array(patch, dtype=np.int64),
+            np.array(direction, dtype=float).reshape(-1, 3),
+            np.array(rotation, dtype=bool),
+            np.array(side, dtype=float),
+            tuple(label),
+        )
 
     def matrices(self) -> dict[str, csr_matrix]:
         """The rows of every kind over the stacked functionals of all parts."""
-        lengths = [len(own.entries) for own in self._retained.values()]
-        start = dict(zip(self._retained, np.concatenate([[0], np.cumsum(lengths)])))
+        lengths = [len(functionals) for functionals in self._functionals.values()]
+        start = dict(zip(self._functionals, np.concatenate([[0], np.cumsum(lengths)])))
         return {kind: _matrix(terms, start, sum(lengths)) for kind, terms in self._terms.items()}
 
 
@@ -155,6 +145,6 @@ def _rim(surface: Surface, centre) -> Patch:
 
 
 def _matrix(entries: Sequence, start, width: int) -> csr_matrix:
-    triplets = [(i, start[part] + own, value) for i, terms in enumerate(entries) for part, own, value in terms]
+    triplets = [(i, start[part] + f, value) for i, terms in enumerate(entries) for part, f, value in terms]
     i, j, value = np.array(triplets).T if triplets else np.zeros((3, 0))
     return csr_matrix((value, (i.astype(int), j.astype(int))), shape=(len(entries), width))

@@ -70,8 +70,8 @@ def datum_rows(assembly, p: int, G: np.ndarray) -> csr_matrix:
     scene, name, size = assembly.scene, assembly.parts[p].name, motion_size((G,))
     functionals = slice(assembly.offsets[p], assembly.offsets[p + 1])
     first = set_down_in(scene)[name]
-    own = [i for i, item in enumerate(scene.locators) if item.part == name and item.stage == first]
-    locators = assembly.rows["locator"][own][:, functionals]
+    numbers = [i for i, item in enumerate(scene.locators) if item.part == name and item.stage == first]
+    locators = assembly.rows["locator"][numbers][:, functionals]
     try:
         return locators[statically_determinate(locators @ G, size)]
     except FreeMotion:
@@ -154,34 +154,34 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
 
     def response(load: csr_matrix, p: int):
         """Readings (F_p, l) of part p under loads (l, F), held on its datum rows, and the loads with reactions."""
-        own, part = compliance.functionals[p], compliance.part(p)
+        functionals, part = compliance.functionals[p], compliance.part(p)
         datum = datum_rows(assembly, p, compliance.G[p])
         none = csr_matrix((0, part.size))
-        held = eliminate(part, datum, none, load[:, own], identity(part.size, format="csr"))
-        return held.L_out, load[:, own].T.toarray() + datum.T @ held.reaction_L
+        held = eliminate(part, datum, none, load[:, functionals], identity(part.size, format="csr"))
+        return held.L_out, load[:, functionals].T.toarray() + datum.T @ held.reaction_L
 
     for j, source in enumerate(of_scene):
         load = source.load(assembly.labels, assembly.rows)
         for p in () if load is None else _loaded_parts(load, compliance):
-            own = compliance.functionals[p]
+            functionals = compliance.functionals[p]
             reading, force = response(load, p)
-            shape[own, j], forces[own, j] = reading[:, 0], force[:, 0]
+            shape[functionals, j], forces[functionals, j] = reading[:, 0], force[:, 0]
         for name, skin in source.thickening().items():
             shape[compliance.functionals[number[name]], j] = thickening(assembly, number[name], skin)
         for name, strain in source.expansion().items():
             p = number[name]
-            own, G = compliance.functionals[p], compliance.G[p]
+            functionals, G = compliance.functionals[p], compliance.G[p]
             expanded, datum = strain * dilation(assembly.parts[p]), datum_rows(assembly, p, G)
-            shape[own, j] += expanded - G @ np.linalg.solve(datum @ G, datum @ expanded)
+            shape[functionals, j] += expanded - G @ np.linalg.solve(datum @ G, datum @ expanded)
     for columns, shapes in known_shapes(assembly):
         R = shapes[0].rows
         (p,) = _loaded_parts(R, compliance)
-        own = compliance.functionals[p]
+        functionals = compliance.functionals[p]
         reading, force = response(R, p)
         name = f"deviations[{columns[0]}] ({assembly.scene.deviations[columns[0]].name})"
-        f = controlling_forces(R[:, own] @ reading, R[:, own] @ compliance.G[p], shapes, name)
-        shape[np.arange(F)[own, None], columns] = reading @ f
-        forces[np.arange(F)[own, None], columns] = force @ f
+        f = controlling_forces(R[:, functionals] @ reading, R[:, functionals] @ compliance.G[p], shapes, name)
+        shape[np.arange(F)[functionals, None], columns] = reading @ f
+        forces[np.arange(F)[functionals, None], columns] = force @ f
     return shape, forces
 
 
@@ -210,7 +210,7 @@ def thickening(assembly, p: int, skin: int) -> np.ndarray:
     skin : int
         The face that stays: 1 on the side of the mesh's normals, -1 on the other, 0 the mid-surface.
     """
-    part, own = assembly.parts[p], slice(assembly.offsets[p], assembly.offsets[p + 1])
+    part, functionals = assembly.parts[p], slice(assembly.offsets[p], assembly.offsets[p + 1])
     first = np.cumsum([0, *assembly.weld_size])[: len(assembly.weld_size)]
     joints = (
         assembly.rows["contact"][:: assembly.contacts.dimension],
@@ -219,7 +219,7 @@ def thickening(assembly, p: int, skin: int) -> np.ndarray:
     )
     moved = np.zeros(len(part.functionals))
     for rows in joints:
-        entries = rows[:, own].tocoo()
+        entries = rows[:, functionals].tocoo()
         for i, share in zip(entries.col, entries.data):
             patch = part.functionals.patches[part.functionals.patch[i]]
             normal = np.abs(patch.weight) @ part.surface.normals[patch.triangle]

@@ -113,7 +113,7 @@ def expand_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[s
                 modes, message = _measured(at, item, surfaces[item.part], pieces)
             expanded += modes
             messages.append(message)
-    problems.tell()
+    problems.raise_all()
     if not messages:
         return ExpandedScene(scene, {}, ())
     return ExpandedScene(scene.model_copy(update={"deviations": expanded}), inputs, tuple(messages))
@@ -137,12 +137,7 @@ def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeD
         if len(twice):
             raise SceneError(f"{at}: points[{twice[0]}] lies within an element of another; move it, or remove it")
     else:
-        if SPREAD * surface.areas.sum() / spacing**2 > MOST:
-            least = PER_LENGTH * np.sqrt(SPREAD * surface.areas.sum() / MOST)
-            raise SceneError(
-                f"{at}: length: {item.length:g} mm needs more than {MOST} points on part {item.part!r}; "
-                f"give {least:.2g} mm or more"
-            )
+        _check_number(f"{at}: length", item.part, surface, item.length, item.length / spacing)
         vertices = spread(surface, spacing)
         points, loose = surface.points[vertices], True
     R = correlation(surface, vertices, item.length, item.direction, item.stretch)
@@ -173,7 +168,7 @@ def _pieces(
     more = len(problems.lines) - REPORTED
     if more > 0:  # a folder in another unit is one mistake
         problems.lines[REPORTED:] = [f"{at}: files: {more} more files have errors; correct these first"]
-    problems.tell()
+    problems.raise_all()
     for file, piece in pieces.items():
         first = same.setdefault(piece.points.tobytes() + piece.value.tobytes(), file)
         if first is not file:
@@ -277,11 +272,7 @@ def _common_points(at, item: MeasuredDeviation, surface: Surface, pieces: list[D
         return first.points[sure], np.array([piece.value for piece in pieces]).T[sure], np.ones(int(sure.sum()))
     area = float(surface.areas.sum())
     spacing = item.spacing or np.sqrt(SPREAD * area / USUAL)
-    if SPREAD * area / spacing**2 > MOST:
-        raise SceneError(
-            f"{at}: spacing: {spacing:g} mm needs more than {MOST} points on part {item.part!r}; give "
-            f"{np.sqrt(SPREAD * area / MOST):.2g} mm or more"
-        )
+    _check_number(f"{at}: spacing", item.part, surface, spacing, 1.0)
     centres, values, shares = _fitted_at_spacing(surface, pieces, spacing)
     known = ~np.isnan(values).any(axis=1)
     if item.spacing is None and known.mean() < COVERED:  # the measured points are sparse
@@ -295,6 +286,15 @@ def _common_points(at, item: MeasuredDeviation, surface: Surface, pieces: list[D
             f"piece within {ABOUT * spacing:.3g} mm; give a larger spacing, or pieces that are measured all over"
         )
     return centres[known], values[known], np.sqrt(np.mean(shares[known] ** 2, axis=1))
+
+
+def _check_number(key: str, part: str, surface: Surface, value: float, per_spacing: float) -> None:
+    """Refuse a spacing of points, stated as a multiple, that needs too many of them."""
+    least = per_spacing * np.sqrt(SPREAD * surface.areas.sum() / MOST)
+    if value < least:
+        raise SceneError(
+            f"{key}: {value:g} mm needs more than {MOST} points on part {part!r}; give {least:.2g} mm or more"
+        )
 
 
 def _fitted_at_spacing(surface: Surface, pieces: list[Deviations], spacing: float):
@@ -314,13 +314,13 @@ def _fitted_at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radi
     value, share = np.full(len(centres), np.nan), np.full(len(centres), np.nan)
     tree = cKDTree(piece.points)
     for k, near in enumerate(tree.query_ball_point(centres, radius)):
-        own = np.sort(np.array(near, dtype=np.int64))
-        own = own[piece.sure[own] & (piece.normal[own] @ normals[k] > FACING)]
-        if len(own) >= FEW:
-            step = (piece.points[own] - centres[k]) / radius
-            plane = np.column_stack([np.ones(len(own)), step @ null_space(normals[k][None])])
+        neighbours = np.sort(np.array(near, dtype=np.int64))
+        neighbours = neighbours[piece.sure[neighbours] & (piece.normal[neighbours] @ normals[k] > FACING)]
+        if len(neighbours) >= FEW:
+            step = (piece.points[neighbours] - centres[k]) / radius
+            plane = np.column_stack([np.ones(len(neighbours)), step @ null_space(normals[k][None])])
             weights = np.linalg.pinv(plane, rcond=1e-6)[0]
-            value[k], share[k] = weights @ piece.value[own], np.linalg.norm(weights)
+            value[k], share[k] = weights @ piece.value[neighbours], np.linalg.norm(weights)
     return value, share
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mic.errors import Problems, SceneError
-from mic.geometry.pairing import ContactPair, Pressed, Side, find_pairs, node_pairs, pair_at
+from mic.geometry.pairing import ContactPair, PressedPoint, Side, find_pairs, node_pairs, pair_at
 from mic.model.coincident_sheets import refuse_untold
 from mic.scene import Scene
 from mic.scene.checks import entry
@@ -23,7 +23,7 @@ def landmarks(scene: Scene) -> np.ndarray:
 
 
 def zone_pairs(
-    scene: Scene, bodies: Mapping[str, Side], pressed: list[list[Pressed]], every_node: bool, problems: Problems
+    scene: Scene, bodies: Mapping[str, Side], pressed: list[list[PressedPoint]], every_node: bool, problems: Problems
 ) -> list[list[ContactPair]]:
     """The contact pairs of each zone; an empty list if no stage resolves contact.
 
@@ -33,7 +33,7 @@ def zone_pairs(
     bodies : mapping of str to Side
         Parts and fixtures by name.
     pressed : list
-        Pressed places of each zone.
+        PressedPoint places of each zone.
     every_node : bool
         Whether every mesh vertex in the zones becomes a candidate.
     problems : Problems
@@ -56,7 +56,7 @@ def zone_pairs(
     return pairs
 
 
-def pressed_places(scene: Scene, zone, bodies: Mapping[str, Side]) -> list[Pressed]:
+def pressed_places(scene: Scene, zone, bodies: Mapping[str, Side]) -> list[PressedPoint]:
     """Places where clamps, welds and locators press the two bodies of a zone together.
 
     A clamp, and a locator that backs one, also presses through other sheets: it counts if it stands over the zone
@@ -68,16 +68,16 @@ def pressed_places(scene: Scene, zone, bodies: Mapping[str, Side]) -> list[Press
         point = _projected_point(clamp, zone, bodies, stacked)
         if point is not None:
             clamps.append(clamp)
-            places.append(Pressed(point, clamp.radius))
+            places.append(PressedPoint(point, clamp.radius))
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
-            places.append(Pressed(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
+            places.append(PressedPoint(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
     for locator in scene.locators:
         point = _projected_point(locator, zone, bodies, stacked)
         if point is not None:
             backed = _backed_radius(locator, clamps)
             if backed or locator.part in zone.parts:
-                places.append(Pressed(point, locator.radius if backed else 0.0, backs=backed))
+                places.append(PressedPoint(point, locator.radius if backed else 0.0, backed_radius=backed))
     return places
 
 

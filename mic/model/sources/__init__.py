@@ -83,7 +83,7 @@ def with_deviations(assembly, deviations: np.ndarray):
     weight = np.ones(len(assembly.labels["clamp"]))
     for part in scene.parts:
         if part.name in more:
-            own = [source.row(assembly.labels, part.name) for source in of_scene if isinstance(source, Gravity)]
-            weight[own] = 1.0 + more[part.name] / part.sheet[0]
+            weight_rows = [source.row(assembly.labels, part.name) for source in of_scene if isinstance(source, Gravity)]
+            weight[weight_rows] = 1.0 + more[part.name] / part.sheet[0]
     rows = {**assembly.rows, "clamp": csr_matrix(diags(weight) @ assembly.rows["clamp"])} if more else assembly.rows
     return replace(assembly, contacts=contacts, rows=rows)

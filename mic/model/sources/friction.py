@@ -28,8 +28,8 @@ class ZoneFriction(Source):
                 )
 
     def change(self, contacts, amplitude):
-        own = np.isin(contacts.zone, [i for i, zone in enumerate(self.scene.zones) if zone.name in self.targets])
-        friction = np.where(own, contacts.friction + amplitude, contacts.friction)
+        in_zones = np.isin(contacts.zone, [i for i, zone in enumerate(self.scene.zones) if zone.name in self.targets])
+        friction = np.where(in_zones, contacts.friction + amplitude, contacts.friction)
         if friction.min(initial=0.0) < 0:
             raise ImpossibleSample(f"{self.label}: friction would be {friction.min():.3g}")
         return replace(contacts, friction=friction)

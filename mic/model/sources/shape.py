@@ -34,7 +34,7 @@ class ShapeAtPoints(Source):
 
     def known_shape(self, labels, rows):
         item = self.deviation
-        own = labels["force"].index(f"{self._group} at 0")
+        first = labels["force"].index(f"{self._group} at 0")
         count = len(item.points)
         if item.batch is not None:
             same = [label for label in labels["force"] if label.startswith(f"{self._group} at ")]
@@ -44,4 +44,4 @@ class ShapeAtPoints(Source):
                     "deviations of one batch the same points"
                 )
         noise = np.broadcast_to(np.array(item.noise), count)
-        return KnownShape(rows["force"][own : own + count], item.known, noise, item.loose)
+        return KnownShape(rows["force"][first : first + count], item.known, noise, item.loose)

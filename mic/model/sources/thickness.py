@@ -58,8 +58,8 @@ class SheetThickness(Source):
             low, high = max(low, item.truncated[0]), min(high, item.truncated[1])
         changes = {f"mean and sigma: {REACH:g} sigma about the mean lead": (low, high)}
         if table is not None:
-            own = np.array(table)[:, [one.name for one in self.scene.deviations].index(item.name)]
-            changes["the samples of the table lead"] = (float(own.min()), float(own.max()))
+            column = np.array(table)[:, [one.name for one in self.scene.deviations].index(item.name)]
+            changes["the samples of the table lead"] = (float(column.min()), float(column.max()))
         return changes
 
     @property
@@ -79,6 +79,6 @@ class SheetThickness(Source):
         if t + amplitude <= 0.0:
             raise ImpossibleSample(f"{self.label}: thickness would be {t + amplitude:.3g} mm")
         touching = [self.part.name in zone.parts for zone in self.scene.zones]
-        own = contacts.watched & np.array(touching, dtype=bool)[contacts.zone]
-        layer = np.where(own, contacts.layer + amplitude / (2 * young * contacts.area), contacts.layer)
+        affected = contacts.watched & np.array(touching, dtype=bool)[contacts.zone]
+        layer = np.where(affected, contacts.layer + amplitude / (2 * young * contacts.area), contacts.layer)
         return replace(contacts, layer=layer)
