@@ -26,8 +26,8 @@ AVX512 = AVX2 | {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
     ],
 )
 def test_kernels_are_chosen_where_the_library_does_not_know_the_processor(monkeypatch, able, taken, chosen):
-    monkeypatch.setattr(blas, "abilities", lambda: able)
-    monkeypatch.setattr(blas, "taken", lambda: taken)
+    monkeypatch.setattr(blas, "cpu_flags", lambda: able)
+    monkeypatch.setattr(blas, "default_kernel", lambda: taken)
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
     monkeypatch.setenv(blas.NAME, "")
     monkeypatch.delenv(blas.NAME)
@@ -36,7 +36,7 @@ def test_kernels_are_chosen_where_the_library_does_not_know_the_processor(monkey
 
 
 def test_what_the_user_chose_stays(monkeypatch):
-    monkeypatch.setattr(blas, "taken", lambda: pytest.fail("nobody needs to know"))
+    monkeypatch.setattr(blas, "default_kernel", lambda: pytest.fail("nobody needs to know"))
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
     monkeypatch.setenv(blas.NAME, "NEHALEM")
     blas.choose_kernels()
@@ -46,9 +46,9 @@ def test_what_the_user_chose_stays(monkeypatch):
 @pytest.mark.parametrize("loaded, said", [("Prescott", "OPENBLAS_CORETYPE=HASWELL"), ("Haswell", ""), ("", "")])
 def test_where_numpy_came_first_it_is_said(monkeypatch, caplog, loaded, said):
     """These tests have numpy."""
-    monkeypatch.setattr(blas, "abilities", lambda: AVX2)
-    monkeypatch.setattr(blas, "loaded", lambda: loaded)
-    monkeypatch.setattr(blas, "taken", lambda: pytest.fail("it is too late"))
+    monkeypatch.setattr(blas, "cpu_flags", lambda: AVX2)
+    monkeypatch.setattr(blas, "loaded_kernel", lambda: loaded)
+    monkeypatch.setattr(blas, "default_kernel", lambda: pytest.fail("it is too late"))
     monkeypatch.setenv(blas.NAME, "")
     monkeypatch.delenv(blas.NAME)
     blas.choose_kernels()

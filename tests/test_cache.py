@@ -17,26 +17,26 @@ H = np.arange(6.0).reshape(2, 3)
 @pytest.fixture
 def cache(tmp_path):
     made = Cache(tmp_path / "cache", "influence", THING)
-    made.keep("abc", {"part": "lower"}, {"H": H})
+    made.store("abc", {"part": "lower"}, {"H": H})
     return made
 
 
 def refused(cache, caplog, words, identity="abc"):
     """Whether an entry counts as absent, said in one line with these words, and the next one kept is believed again."""
     caplog.clear()
-    assert cache.find(identity) is None
+    assert cache.load(identity) is None
     (line,) = caplog.messages
     assert words in line and str(cache.folder) in line and "\n" not in line
-    cache.keep(identity, {}, {"H": H})
+    cache.store(identity, {}, {"H": H})
     caplog.clear()
-    return cache.find(identity) is not None and not caplog.messages
+    return cache.load(identity) is not None and not caplog.messages
 
 
 def test_what_is_kept_is_found_and_nothing_else(cache, caplog):
-    header, arrays = cache.find("abc")
+    header, arrays = cache.load("abc")
     assert header == {"part": "lower"} and list(arrays) == ["H"]
     np.testing.assert_array_equal(arrays["H"], H)
-    assert cache.find("abd") is None and Cache(cache.folder / "nowhere", "influence", THING).find("abc") is None
+    assert cache.load("abd") is None and Cache(cache.folder / "nowhere", "influence", THING).load("abc") is None
     assert not caplog.messages
 
 
@@ -57,9 +57,9 @@ def test_a_file_cut_anywhere_is_not_believed(cache, caplog):
 
 def test_the_file_of_something_else_is_not_believed(cache, caplog):
     cache.path("other").write_bytes(cache.path("abc").read_bytes())
-    assert refused(cache, caplog, "computed from something else", "other")
+    assert refused(cache, caplog, "computed from other inputs", "other")
     save_arrays(cache.path("abc"), THING, {}, {"H": H})  # whole, and says nothing of what it was computed from
-    assert refused(cache, caplog, "computed from something else")
+    assert refused(cache, caplog, "computed from other inputs")
 
 
 def test_a_file_that_others_may_write_is_not_believed(cache, caplog):
@@ -76,11 +76,11 @@ def test_the_file_of_another_user_is_not_believed(cache, caplog):
 def test_in_the_folder_of_another_user_nothing_is_believed_and_nothing_is_kept(cache, caplog, monkeypatch):
     before = sorted(cache.folder.rglob("*"))
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-    assert cache.find("abc") is None and "belongs to another user" in caplog.text
+    assert cache.load("abc") is None and "belongs to another user" in caplog.text
     caplog.clear()
-    cache.keep("abd", {}, {"H": H})
+    cache.store("abd", {}, {"H": H})
     (line,) = caplog.messages
-    assert "cannot be kept (its folder belongs to another user)" in line and "MIC_CACHE" in line
+    assert "cannot be cached (its folder belongs to another user)" in line and "MIC_CACHE" in line
     assert sorted(cache.folder.rglob("*")) == before
 
 
@@ -96,25 +96,25 @@ def test_the_cache_is_closed_to_others_whatever_the_mask_says(tmp_path):
     mask = os.umask(0)
     try:
         cache = Cache(folder, "influence", THING)
-        cache.keep("abc", {}, {"H": H})
+        cache.store("abc", {}, {"H": H})
     finally:
         os.umask(mask)
     assert mode(folder) == mode(folder / "influence") == 0o700 and mode(cache.path("abc")) == 0o600
-    assert cache.find("abc") is not None
+    assert cache.load("abc") is not None
 
 
 def test_a_folder_that_holds_other_things_keeps_its_permissions(tmp_path):
     folder = tmp_path / "home"
     folder.mkdir(mode=0o755)
     (folder / "letter.txt").write_text("mine")
-    Cache(folder, "influence", THING).keep("abc", {}, {"H": H})
+    Cache(folder, "influence", THING).store("abc", {}, {"H": H})
     assert mode(folder) == 0o755 and mode(folder / "influence") == 0o700
 
 
 def test_where_nothing_can_be_kept_it_is_said_and_nothing_else_happens(tmp_path, caplog):
     (tmp_path / "file").write_text("")
     with caplog.at_level(logging.WARNING):
-        Cache(tmp_path / "file", "influence", THING).keep("abc", {}, {"H": H})
+        Cache(tmp_path / "file", "influence", THING).store("abc", {}, {"H": H})
     (line,) = caplog.messages
-    assert "this thing cannot be kept" in line and "let MIC_CACHE name a folder of your own" in line
+    assert "this thing cannot be cached" in line and "set MIC_CACHE to a folder of your own" in line
     assert (tmp_path / "file").read_text() == ""

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from mic.contact.laws import LAWS
-from mic.system.compilation import WORDS
+from mic.system.compilation import MESSAGE
 
 EVALUATE = """
 import sys
@@ -39,10 +39,10 @@ def test_once_the_kernels_are_compiled_no_evaluation_compiles(lap_model, tmp_pat
     lap_model.save(tmp_path / "model.npz")
     python("-m", "mic.commands.compile")
     told = python("-c", EVALUATE, str(tmp_path / "model.npz"), *(name for name, law in LAWS.items() if not law.reads))
-    assert "data loaded from" in told and "data saved to" not in told and WORDS not in told
+    assert "data loaded from" in told and "data saved to" not in told and MESSAGE not in told
 
 
 def test_compiling_is_told_once_and_what_was_kept_is_read_without_a_word(tmp_path):
     (tmp_path / "adding.py").write_text(ADDING)
     command = "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import mic.contact.native, adding"
-    assert [python(*command).count(WORDS) for _ in range(2)] == [1, 0]
+    assert [python(*command).count(MESSAGE) for _ in range(2)] == [1, 0]

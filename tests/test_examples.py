@@ -62,7 +62,7 @@ def test_nothing_is_overwritten_and_names_are_checked(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert examples.copy("lap_joint") == Path("lap_joint")
     (tmp_path / "lap_joint" / "scene.toml").write_text("mine")
-    with pytest.raises(RunError, match="lap_joint: this exists already"):
+    with pytest.raises(RunError, match="lap_joint: this already exists"):
         examples.copy("lap_joint")
     assert (tmp_path / "lap_joint" / "scene.toml").read_text() == "mine"
     with pytest.raises(SceneError, match=f"no example scene called 'lap'; .* {', '.join(examples.names())}"):

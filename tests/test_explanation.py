@@ -111,8 +111,8 @@ def touching():
 
 
 def test_the_truth_lies_in_the_region_as_often_as_claimed_where_contacts_change_state():
-    """120 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
-    model, draws, cases = touching(), np.random.default_rng(11), 120
+    """60 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
+    model, draws, cases = touching(), np.random.default_rng(11), 60
     z = draws.standard_normal((cases, 2))
     h = model.process("frictionless").evaluate(from_normal(model.scene, z)).measurements[:, :1]
     y, hits, counted = h + 0.01 * draws.standard_normal(h.shape), 0, 0

@@ -244,7 +244,7 @@ def test_what_is_left_out_leaves_about_what_it_says(cache):
     share = chosen(table, cache).share
     assert model.slopes.source.tolist() == [0] and share > 0.04
     mean, stiffness, off = replace(model, slopes=None), DeviatedStiffness(assembly, model), {"mean": [], "first": []}
-    for sample in draw(model.scene, 1, 0, 24):
+    for sample in draw(model.scene, 1, 0, 10):
         own = stiffness.at(sample).evaluate(sample).measurements
         for name, one in (("mean", mean), ("first", model)):
             off[name].append(one.evaluate(sample).measurements - own)

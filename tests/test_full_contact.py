@@ -192,7 +192,7 @@ def test_newton_converges_quadratically(scene, cache, monkeypatch):
 
 @pytest.mark.slow
 def test_two_processes_give_the_solution_of_one(tmp_path):
-    lap, result, path = ROOT / "meshes" / "lap_joint", tmp_path / "result.npz", "followed"
+    lap, result, path = ROOT / "meshes" / "lap_joint", tmp_path / "result.npz", "increments"
     done = on_processes(2, "-m", "support.shared", lap, tmp_path / "ours", result, path)
     assert done.returncode == 0, done.stdout + done.stderr
     with np.load(result) as data:

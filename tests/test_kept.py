@@ -11,7 +11,7 @@ from mic.model.assembly import assemble
 from mic.plausibility import judge
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format
-from mic.system.memoise import kept, pack, unpack
+from mic.system.memoise import memoise, pack, unpack
 
 THING = Format("thing", 1, ABSENT)
 
@@ -73,7 +73,7 @@ def test_something_is_made_once_for_what_it_follows_from(tmp_path, monkeypatch):
     made, room = [], Cache(tmp_path, "assemblies", THING, 2)
 
     def found(content):
-        value, identity = kept(room, content, {}, (Leaf,), lambda: made.append(content) or CONTENT)
+        value, identity = memoise(room, content, {}, (Leaf,), lambda: made.append(content) or CONTENT)
         assert same(value, CONTENT)
         return identity
 

@@ -12,7 +12,7 @@ from mic.statistics.draw import draw
 @pytest.fixture(autouse=True)
 def room(monkeypatch):
     """Room for the maps of followed paths, of many steps."""
-    monkeypatch.setattr("mic.process.linear_maps.MOST", 10_000_000)
+    monkeypatch.setattr("mic.process.linear_maps.MAX_NUMBERS", 10_000_000)
 
 
 def plates(gun=None, deviations=()):
@@ -33,7 +33,7 @@ def plates(gun=None, deviations=()):
 
 def one_by_one(process, deviations):
     """Resolutions by stage, and what the measurements read, from the stages themselves."""
-    asked, state, resolutions, readings = process.asked(deviations), process.start(len(deviations)), {}, None
+    asked, state, resolutions, readings = process.drive(deviations), process.start(len(deviations)), {}, None
     for stage in process.stages:
         state, resolution = stage.advance(state, asked)
         if resolution is not None:
@@ -125,7 +125,7 @@ def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model
 def test_what_is_too_large_is_not_kept(lap_model, monkeypatch):
     process, count = Process(lap_model, "coulomb"), len(lap_model.scene.deviations)
     assert Linear.of(process, count) is not None
-    monkeypatch.setattr("mic.process.linear_maps.MOST", 10_000)
+    monkeypatch.setattr("mic.process.linear_maps.MAX_NUMBERS", 10_000)
     assert Linear.of(process, count) is None
 
 

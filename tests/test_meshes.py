@@ -104,7 +104,7 @@ def test_unusable_arguments_are_refused(name):
 
 @pytest.mark.fem
 @pytest.mark.parametrize(
-    "resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500), ("fine", 29000, 38500)]
+    "resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500)]
 )
 def test_wheelhouse_node_counts(medium, resolution, low, high):
     for part in wheelhouse.PARTS:

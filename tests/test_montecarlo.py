@@ -8,7 +8,7 @@ from scipy import stats
 
 from mic.execution import monte_carlo as montecarlo
 from mic.execution import worker_process
-from mic.execution.monte_carlo import BLOCK, CROWD, FEW, ROOM, SIZES, blocks, monte_carlo
+from mic.execution.monte_carlo import BLOCK, MANY_PAIRS, MAX_ENTRIES, SIZES, SMALL_BLOCK, blocks, monte_carlo
 from mic.scene import Scene
 from mic.scene.samples import DESIGNS
 from mic.statistics import estimates
@@ -159,8 +159,8 @@ def test_a_copy_of_the_process_evaluates_some_blocks_to_the_same_bits(lap_model,
 
     def found(core):
         taken, heard = {}, []
-        monkeypatch.setattr(montecarlo, "second_core", lambda: core)
-        monkeypatch.setattr(worker_process, "second_core", lambda: core)
+        monkeypatch.setattr(montecarlo, "has_spare_core", lambda: core)
+        monkeypatch.setattr(worker_process, "has_spare_core", lambda: core)
         monte_carlo(
             lap_model,
             LAWS,
@@ -229,12 +229,12 @@ def test_blocks_grow_with_their_place_as_far_as_memory_allows():
     assert all(count == BLOCK for _, first, count in small if first < 1000)
     assert all(count <= max(BLOCK, first / 20) for _, first, count in small)
     assert len(small) < 400 and max(count for *_, count in small) == SIZES[-1]
-    assert max(count for *_, count in large) * 500 <= ROOM
+    assert max(count for *_, count in large) * 500 <= MAX_ENTRIES
 
 
 def test_where_samples_take_long_they_are_told_of_one_by_one_and_stay_the_same(lap_model, monkeypatch):
     one = lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 6))
-    monkeypatch.setattr(montecarlo, "SIGN", 0.0)  # any sample takes long
+    monkeypatch.setattr(montecarlo, "REPORT_INTERVAL", 0.0)  # any sample takes long
     told, expected = [], []
     advance = lambda law, count: told.append((law, count))
     pieces, _ = collected(lap_model, ["coulomb"], 6, 4, advance=advance, expect=expected.append)
@@ -256,4 +256,4 @@ def test_what_is_expected_of_a_run_leaves_out_what_the_first_sample_prepares(lap
 
 
 def test_many_contact_pairs_make_small_blocks():
-    assert [block[2] for block in blocks(["coulomb"], 12, CROWD + 1)] == [FEW, FEW, 2]
+    assert [block[2] for block in blocks(["coulomb"], 12, MANY_PAIRS + 1)] == [SMALL_BLOCK, SMALL_BLOCK, 2]

@@ -8,7 +8,7 @@ import pytest
 
 import mic
 from mic.geometry.load import load_part
-from mic.geometry.pairing import Pressed, Side, candidate_spacing, find_between, find_pairs, node_pairs
+from mic.geometry.pairing import PressedPoint, Side, candidate_spacing, find_between, find_pairs, node_pairs
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.scene import Zone
@@ -194,13 +194,13 @@ def test_seven_candidates_stand_under_a_pad_however_coarse_the_elements_are():
     """One in the middle, six about it: two sheets that one candidate alone presses together tilt on it."""
     bodies = Side(plane(0, n=3), 1.0), Side(plane(1, n=3), 1.0)
     centre = np.array([9.0, 10.5, 0.5])
-    pairs = find_pairs(zone(pairs=None, spacing=8.0), *bodies, pressed=[Pressed(centre, 3.5)])
+    pairs = find_pairs(zone(pairs=None, spacing=8.0), *bodies, pressed=[PressedPoint(centre, 3.5)])
     under = [pair for pair in pairs if np.linalg.norm((pair.point - centre)[:2]) < 3.5]
     away = np.array([np.linalg.norm((pair.point - centre)[:2]) for pair in under])
     assert len(under) == 7 and sum(away < 0.5) == 1 and sum(away > 1.75) == 6
     assert sum(pair.area for pair in under) == pytest.approx(np.pi * 3.5**2, rel=0.05)
     assert sum(pair.area for pair in pairs) == pytest.approx(400)
-    assert {round(pair.apart, 6) for pair in pairs} == {8.0, round(3.5 * 2 / 3, 6)}
+    assert {round(pair.spacing, 6) for pair in pairs} == {8.0, round(3.5 * 2 / 3, 6)}
 
 
 def test_a_candidate_reads_where_its_cell_is_nearest():
@@ -249,7 +249,7 @@ def test_of_a_sheet_within_a_hem_each_side_has_pairs_of_its_own(find, keys, with
 @pytest.mark.parametrize("within_first", [False, True])
 def test_what_presses_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
     bodies = hem()[::-1] if within_first else hem()
-    pads = [Pressed(np.array([15.0, 14.0, 1.0]), 4.0), Pressed(np.array([8.0, 12.0, 0.0]), 2.0, weld=5)]
+    pads = [PressedPoint(np.array([15.0, 14.0, 1.0]), 4.0), PressedPoint(np.array([8.0, 12.0, 0.0]), 2.0, weld=5)]
     pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads)
     for pad in pads:
         there = [pair for pair in pairs if np.linalg.norm(pair.point[:2] - pad.point[:2]) < 0.5]
@@ -285,7 +285,7 @@ def test_a_sheet_within_a_rigid_slot_is_held_on_both_sides():
 
 def test_no_candidate_reads_across_the_rim_of_a_nugget():
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
-    weld = Pressed(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)
+    weld = PressedPoint(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)
     pairs = find_pairs(zone(pairs=None, spacing=4.0), *bodies, pressed=[weld])
     for pair in pairs:
         x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
@@ -299,7 +299,7 @@ def test_no_candidate_reads_across_the_rim_of_a_pad():
     """Of two pads upon each other the smaller ends first; one that only touches the zone keeps no rim."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     centre = np.array([9.0, 10.5, 0.5])
-    pads = [Pressed(centre, 5.0), Pressed(centre, 3.5), Pressed(np.array([-4.9, 10.0, 0.5]), 5.0)]
+    pads = [PressedPoint(centre, 5.0), PressedPoint(centre, 3.5), PressedPoint(np.array([-4.9, 10.0, 0.5]), 5.0)]
     pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads)
     inside = {radius: 0.0 for radius in (5.0, 3.5)}
     for pair in pairs:
@@ -319,7 +319,7 @@ def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stan
     """A small rest has as many candidates as its share of the pad; how near all others stand the clamp decides."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     centre = np.array([9.0, 10.5, 0.5])
-    clamp, rest = Pressed(centre, 5.0), Pressed(centre, 3.5, backs=5.0)
+    clamp, rest = PressedPoint(centre, 5.0), PressedPoint(centre, 3.5, backed_radius=5.0)
     pairs = find_pairs(zone(pairs=None), *bodies, pressed=[clamp, rest])
     area = 0.0
     for pair in pairs:
@@ -329,7 +329,7 @@ def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stan
             assert within.all() or not within.any()
         area += pair.area * (radius == 5.0 and within.all())
     assert area == pytest.approx(np.pi * 25, rel=0.05)
-    assert min(pair.apart for pair in pairs) == pytest.approx(10 / 3)
+    assert min(pair.spacing for pair in pairs) == pytest.approx(10 / 3)
     tiny = replace(rest, radius=1.0)
     spacing = [candidate_spacing(zone(pairs=None), *bodies, pressed=[clamp, one]) for one in (rest, tiny)]
     assert spacing == [candidate_spacing(zone(pairs=None), *bodies, pressed=[clamp])] * 2
@@ -341,14 +341,14 @@ def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stan
 def test_a_factor_brings_candidates_nearer_under_pads_and_elsewhere(keys):
     """Half the distance, four times as many in either place."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
-    clamp = Pressed(np.array([9.0, 10.5, 0.5]), 5.0)
+    clamp = PressedPoint(np.array([9.0, 10.5, 0.5]), 5.0)
     apart, under = [], []
     for factor in (1.0, 0.5):
         asked = zone(pairs=None, spacing_factor=factor, **keys)
         pairs = find_pairs(asked, *bodies, pressed=[clamp])
         own = [np.linalg.norm((pair.point - clamp.point)[:2]) < 4.9 for pair in pairs]
         apart.append(candidate_spacing(asked, *bodies, pressed=[clamp]))
-        under.append((sum(own), min(pair.apart for pair in pairs)))
+        under.append((sum(own), min(pair.spacing for pair in pairs)))
     assert apart[1] == pytest.approx(apart[0] / 2)
     assert under[0] == (7, pytest.approx(10 / 3)) and under[1] == (28, pytest.approx(5 / 3))
 

@@ -83,7 +83,7 @@ def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, o
 def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
     outcome = read_outcome(folder)
     one, eight = (zone_rms(evaluation.resolutions["clamp"].displacement[:, :, 1:]) for evaluation in on_both)
-    mean, spread = outcome.path_error.effects("coulomb", "rms_tangential", "lap", "clamp")
+    mean, spread = outcome.path_study.effects("coulomb", "rms_tangential", "lap", "clamp")
     assert mean.change == pytest.approx(eight.mean() - one.mean(), rel=1e-6)
     assert spread.change == pytest.approx(6 * (eight.std(ddof=1) - one.std(ddof=1)), rel=1e-5)
     assert mean.share == pytest.approx(mean.change / one.mean(), rel=1e-6)
@@ -94,7 +94,7 @@ def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
     row = pd.read_csv(folder / "tables" / "zones.csv").query("law == 'coulomb' and stage == 'clamp'").iloc[0]
     assert row["six_sigma_rms_tangential_path"] == pytest.approx(spread.change)
     x, y = (evaluation.measurements[:, 0] for evaluation in on_both)
-    mean, _ = outcome.path_error.effects("coulomb", "measurement", "M1")
+    mean, _ = outcome.path_study.effects("coulomb", "measurement", "M1")
     assert mean.change == pytest.approx((y - x).mean(), rel=1e-4)
     assert mean.share == pytest.approx((y - x).mean() / (6 * x.std(ddof=1)), rel=1e-4)
     measured = outcome.summary()["laws"]["coulomb"]["measurements"]["M1"]
@@ -102,7 +102,7 @@ def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
 
 
 def test_estimates_stand_beside_the_error_that_was_measured(lap_model, folder, on_both):
-    errors = read_outcome(folder).path_error.errors.query("law == 'coulomb'")
+    errors = read_outcome(folder).path_study.errors.query("law == 'coulomb'")
     assert errors["estimate"].isna().all()  # nothing estimates what increments leave
     change = 0.0
     for stage, (two, eight) in {name: [e.resolutions[name] for e in on_both] for name in ("clamp", "release")}.items():
@@ -148,7 +148,7 @@ def test_the_first_valid_samples_are_repeated_and_failed_ones_are_not(lap_model,
     sample_into(tmp_path, with_increments(lap_model, 2), ["coulomb"], SAMPLES, SEED)
     fail(tmp_path, "coulomb", {3: ("clamp", "not converged")})
     write_path_study(read_outcome(tmp_path))
-    found = read_outcome(tmp_path).path_error.pairs["sample"].unique()
+    found = read_outcome(tmp_path).path_study.pairs["sample"].unique()
     assert found.tolist() == [i for i in range(path_error.SAMPLES + 1) if i != 3]
 
 

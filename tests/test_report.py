@@ -389,7 +389,7 @@ def test_drawing_a_page_solves_nothing_and_needs_and_changes_nothing_else(page, 
 def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_page(
     folder, every_picture, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(worker_process, "second_core", lambda: True)  # whatever this machine has
+    monkeypatch.setattr(worker_process, "has_spare_core", lambda: True)  # whatever this machine has
     early = tmp_path / "early"
     shutil.copytree(folder, early)
     for name in ("fields", "tables"):

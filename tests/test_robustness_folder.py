@@ -80,7 +80,7 @@ def test_a_lock_of_another_machine_is_believed_and_the_remedy_named(tmp_path):
     with locked(tmp_path):
         owner = json.loads((tmp_path / LOCK).read_text())
     (tmp_path / LOCK).write_text(json.dumps(owner | {"host": "elsewhere"}))
-    with pytest.raises(RunError, match=f"on elsewhere.*should it be dead, remove .*{LOCK}"), locked(tmp_path):
+    with pytest.raises(RunError, match=f"on elsewhere.*if that process has ended, remove .*{LOCK}"), locked(tmp_path):
         pass
     assert json.loads((tmp_path / LOCK).read_text())["host"] == "elsewhere"
 

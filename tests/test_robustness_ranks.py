@@ -172,7 +172,7 @@ def test_check_and_report_are_done_by_one_process_and_the_others_leave(alone, ke
     code, said = mic(2, ["check", SCENE], kept, plant=None)
     assert code == 0 and said.count("The scene is valid.") == 1, said
     (alone / "report.html").unlink()
-    code, said = mic(2, ["report", alone], kept, plant=None)
+    code, said = mic(2, ["report", alone], kept)
     assert code == 0 and said.count("report: ") == 1 and (alone / "report.html").is_file(), said
 
 
@@ -222,7 +222,7 @@ def test_processes_that_do_not_see_each_other_are_refused(monkeypatch, name):
     monkeypatch.setenv(name, "1")
     assert communicator() is None
     monkeypatch.setenv(name, "4")
-    with pytest.raises(LaunchError, match="started 4 processes, and each sees itself alone.*use its own mpirun"):
+    with pytest.raises(LaunchError, match="started 4 processes that cannot communicate.*use its own mpirun"):
         communicator()
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "1")  # the innermost launcher says how many there are
     assert communicator() is None

@@ -382,13 +382,13 @@ def test_inputs_that_are_not_known_are_refused(lap_model):
         ("welds.W1.x", r'give the scene positions = \["welds.W1"\] in \[report\]'),
         ("welds.W1.gun", "it has no gun"),
         ("clamps.C1-upper.limit", "it has no limit"),
-        ("welds.W1", "is no input of this model; known: "),
-        ("zones.lap", "is no input of this model; known: "),
-        ("welds", "is no input of this model; known: "),
+        ("welds.W1", "is not an input of this model; known inputs: "),
+        ("zones.lap", "is not an input of this model; known inputs: "),
+        ("welds", "is not an input of this model; known inputs: "),
     ):
         with pytest.raises(ValueError, match=why):
             lap_model.sensitivities({}, inputs=[name])
-    with pytest.raises(ValueError, match=r"inputs: 'locators\.nowhere' is no input of this model; known: "):
+    with pytest.raises(ValueError, match=r"inputs: 'locators\.nowhere' is not an input of this model; known inputs: "):
         lap_model.sensitivities({}, inputs=["locators.nowhere"])
     with pytest.raises(ValueError, match="name at least one"):
         lap_model.sensitivities({}, inputs=[])

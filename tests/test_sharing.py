@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from mic.execution import worker_process
-from mic.execution.worker_process import Copy, side_by_side
+from mic.execution.worker_process import WorkerProcess, run_on_two_cores
 
 
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch):
     """As on a machine of two cores: the copy is made, whatever this one has."""
-    monkeypatch.setattr(worker_process, "second_core", lambda: True)
+    monkeypatch.setattr(worker_process, "has_spare_core", lambda: True)
 
 
 def done(number, seconds=0.02):
@@ -28,28 +28,28 @@ def done(number, seconds=0.02):
 
 
 def test_results_come_in_order_and_two_processes_did_them():
-    found = side_by_side([partial(done, number, 0.02 * (number < 20)) for number in range(300)])
+    found = run_on_two_cores([partial(done, number, 0.02 * (number < 20)) for number in range(300)])
     assert [number for number, _ in found] == list(range(300))
     assert len({who for _, who in found}) == 2
-    assert [who for _, who in side_by_side([partial(done, 0)])] == [os.getpid()]
+    assert [who for _, who in run_on_two_cores([partial(done, 0)])] == [os.getpid()]
 
 
 def test_a_copy_works_before_it_is_asked_and_is_gone_once_let_go():
-    copy = Copy([partial(done, number) for number in range(6)])
+    copy = WorkerProcess([partial(done, number) for number in range(6)])
     time.sleep(1.0)
     found = copy.results()
-    copy.end()
+    copy.stop()
     assert [number for number, _ in found] == list(range(6))
     assert os.getpid() not in {who for _, who in found} and not active_children()
-    unasked = Copy([partial(done, number, 60.0) for number in range(6)])
-    unasked.end()
+    unasked = WorkerProcess([partial(done, number, 60.0) for number in range(6)])
+    unasked.stop()
     assert not active_children()
 
 
 def test_each_result_comes_as_it_is_done_and_none_is_lost():
     own = os.getpid()
-    with Copy([partial(done, number, 0.02 * (number < 20)) for number in range(300)]) as copy:
-        found = dict(copy.each([partial(done, 1000 + number, 0.02 * (number < 20)) for number in range(300)]))
+    with WorkerProcess([partial(done, number, 0.02 * (number < 20)) for number in range(300)]) as copy:
+        found = dict(copy.completed([partial(done, 1000 + number, 0.02 * (number < 20)) for number in range(300)]))
     assert list(sorted(found)) == list(range(300)) and not active_children()
     assert all(number == task + 1000 * (who == own) for task, (number, who) in found.items())
     assert 0 < sum(who == own for _, who in found.values()) < 300
@@ -66,23 +66,24 @@ def test_of_each_what_the_copy_takes_and_fails_at_is_done_here_and_what_fails_is
     def failing(number):
         raise RuntimeError(f"in {number}")
 
-    with Copy([partial(fatal, number) for number in range(6)]) as copy:
-        assert sorted(copy.each()) == [(number, (number, own)) for number in range(6)]
-    with pytest.raises(RuntimeError, match=r"in \d"), Copy([partial(failing, number) for number in range(6)]) as copy:
-        list(copy.each())
+    with WorkerProcess([partial(fatal, number) for number in range(6)]) as copy:
+        assert sorted(copy.completed()) == [(number, (number, own)) for number in range(6)]
+    tasks = [partial(failing, number) for number in range(6)]
+    with pytest.raises(RuntimeError, match=r"in \d"), WorkerProcess(tasks) as copy:
+        list(copy.completed())
 
 
 def test_a_copy_that_is_let_go_as_it_hands_in_much_holds_up_nobody():
     """In a process of its own, which is to end."""
-    program = "from mic.execution import worker_process; worker_process.second_core = lambda: True\n"
-    program += "copy = worker_process.Copy([lambda: bytes(10**8)] * 1000)\n"
-    program += "import time; time.sleep(1.5); copy.end()"
+    program = "from mic.execution import worker_process; worker_process.has_spare_core = lambda: True\n"
+    program += "copy = worker_process.WorkerProcess([lambda: bytes(10**8)] * 1000)\n"
+    program += "import time; time.sleep(1.5); copy.stop()"
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
 
 
 def test_without_a_second_core_no_copy_is_made(monkeypatch):
-    monkeypatch.setattr(worker_process, "second_core", lambda: False)
-    assert {who for _, who in side_by_side([partial(done, number) for number in range(4)])} == {os.getpid()}
+    monkeypatch.setattr(worker_process, "has_spare_core", lambda: False)
+    assert {who for _, who in run_on_two_cores([partial(done, number) for number in range(4)])} == {os.getpid()}
 
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM])
@@ -94,7 +95,7 @@ def test_what_a_copy_that_dies_has_taken_is_done_here(sign):
             os.kill(os.getpid(), sign)
         return done(number)
 
-    assert side_by_side([partial(fatal, number) for number in range(6)]) == [(number, own) for number in range(6)]
+    assert run_on_two_cores([partial(fatal, number) for number in range(6)]) == [(number, own) for number in range(6)]
 
 
 def test_what_fails_in_the_copy_alone_is_done_here_and_what_fails_is_raised(capfd):
@@ -109,9 +110,9 @@ def test_what_fails_in_the_copy_alone_is_done_here_and_what_fails_is_raised(capf
         done(number)
         raise RuntimeError(f"in {number}")
 
-    assert [number for number, _ in side_by_side([partial(there, number) for number in range(6)])] == list(range(6))
+    assert [number for number, _ in run_on_two_cores([partial(there, number) for number in range(6)])] == list(range(6))
     with pytest.raises(RuntimeError, match=r"in \d"):
-        side_by_side([partial(anywhere, number) for number in range(6)])
+        run_on_two_cores([partial(anywhere, number) for number in range(6)])
     assert capfd.readouterr().err == ""
 
 
@@ -131,7 +132,7 @@ def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
         return done(number)
 
     with pytest.raises(KeyboardInterrupt):
-        side_by_side([partial(interrupted, number, os.getpid()) for number in range(50)])
+        run_on_two_cores([partial(interrupted, number, os.getpid()) for number in range(50)])
     assert capfd.readouterr().err == ""
     assert not active_children()
 
@@ -139,11 +140,11 @@ def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
 KILLED = """
 import os, time
 from mic.execution import worker_process
-worker_process.second_core = lambda: True
+worker_process.has_spare_core = lambda: True
 def task():
     os.write(1, b"%d\\n" % os.getpid())
     time.sleep(60)
-worker_process.side_by_side([task, task])
+worker_process.run_on_two_cores([task, task])
 """
 
 

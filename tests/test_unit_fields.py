@@ -71,7 +71,7 @@ def test_no_more_is_kept_than_has_room(part, loads, tmp_path, monkeypatch):
     loaded = np.flatnonzero(loads.any(axis=1))
     for own in (loaded[:6], loaded[6:]):
         displacement_field(part, np.eye(len(loads))[:, own], tmp_path)
-    _, arrays = fields.Cache(tmp_path, "fields", fields.FORMAT).find(part.fingerprint())
+    _, arrays = fields.Cache(tmp_path, "fields", fields.FORMAT).load(part.fingerprint())
     assert set(arrays["functional"]) == set(loaded[6:])
 
 
