@@ -27,7 +27,7 @@ from rich.table import Table
 
 import mic
 from mic.execution.monte_carlo import BLOCK
-from mic.execution.ranks import communicator, leave
+from mic.execution.ranks import communicator, exit_together
 
 ROOT = Path(__file__).resolve().parents[1]
 LAW = "coulomb"
@@ -107,7 +107,7 @@ def run(arguments) -> None:
     scene = scene.model_copy(update={"report": report, "monte_carlo": number})
     run_scene(scene, arguments.folder, mic.cache_folder())
     tell(arguments.folder, world.rank if world else 0)
-    leave(world, 0)
+    exit_together(world, 0)
 
 
 def idle(arguments) -> None:

@@ -1,4 +1,4 @@
-"""``python -m mic``: the command."""
+"""``python -m mic`` is the command ``mic``."""
 
 from mic.cli import main
 

@@ -1,7 +1,6 @@
-"""Entry point of ``mic``: how a command ends. What the commands are, :mod:`mic.options` says.
+"""Entry point of ``mic``: runs a command of :mod:`mic.options` and turns its outcome into an exit status and a message.
 
-Nothing slow is imported here before the signals have their answer: whoever stops the program while it starts up is told
-so in one line too.
+The signal handlers are installed before slow imports, so that an interrupt during start-up also ends in one line.
 """
 
 from __future__ import annotations
@@ -18,67 +17,67 @@ from mic.errors import MicError, Stopped
 
 __all__ = ["main"]
 
-AGAIN = 0.01  # s after which a stop that was lost is raised again
-GARBAGE = 20_000  # objects that are new, after which it is looked for; Python's own is 700
+RETRY = 0.01  # s after which a signal whose exception was lost is raised again
+GARBAGE = 20_000  # new objects that trigger a garbage collection; Python's default is 700
 
 
 def main() -> NoReturn:
-    """One clear line for what a user can mend, a traceback for what only we can."""
-    _on_signals(_leave_at_once)
-    gc.set_threshold(GARBAGE, *gc.get_threshold()[1:])  # modules stay: to search them was a tenth of a short command
-    from mic import options  # slow to import, and stopped as any other moment is
-    from mic.execution.ranks import communicator, leave, others_silent
-    from mic.system.console import sentence
+    """Run the command; print one line for errors that a user can correct, a traceback for errors of the program."""
+    _on_signals(_exit_at_once)
+    gc.set_threshold(GARBAGE, *gc.get_threshold()[1:])  # a tenth of a short command's time
+    from mic import options  # slow to import, so after the signal handlers
+    from mic.execution.ranks import communicator, exit_together, silence_other_ranks
+    from mic.system.console import error_line
 
-    logging.basicConfig(format="%(message)s")  # such as what the cache does not believe: the sentence alone
-    world, status, words = None, 0, ""
+    logging.basicConfig(format="%(message)s")  # warnings of the cache, for example
+    world, status, message = None, 0, ""
     try:
-        _on_signals(_stop)
+        _on_signals(_raise_stopped)
         world = communicator()
-        with others_silent(world):
+        with silence_other_ranks(world):
             options.app()
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except MicError as error:
-        status, words = 2, sentence(error)
+        status, message = 2, error_line(error)
     except Stopped as stop:
-        status, words = stop.status, sentence("interrupted, and nothing was lost; call again")
+        status, message = stop.status, error_line("interrupted; finished samples are saved, run the command again")
     except OSError as problem:
         reason = (problem.strerror or str(problem)).lower()
-        remedy = "make room or give permission (HOME must name a folder that can be written), and call again"
+        remedy = "free disk space or give permission (HOME must name a folder that can be written), and run again"
         status = 2
-        words = sentence(f"{problem.filename or 'a file'}: {reason}; what is finished stays: {remedy}")
+        message = error_line(f"{problem.filename or 'a file'}: {reason}; finished samples are saved: {remedy}")
     except Exception:
-        status, words = 1, traceback.format_exc()
-    _on_signals(signal.SIG_DFL)  # nothing is left to be kept or said: whoever waits for the others just ends
-    leave(world, status, words)
+        status, message = 1, traceback.format_exc()
+    _on_signals(signal.SIG_DFL)  # nothing is left to save or report
+    exit_together(world, status, message)
 
 
-def _on_signals(answer) -> None:
+def _on_signals(handler) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, answer)
+        signal.signal(number, handler)
 
 
-def _leave_at_once(number, frame):
-    print("interrupted before anything was begun; call again", file=sys.stderr, flush=True)
+def _exit_at_once(number, frame):
+    print("interrupted during start-up; run the command again", file=sys.stderr, flush=True)
     os._exit(128 + number)
 
 
-def _stop(number, frame):
-    """Raise in whatever the program is doing, and again a moment later where what is raised is lost.
+def _raise_stopped(number, frame):
+    """Raise :class:`Stopped` in the running code, and again a moment later if that exception is lost.
 
-    A callback from C (such as a compiler's, which works for seconds) and a destructor print it, with a traceback, and
-    the program goes on.
+    Callbacks from C (such as those of a compiler that works for seconds) and destructors only print an exception, and
+    the program continues.
     """
 
-    def lost(unraisable):
+    def on_unraisable(unraisable):
         if not isinstance(unraisable.exc_value, Stopped):
             sys.__unraisablehook__(unraisable)
             return
         signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-        signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        signal.setitimer(signal.ITIMER_REAL, RETRY)
 
-    sys.unraisablehook = lost
+    sys.unraisablehook = on_unraisable
     raise Stopped(number)
 
 

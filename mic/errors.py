@@ -1,4 +1,4 @@
-"""What can go wrong that a user can mend: one base, so that a caller may catch all of it at once."""
+"""Errors that a user can correct, with one base class, so that a caller can catch them all."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
 
 
 class MicError(Exception):
-    """Base of every error whose message tells the user what to mend."""
+    """Base of every error whose message tells the user what to correct."""
 
 
 class SceneError(MicError, ValueError):
@@ -32,17 +32,17 @@ class SceneError(MicError, ValueError):
 
 
 class ImpossibleSample(MicError, ArithmeticError):
-    """A sample whose deviations nothing can be built with; it is counted as failed, and the message says why."""
+    """A sample whose deviations make assembly impossible; it counts as failed, and the message gives the reason."""
 
 
 class Problems:
-    """Collects what is wrong with a scene, so that all of it is told at once.
+    """Collects the errors of a scene, to report all of them at once.
 
     >>> problems = Problems()
     >>> for number in (1, 2):
     ...     with problems:
     ...         raise SceneError(f"problem {number}")
-    >>> problems.tell()
+    >>> problems.raise_all()
     Traceback (most recent call last):
     mic.errors.SceneError: problem 1
     problem 2
@@ -63,35 +63,35 @@ class Problems:
             return True
         return False
 
-    def tell(self) -> None:
-        """Raise :class:`SceneError` with all that was collected, if anything was."""
+    def raise_all(self) -> None:
+        """Raise one :class:`SceneError` with all collected messages, if there are any."""
         if self.lines:
             raise SceneError("\n".join(self.lines))
 
 
 class FormatError(MicError, ValueError):
-    """A file that is not what it should be: another kind, another version, cut short, altered."""
+    """A file of another kind or version, or one that is truncated or altered."""
 
 
 class RunError(MicError):
-    """A results folder that cannot be used as asked; the message says why and what to do instead."""
+    """A results folder that cannot be used as requested; the message gives the reason and the remedy."""
 
 
 class StorageError(MicError):
-    """A file or folder that cannot be written or read: disk full, no permission; the message names it and says why."""
+    """A file or folder that cannot be read or written; the message names it and the reason (disk full, permission)."""
 
 
 class MissingProvider(MicError, ImportError):
-    """Something must be computed by finite elements, and no provider of them is installed."""
+    """A finite-element computation is needed and no provider is installed."""
 
 
 class Stopped(BaseException):
-    """The program was told to stop, by SIGINT or SIGTERM. No error, and not to be swallowed as one.
+    """SIGINT or SIGTERM was received. A BaseException, so that ``except Exception`` does not swallow it.
 
     Attributes
     ----------
     status : int
-        Exit status of a program that this signal ends: 130 or 143.
+        Exit status of the program after this signal: 130 or 143.
     """
 
     def __init__(self, signal: int):
@@ -100,12 +100,12 @@ class Stopped(BaseException):
 
 
 class FreeMotion(MicError, ValueError):
-    """Bilateral rows that leave rigid-body motions free.
+    """The bilateral rows leave rigid-body motions free.
 
     Attributes
     ----------
     motions : (r, k) array
-        The k free motions in columns, in terms of the r motions that were to be held.
+        The k free motions in columns, as combinations of the r motions that were to be constrained.
     """
 
     def __init__(self, motions: np.ndarray):

@@ -1,4 +1,4 @@
-"""The example scenes that come with the program: where they are, and a copy of one to start from."""
+"""The example scenes that come with the program: list them, find their folders, copy one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mic.errors import RunError, SceneError
 
 __all__ = ["copy", "folder", "names"]
 
-_ROOT = Path(__file__).with_name("example_scenes")  # in a checkout a link to meshes/
+_ROOT = Path(__file__).with_name("example_scenes")  # a link to meshes/ in a checkout
 _FILES = ("*.toml", "*.py", "*.md", "*.csv")
 
 
@@ -19,12 +19,12 @@ def names() -> list[str]:
 
 
 def folder(name: str) -> Path:
-    """Folder of an example scene; `mic.load_scene` takes it as it is.
+    """Folder of an example scene, as `mic.load_scene` takes it.
 
     Raises
     ------
     SceneError
-        If there is no such example.
+        If the example does not exist.
     """
     if name not in names():
         raise SceneError(f"there is no example scene called {name!r}; the examples are {', '.join(names())}")
@@ -38,7 +38,7 @@ def copy(name: str, out: Path | str | None = None) -> Path:
     ----------
     name : str
     out : path-like, optional
-        The new folder; default: one called `name` where the program was started.
+        The new folder; default: `name` in the current folder.
 
     Returns
     -------
@@ -48,9 +48,9 @@ def copy(name: str, out: Path | str | None = None) -> Path:
     Raises
     ------
     SceneError
-        If there is no such example.
+        If the example does not exist.
     RunError
-        If the new folder exists already, or cannot be written.
+        If the new folder already exists or cannot be written.
     """
     source, target = folder(name), Path(out if out is not None else name)
     try:
@@ -58,7 +58,7 @@ def copy(name: str, out: Path | str | None = None) -> Path:
         for path in sorted(path for pattern in _FILES for path in source.glob(pattern)):
             shutil.copyfile(path, target / path.name)
     except FileExistsError as problem:
-        raise RunError(f"{target}: this exists already and is left alone; name another folder with --out") from problem
+        raise RunError(f"{target}: this already exists and is not overwritten; name another folder with --out") from problem
     except OSError as problem:
         raise RunError(f"{target}: cannot be written ({problem.strerror}); name another folder with --out") from problem
     return target

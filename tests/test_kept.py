@@ -8,7 +8,7 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from mic.model.assembly import assemble
-from mic.plausibility import judge
+from mic.plausibility import find_warnings
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format
 from mic.system.memoise import memoise, pack, unpack
@@ -125,8 +125,8 @@ def test_an_assembly_is_made_anew_when_a_file_has_changed(lap_scene, tmp_path):
 def test_warnings_are_kept_and_those_of_another_scene_are_its_own(lap_scene, tmp_path):
     assembly = assemble(lap_scene, tmp_path)
     soft = [part.model_copy(update={"young": 1e3}) for part in lap_scene.parts]
-    told = judge(lap_scene, assembly, tmp_path)
-    assert told == judge(lap_scene, assembly, tmp_path) == judge(lap_scene, assembly)
+    told = find_warnings(lap_scene, assembly, tmp_path)
+    assert told == find_warnings(lap_scene, assembly, tmp_path) == find_warnings(lap_scene, assembly)
     odd = assemble(lap_scene.model_copy(update={"parts": soft}), tmp_path)
-    warned = judge(lap_scene, odd, tmp_path)
-    assert warned != told and warned == judge(lap_scene, odd) == judge(lap_scene, odd, tmp_path)
+    warned = find_warnings(lap_scene, odd, tmp_path)
+    assert warned != told and warned == find_warnings(lap_scene, odd) == find_warnings(lap_scene, odd, tmp_path)

@@ -440,7 +440,7 @@ def test_failed_and_missing_samples_are_named_with_advice(folder, page, drawn, t
     record = json.loads((spoilt / "run.json").read_text())
     (spoilt / "run.json").write_text(json.dumps(record | {"samples": 100}))
     words = _Page(write_report(spoilt)).words
-    assert "7 (clamp, residual" in words and "leave this sample out of any statistics" in words
+    assert "7 (clamp, residual" in words and "exclude this sample from statistics" in words
     assert "associated: overflow in a product" in words and "11 (release, residual" in words
     assert "60 of 100 samples are missing" in words
 

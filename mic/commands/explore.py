@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from mic import cache_folder
 from mic.commands.invocation import law_of, on_one_process, reduced, studied
 from mic.errors import RunError, SceneError
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import RunFolder
 from mic.studies.exploration import explore as explored
 from mic.system.console import plain
+from mic.system.disk_cache import cache_folder
 from mic.system.matrix_product import one_thread
 
 __all__ = ["explore"]

@@ -8,7 +8,6 @@ from functools import wraps
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mic import cache_folder
 from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator
@@ -21,6 +20,7 @@ from mic.results.run_identity import identity
 from mic.runs import Listener, hold
 from mic.scene import load_scene
 from mic.system.console import plain
+from mic.system.disk_cache import cache_folder
 
 __all__ = [
     "OnConsole",

@@ -12,7 +12,6 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import Progress, TextColumn
 
-from mic import cache_folder
 from mic.commands.invocation import law_of, on_one_process, studied
 from mic.errors import FormatError, SceneError, Stopped
 from mic.results.run_identity import identity
@@ -21,6 +20,7 @@ from mic.scene.tables import read_cells, read_number
 from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
 from mic.system.console import plain
+from mic.system.disk_cache import cache_folder
 from mic.system.files import append_text, write_text
 
 __all__ = ["Log", "predict", "read_parts"]

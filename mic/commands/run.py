@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from mic import cache_folder
 from mic.commands.invocation import OnConsole, on_one_process, requested, status
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator, on_first
@@ -21,6 +20,7 @@ from mic.runs import conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.scene import load_scene
 from mic.system.console import plain
+from mic.system.disk_cache import cache_folder
 
 __all__ = [
     "Drawing",

@@ -1,4 +1,8 @@
-"""Work shared with a second core by a copy of this process: blocks of samples, pictures."""
+"""A forked worker process that shares tasks (blocks of samples, pictures) with this process.
+
+Not ``concurrent.futures``: tasks are closures, which cannot be pickled; this process works too; a worker that dies or
+hangs costs no result; and it is killed at once at the end.
+"""
 
 from __future__ import annotations
 
@@ -21,169 +25,168 @@ from typing import Any, Generic, Self, TypeVar
 from mic.execution.ranks import LaunchError, communicator
 from mic.system.matrix_product import one_thread
 
-__all__ = ["Copy", "second_core", "side_by_side"]
+__all__ = ["WorkerProcess", "has_spare_core", "run_on_two_cores"]
 
 T = TypeVar("T")
-PATIENCE = 120.0  # s; what the other process has not handed in by then is done here
-SLOWER = 10.0  # of the longest task of this process: so much longer the copy may take for its last
-PR_SET_PDEATHSIG = 1  # of Linux' prctl.h
+TIMEOUT = 120.0  # s that this process waits for a result of the worker before it does the task itself
+SLOWDOWN = 10.0  # added to the timeout, in multiples of the longest task of this process
+PR_SET_PDEATHSIG = 1  # from Linux prctl.h
 
 
-class Copy(Generic[T]):
-    """A copy of this process, a fork, that does tasks, from the first on, until they are asked for.
+class WorkerProcess(Generic[T]):
+    """A fork of this process that works on tasks, from the first on, in the background.
 
-    It need not load and read again. Where there is no core for it, there is none, and nothing is done before.
+    It inherits loaded code and data. Without a spare core there is no worker, and this process does all tasks.
 
     Parameters
     ----------
     tasks : sequence of callable
-        What they return can be pickled.
+        Their results must be picklable.
     """
 
     def __init__(self, tasks: Sequence[Callable[[], T]]) -> None:
         self._tasks, self._waiting, self._lock = tasks, deque(range(len(tasks))), Lock()
-        self._taken: dict[int, Future[T]] = {}  # by the copy
+        self._futures: dict[int, Future[T]] = {}  # by the worker
         self._process: Any = None
-        if len(tasks) < 2 or not second_core():
+        if len(tasks) < 2 or not has_spare_core():
             return
         context = get_context("fork")
-        # Of a pair of sockets each process holds one end: where the copy is killed as it hands something in, half of
-        # it is followed by an end that is heard.
-        self._line, other = context.Pipe()
-        with warnings.catch_warnings():  # of threads, which the copy lacks: those of BLAS and of the solver, all idle
+        # A duplex pipe: if the worker is killed while it sends a result, this end receives EOF.
+        self._connection, other = context.Pipe()
+        with warnings.catch_warnings():  # about threads (BLAS, solver), which are idle
             warnings.simplefilter("ignore", DeprecationWarning)
-            self._process = context.Process(target=_serve, args=(other, self._line, tasks), daemon=True)
+            self._process = context.Process(target=_serve, args=(other, self._connection, tasks), daemon=True)
             self._process.start()
         other.close()
-        self._told = Thread(target=self._hand_out, daemon=True)
-        self._told.start()
+        self._dispatcher = Thread(target=self._dispatch, daemon=True)
+        self._dispatcher.start()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.end()
+        self.stop()
 
     def _next(self, last: bool = False) -> int | None:
-        """A task that waits, for this process."""
+        """Remove a waiting task, for this process."""
         with self._lock:
             return (self._waiting.pop() if last else self._waiting.popleft()) if self._waiting else None
 
-    def _hand_out(self) -> None:
-        """One task after the other to the copy, as long as it lives."""
+    def _dispatch(self) -> None:
+        """Send one task after the other to the worker, as long as it lives."""
         while True:
             with self._lock:
                 if not self._waiting:
                     return
                 number = self._waiting.popleft()
-                task = self._taken[number] = Future()
+                task = self._futures[number] = Future()
             try:
-                self._line.send(number)
-                done, result = self._line.recv()
-            except Exception as problem:  # it is gone, or what it handed in cannot be read
+                self._connection.send(number)
+                succeeded, result = self._connection.recv()
+            except Exception as problem:  # the worker died, or its result cannot be unpickled
                 task.set_exception(problem)
                 return
-            if done:
+            if succeeded:
                 task.set_result(result)
             else:
-                task.set_exception(RuntimeError("failed in the copy"))
+                task.set_exception(RuntimeError("failed in the worker process"))
 
     def results(self) -> list[T]:
-        """What each task returns, in their order. This process helps, beginning with the last; what the copy failed at
-        is done here, so that errors are raised as if there were none."""
-        found: dict[int, T] = {}
+        """Results of all tasks, in order. This process works from the last one backwards, and repeats tasks that
+        failed in the worker, so that their errors are raised here."""
+        results: dict[int, T] = {}
         while (number := self._next(last=True)) is not None:
-            found[number] = self._tasks[number]()
-        for number, result in list(self._taken.items()):
-            with suppress(Exception):  # raised again by whoever does it here
-                found[number] = result.result(PATIENCE)
-        return [found[number] if number in found else task() for number, task in enumerate(self._tasks)]
+            results[number] = self._tasks[number]()
+        for number, result in list(self._futures.items()):
+            with suppress(Exception):  # raised again when the task is repeated here
+                results[number] = result.result(TIMEOUT)
+        return [results[number] if number in results else task() for number, task in enumerate(self._tasks)]
 
-    def each(self, here: Sequence[Callable[[], T]] | None = None) -> Iterator[tuple[int, T]]:
-        """Number and result of each task once it is done. This process does the next that waits while the copy does
-        another; errors as in :meth:`results`.
+    def completed(self, local: Sequence[Callable[[], T]] | None = None) -> Iterator[tuple[int, T]]:
+        """Number and result of each task as it completes. This process works on the next waiting task meanwhile; errors
+        as in :meth:`results`.
 
         Parameters
         ----------
-        here : sequence of callable, optional
-            The tasks as this process does them, should that be another way.
+        local : sequence of callable, optional
+            The tasks for this process, if they differ from those of the worker.
         """
-        here, given, longest = here or self._tasks, set(), 0.0
+        local, yielded, longest = local or self._tasks, set(), 0.0
         while (number := self._next()) is not None:
             start = time.monotonic()
-            result = here[number]()
+            result = local[number]()
             longest = max(longest, time.monotonic() - start)
-            given.add(number)
+            yielded.add(number)
             yield number, result
-            for number, task in list(self._taken.items()):
-                if number not in given and task.done() and task.exception() is None:
-                    given.add(number)
+            for number, task in list(self._futures.items()):
+                if number not in yielded and task.done() and task.exception() is None:
+                    yielded.add(number)
                     yield number, task.result()
         for number in range(len(self._tasks)):
-            if number not in given:
+            if number not in yielded:
                 try:
-                    result = self._taken[number].result(PATIENCE + SLOWER * longest)
-                except Exception:  # raised again where it is done here
-                    result = here[number]()
+                    result = self._futures[number].result(TIMEOUT + SLOWDOWN * longest)
+                except Exception:  # raised again by the task
+                    result = local[number]()
                 yield number, result
 
-    def end(self) -> None:
-        """Let the copy go, whatever it is at."""
+    def stop(self) -> None:
+        """Kill the worker, whatever it is doing."""
         with self._lock:
             self._waiting.clear()
         if self._process is not None:
             self._process.kill()
             self._process.join()
-            self._told.join()
-            self._line.close()
+            self._dispatcher.join()
+            self._connection.close()
 
 
-def side_by_side(tasks: Sequence[Callable[[], T]]) -> list[T]:
-    """What each task returns, in their order; where there is a core for it, a :class:`Copy` does some of them.
+def run_on_two_cores(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Results of all tasks, in order; a :class:`WorkerProcess` does some of them if there is a spare core.
 
     Parameters
     ----------
     tasks : sequence of callable
-        What they return can be pickled.
+        Their results must be picklable.
     """
-    with Copy(tasks) as copy:
-        return copy.results()
+    with WorkerProcess(tasks) as worker:
+        return worker.results()
 
 
-def second_core() -> bool:
-    """Whether a copy may run beside this process: several processes have their cores already."""
+def has_spare_core() -> bool:
+    """Whether a worker may run beside this process: a second core, and no other MPI ranks."""
     if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
         return False
     try:
         return communicator() is None
-    except LaunchError:  # told where samples are shared out
+    except LaunchError:  # reported when samples are distributed
         return False
 
 
-def _serve(line: Connection, other: Connection, tasks: Sequence[Callable[[], Any]]) -> None:
-    """The copy: does the tasks whose numbers it is told, until it is killed or its line has no other end.
+def _serve(connection: Connection, other: Connection, tasks: Sequence[Callable[[], Any]]) -> None:
+    """Main loop of the worker: do the tasks whose numbers it receives until it is killed or the pipe is closed.
 
-    The other process ends it: it hears every interrupt as well. Killed, that one cannot; then the kernel does.
+    It ignores interrupts: the parent kills it, or the kernel does if the parent was killed.
     """
     other.close()
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    # A thread of the other process may have held the console just then; and what fails is told there.
+    # A thread of the parent may have held the console lock at the fork; errors are reported there.
     sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")
     with suppress(EOFError, OSError):
         while True:
-            number = line.recv()
+            number = connection.recv()
             try:
-                answer = True, _alone(tasks[number])
+                outcome = True, _run(tasks[number])
             except Exception:
-                answer = False, None
+                outcome = False, None
             try:
-                line.send(answer)
+                connection.send(outcome)
             except (TypeError, ValueError, AttributeError, pickle.PicklingError):
-                line.send((False, None))
+                connection.send((False, None))
 
 
 @one_thread
-def _alone(task: Callable[[], T]) -> T:
+def _run(task: Callable[[], T]) -> T:
     return task()

@@ -100,7 +100,7 @@ class Shapes:
         if not parts:
             return cls()
         kept, own = Cache(cache, "shapes", Format(FORMAT.kind, FORMAT.version, ABSENT)), _identity(model)
-        found = kept.find(own)
+        found = kept.load(own)
         if found is not None:
             return cls._from(*found)
         try:
@@ -115,7 +115,7 @@ class Shapes:
                 for part, (which, triangles) in zip(parts, none)
             )
             return cls(bare, _NONE)
-        kept.keep(own, *made._written())
+        kept.store(own, *made._written())
         return made
 
     def save(self, path: Path, model) -> None:

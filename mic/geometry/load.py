@@ -1,7 +1,4 @@
-"""Surfaces of a scene's parts and fixtures: read from mesh files, built by geometry scripts, or round pads.
-
-What a geometry script is, :mod:`mic.geometry.script` says.
-"""
+"""Surfaces of parts and fixtures of a scene: from mesh files, geometry scripts or round pads."""
 
 from __future__ import annotations
 
@@ -11,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from mic.errors import SceneError
 from mic.geometry import grading, structured
@@ -23,6 +18,7 @@ from mic.geometry.refinement import halved
 from mic.geometry.script import build, named_sizes
 from mic.geometry.script_dependencies import Dependencies, opened_files
 from mic.geometry.surface import Surface
+from mic.geometry.triangles import linked_rows
 from mic.scene.part import USUAL
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format, fingerprint
@@ -38,9 +34,9 @@ __all__ = [
 
 GENERATED = Format("generated mesh", 3, ABSENT)
 
-#: What a deck may tell of a part, mm and MPa; beyond lies another unit.
+#: Plausible values from a deck, mm and MPa; others have another unit.
 LIKELY = {"thickness": (1e-2, 50.0), "offset": (-5.0, 5.0), "young": (1e3, 1e6), "poisson": (-0.99, 0.499)}
-PIECES = 3  # of a part in pieces that are named
+LISTED_PIECES = 3  # of a part in several pieces
 
 
 @dataclass(frozen=True)
@@ -50,14 +46,14 @@ class LoadedPart:
     Attributes
     ----------
     part : mic.scene.part.Part
-        Thickness, offset and material filled in: as the scene has them, else as the mesh file tells.
+        Completed with thickness, offset and material from the mesh file where the scene gives none.
     surface, drawn : Surface
-        The middle of the sheet, moved by the offset; and as the mesh has it.
+        The mid-surface, moved by the offset; and the surface as meshed.
     inputs : dict of str to str
-        Hashes by what they stand for: files (None for one that a script looked for in vain), and the triangles of a
-        generated mesh.
+        Hashes of the files (None for one that a script tried to open and did not find), and of the triangles of a
+        generated mesh, by name.
     deck : Deck, optional
-        What the mesh file tells beside the mesh; None of a generated mesh.
+        Contents of the mesh file besides the mesh; None for a generated mesh.
     """
 
     part: Any
@@ -70,9 +66,9 @@ class LoadedPart:
 def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> LoadedPart:
     """A part with its surface, from its mesh file or its geometry script.
 
-    A generated mesh is kept in `cache` under the hash of the part's name, the size, and all Python files of the
-    script's folder and of the folder above, which it may import; see :mod:`mic.system.disk_cache` for what is believed of it. It is
-    used again only while every file that the script read, or declares, holds what it held.
+    A generated mesh is cached in `cache` under the hash of the part's name, the size, and all Python files of the
+    script's folder and its parent, which it may import (:mod:`mic.system.disk_cache`). It is reused only while every
+    file that the script opened or declares is unchanged.
 
     Parameters
     ----------
@@ -86,8 +82,8 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
     Raises
     ------
     SceneError
-        Naming part, key and file, where the file is missing, unusable, or fails; where nothing tells the thickness, or
-        a mesh file tells several; where the part is in pieces, or cannot be moved by its offset.
+        Naming part, key and file, if the file is missing or unusable, or the script fails; if the thickness is not
+        given or the mesh file gives several; if the part consists of several pieces, or its offset cannot be applied.
     """
     key = "mesh" if part.mesh is not None else "geometry"
     path = folder / getattr(part, key)
@@ -99,19 +95,19 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
         sets = [part.set] if isinstance(part.set, str) else part.set or ()
         surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
         part = _filled(part, deck)
-        _one_piece(part, surface)
+        _refuse_pieces(part, surface)
         return LoadedPart(part, _middle(part, surface), surface, inputs, deck)
     surface, read = _generated(part, path, cache, size or part.size)
-    # The files stand for what is computed from them, and the triangles, whole numbers, for the mesher that computes it.
+    # Hashes of the files, and of the triangles, which depend on the version of the mesher.
     inputs = {f"triangles of {part.name}": fingerprint(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())}
     where = os.path.dirname(part.geometry)
-    inputs |= {os.path.normpath(os.path.join(where, name)): kept for name, kept in read.files.items()}
-    _one_piece(part, surface)
+    inputs |= {os.path.normpath(os.path.join(where, name)): content for name, content in read.files.items()}
+    _refuse_pieces(part, surface)
     return LoadedPart(part, _middle(part, surface), surface, inputs)
 
 
 def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = None) -> Surface:
-    """Surface of a part at half the element size: built anew by its geometry, else its mesh divided on its curvature.
+    """Surface of a part at half the element size: from its script, or its mesh refined on the curved surface.
 
     Parameters and errors are those of :func:`load_part`.
     """
@@ -122,7 +118,7 @@ def finer_surface(part: Any, folder: Path, cache: Path, size: float | None = Non
 
 
 def coarsest_size(part: Any, folder: Path) -> float | None:
-    """The largest of the sizes that a part's geometry script names, mm; None where it names none.
+    """The largest named size of a part's geometry script, mm; None if it names none.
 
     Raises
     ------
@@ -138,9 +134,9 @@ def fixture_surface(fixture: Any, folder: Path) -> Surface:
 
 
 def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | None]]:
-    """Surface of a rigid fixture: its mesh, or a flat round pad with its normal outwards; and the content of its file.
+    """Surface of a rigid fixture and the hash of its file: its mesh, or a flat round pad with its normal outwards.
 
-    The pad's triangles reach around its circle; pairing cuts them at its radius.
+    The pad's triangles circumscribe its circle; pairing cuts them at its radius.
 
     Parameters
     ----------
@@ -151,7 +147,7 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
     Raises
     ------
     SceneError
-        Naming fixture, key and file, where the mesh is missing or unusable.
+        Naming fixture, key and file, if the mesh is missing or unusable.
     """
     if fixture.mesh is not None:
         path = folder / fixture.mesh
@@ -169,60 +165,55 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
 
 
 def _filled(part, deck):
-    """The part with what it leaves open filled in by what its deck tells.
+    """The part with missing values completed from its deck.
 
-    Of a deck in metres the modulus is in Pa, in millimetres in MPa; one that is no stiffness of a sheet in that unit,
-    such as 210 for GPa, is refused rather than guessed at.
+    The modulus is in Pa in a deck in metres and in MPa in one in millimetres; a value that is implausible in that unit,
+    such as 210 for GPa, is refused.
     """
     found: dict[str, Any] = {}
     for key, (low, high) in LIKELY.items():
         if getattr(part, key) is not None:
             continue
-        values = [getattr(sheet, key) for sheet in deck.told()]
-        told = [value for value in values if value is not None]
+        values = [getattr(sheet, key) for sheet in deck.distinct_sheets()]
+        given = [value for value in values if value is not None]
         if len(set(values)) > 1:
-            listed = ", ".join("nothing" if value is None else f"{value:g}" for value in dict.fromkeys(values))
+            listed = ", ".join("none" if value is None else f"{value:g}" for value in dict.fromkeys(values))
             raise SceneError(
-                f"part {part.name!r}: {key}: {part.mesh} tells several, {listed}, and a part has one; give {key}, or "
+                f"part {part.name!r}: {key}: {part.mesh} gives several values, {listed}; state {key} in the scene, or "
                 "choose among its element sets by `set`"
             )
-        value = told[0] if told else USUAL.get(key)
+        value = given[0] if given else USUAL.get(key)
         if value is None:
-            raise SceneError(f"part {part.name!r}: {key}: neither the scene nor {part.mesh} tells it; add {key}")
+            raise SceneError(f"part {part.name!r}: {key}: neither the scene nor {part.mesh} gives it; add {key}")
         found[key] = value
-        if told and not low <= value <= high:
+        if given and not low <= value <= high:
             raise SceneError(
-                f"part {part.name!r}: {key}: {part.mesh} tells {value:g} if its unit is {part.unit!r}, which no sheet "
-                f"has; correct unit, or give {key}"
+                f"part {part.name!r}: {key}: {part.mesh} gives {value:g} if its unit is {part.unit!r}, which is "
+                f"implausible for a sheet; correct unit, or state {key} in the scene"
             )
     return part.model_copy(update=found) if found else part
 
 
-def _one_piece(part, surface):
-    """Refuse a part that does not hang together: nothing would hold the rest."""
-    n = len(surface.points)
-    start = surface.triangles.ravel()
-    graph = coo_matrix((np.ones(len(start)), (start, np.roll(surface.triangles, -1, axis=1).ravel())), shape=(n, n))
-    count, piece = connected_components(graph, directed=False)
-    piece = piece[surface.triangles[:, 0]]
-    sizes = np.bincount(piece, minlength=count)
-    many = np.count_nonzero(sizes)
+def _refuse_pieces(part, surface):
+    """Refuse a part whose triangles are not connected: nothing would support the rest."""
+    many, piece = linked_rows(surface.triangles)
+    sizes = np.bincount(piece)
     if many == 1:
         return
-    largest = np.argsort(-sizes, kind="stable")[: min(PIECES, many)]
-    told = []
-    for one in largest:
-        place = ", ".join(f"{x:.1f}" for x in surface.corners[piece == one].mean(axis=(0, 1)))
-        told.append(f"{sizes[one]} triangles about ({place})")
+    largest = np.argsort(-sizes, kind="stable")[: min(LISTED_PIECES, many)]
+    listed = []
+    for number in largest:
+        place = ", ".join(f"{x:.1f}" for x in surface.corners[piece == number].mean(axis=(0, 1)))
+        listed.append(f"{sizes[number]} triangles about ({place})")
     raise SceneError(
-        f"part {part.name!r}: {'mesh' if part.mesh is not None else 'geometry'}: it is in {many} pieces that share no "
-        f"point: {'; '.join(told)}{', …' if many > PIECES else ''}; make each a part of its own (`set` chooses among "
-        "the sets of a file), or join their points"
+        f"part {part.name!r}: {'mesh' if part.mesh is not None else 'geometry'}: the mesh consists of {many} pieces "
+        f"that share no points: {'; '.join(listed)}{', …' if many > LISTED_PIECES else ''}; make each a separate part "
+        "(`set` chooses among the sets of a file), or merge their points"
     )
 
 
 def _middle(part, surface):
-    """The surface moved to the middle of the sheet."""
+    """The surface moved to the mid-surface of the sheet."""
     try:
         return moved(surface, part.offset * part.thickness)
     except ValueError as problem:
@@ -230,12 +221,13 @@ def _middle(part, surface):
 
 
 def _read(owner, path, name, sets=(), unit="mm", size=None):
+    """Surface, deck and hashes of a mesh file and of the files that it includes."""
     from mic.geometry.readers import read_mesh  # the libraries behind it are slow to import; scripts do not need them
 
     try:
-        with opened_files() as heard:  # a mesh file may include others
+        with opened_files() as opened:  # a mesh file may include others
             surface, deck = read_mesh(path, sets, unit, size)
-        read = Dependencies.of(path, [path.name], heard)
+        read = Dependencies.of(path, [path.name], opened)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem
     others = {other: content for other, content in read.files.items() if other != path.name and content is not None}
@@ -243,19 +235,19 @@ def _read(owner, path, name, sets=(), unit="mm", size=None):
 
 
 def _generated(part, path, cache, size, share=1.0):
-    """Surface that a script makes at a share of a size, from the cache where it fits; and what it read."""
+    """Surface of a script at a multiple of a size, cached, and the files that it read."""
     meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path, size, share)
-    found = meshes.find(key)
+    found = meshes.load(key)
     read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
     if found is not None and read is not None and read.unchanged(path):
         return _surface_of(found[1]), read
     surface, read = build(part.name, path, size, share)
-    meshes.keep(key, read.header(), _arrays(surface))
+    meshes.store(key, read.header(), _arrays(surface))
     return surface, read
 
 
 def _key(part, path, size, share):
-    """Name of a generated mesh in the cache: hash of what it depends on and is known before the script has run."""
+    """Cache key of a generated mesh: hash of the inputs that are known before the script runs."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
     ours = (Path(structured.__file__), Path(grading.__file__))
     contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
@@ -264,10 +256,11 @@ def _key(part, path, size, share):
 
 
 def _arrays(surface):
-    """A surface as the cache keeps it."""
+    """A surface as cached arrays."""
     arrays = {"points": surface.points, "triangles": surface.triangles}
     return arrays if surface.given_normals is None else arrays | {"normals": surface.given_normals}
 
 
 def _surface_of(arrays):
+    """The surface of cached arrays."""
     return Surface(arrays["points"], arrays["triangles"], arrays.get("normals"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
-from mic.execution.worker_process import Copy
+from mic.execution.worker_process import WorkerProcess
 from mic.results.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Ahead:
 
     def __init__(self, outcome: Outcome) -> None:
         self._outcome = outcome
-        self._copy = Copy([partial(self._draw, name) for name in AHEAD])
+        self._copy = WorkerProcess([partial(self._draw, name) for name in AHEAD])
 
     @cached_property
     def _context(self) -> Context:
@@ -67,4 +67,4 @@ class Ahead:
 
     def end(self) -> None:
         """Let the copy go, whatever it is at."""
-        self._copy.end()
+        self._copy.stop()

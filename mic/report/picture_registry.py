@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib.style
 
-from mic.execution.worker_process import side_by_side
+from mic.execution.worker_process import run_on_two_cores
 from mic.report.change_pictures import change_picture, order_picture, remedy_picture
 from mic.report.contact_pictures import sample_picture, slip_force_picture, state_picture, tangential_density_picture
 from mic.report.context import Context
@@ -162,7 +162,7 @@ def draw_all(outcome: Outcome, context: Context, ahead: Ahead | None = None) -> 
     names = [entry.name for entry in PICTURES if ahead is None or entry.name not in ahead.names]
     tasks = [partial(draw, name, outcome, context) for name in names]
     if ahead is None:
-        drawn = dict(zip(names, side_by_side(tasks)))
+        drawn = dict(zip(names, run_on_two_cores(tasks)))
     else:
         drawn = {name: task() for name, task in zip(names, tasks)} | ahead.pictures()
     return {entry.name: picture for entry in PICTURES if (picture := drawn[entry.name]) is not None}

@@ -132,7 +132,7 @@ def learn(
     mean = np.array([item.mean for item in scene.deviations] + [0.0] * a)
     scale = np.array([item.sigma for item in scene.deviations] + [(one.high - one.low) / SPANNED for one in some])
     kept, own = _kept(cache, model, law, some, before)
-    if kept is not None and (answered := kept.find(own)) is not None:
+    if kept is not None and (answered := kept.load(own)) is not None:
         return Learnt(mean, scale, *(answered[1][name] for name in ("x", "h", "judged")))
     stream = np.random.default_rng([0, a])
     process = (extended(model, some)[0] if some else model).process(law)
@@ -156,7 +156,7 @@ def learn(
         if (found.off <= FINE * tolerance(scene, h if before is None else before.h)).all():
             break
     if kept is not None and found is not None:
-        kept.keep(own, {}, {"x": found.x, "h": found.h, "judged": found.judged})
+        kept.store(own, {}, {"x": found.x, "h": found.h, "judged": found.judged})
     return found
 
 

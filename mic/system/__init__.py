@@ -1,1 +1,1 @@
-"""Files that survive a crash, the disk cache, locks, BLAS and compilation: everything that knows nothing of assemblies."""
+"""Infrastructure: atomic files, disk cache, locks, BLAS kernels, compilation, console text."""

@@ -1,5 +1,7 @@
-"""Which kernels OpenBLAS computes with: to a processor younger than itself it gives those of 2004, at a fifth of the
-speed (release 0.3.21 of Debian 12 to Intel's of 2023). They are chosen here, before anything loads the library.
+"""Choice of the OpenBLAS kernels, before the library is loaded.
+
+OpenBLAS selects its oldest kernels, at a fifth of the speed, on processors that are newer than itself: release 0.3.21
+of Debian 12 does so on Intel's of 2023.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ from pathlib import Path
 
 __all__ = ["choose_kernels"]
 
-NAME = "OPENBLAS_CORETYPE"  # what OpenBLAS reads as it is loaded
+NAME = "OPENBLAS_CORETYPE"  # environment variable that OpenBLAS reads when it is loaded
 LIBRARY = "libopenblas.so.0"
 OLDEST = "Prescott"
-#: Kernels by what the processor must be able to do, the fastest first.
+#: Processor features that each kernel needs, the fastest kernel first.
 KERNELS = {
     "SKYLAKEX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"},
     "HASWELL": {"avx2", "fma"},
@@ -24,31 +26,31 @@ LOG = logging.getLogger(__name__)
 
 
 def choose_kernels() -> None:
-    """Have OpenBLAS take kernels that suit the processor, where it would take its oldest by itself.
+    """Make OpenBLAS use suitable kernels if it would select its oldest ones.
 
-    Nothing is done where the user has chosen, and where the library knows the processor: which kernels it takes decides
-    the last bits of sums. Where numpy has loaded it already, it is too late, and said.
+    The choice of the user, and of a library that knows the processor, is not changed: kernels determine the last bits
+    of sums. If numpy was imported first, it is too late, and a warning is logged.
     """
     if NAME in os.environ:
         return
-    able = abilities()
-    suiting = next((name for name, needed in KERNELS.items() if needed <= able), None)
-    if suiting is None:
+    flags = cpu_flags()
+    kernel = next((name for name, needed in KERNELS.items() if needed <= flags), None)
+    if kernel is None:
         return
     if "numpy" in sys.modules:
-        if loaded() == OLDEST:
+        if loaded_kernel() == OLDEST:
             LOG.warning(
-                "OpenBLAS does not know this processor, and computes at a fraction of its speed: "
-                "import mic before numpy, or set %s=%s beforehand",
+                "OpenBLAS does not know this processor and runs at a fraction of its speed: import mic before numpy, "
+                "or set the environment variable %s=%s",
                 NAME,
-                suiting,
+                kernel,
             )
-    elif taken() == OLDEST:
-        os.environ[NAME] = suiting
+    elif default_kernel() == OLDEST:
+        os.environ[NAME] = kernel
 
 
-def abilities() -> set[str]:
-    """Of the processor, in Linux's words."""
+def cpu_flags() -> set[str]:
+    """Feature flags of the processor, from ``/proc/cpuinfo``."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -56,24 +58,24 @@ def abilities() -> set[str]:
     return next((set(line.split()) for line in lines if line.startswith("flags")), set())
 
 
-def taken() -> str:
-    """The kernels that OpenBLAS takes by itself; a child asks it, since it decides once in a process."""
-    mine, its = os.pipe()
+def default_kernel() -> str:
+    """The kernels that OpenBLAS selects by itself; a child process loads it, since it selects once per process."""
+    reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         try:
-            os.write(its, _corename(ctypes.CDLL(LIBRARY)))
+            os.write(writing, _corename(ctypes.CDLL(LIBRARY)))
         finally:
             os._exit(0)
-    os.close(its)
-    with os.fdopen(mine) as told:
-        name = told.read()
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        name = pipe.read()
     os.waitpid(child, 0)
     return name
 
 
-def loaded() -> str:
-    """The kernels that it has taken in this process; nothing if another library is loaded."""
+def loaded_kernel() -> str:
+    """The kernels that OpenBLAS selected in this process; empty if another library is loaded."""
     try:
         return _corename(ctypes.CDLL(LIBRARY, mode=os.RTLD_NOLOAD)).decode()
     except OSError:
@@ -83,5 +85,5 @@ def loaded() -> str:
 def _corename(library: ctypes.CDLL) -> bytes:
     name = library.openblas_get_corename
     name.restype = ctypes.c_char_p
-    found: bytes = name()
-    return found
+    corename: bytes = name()
+    return corename

@@ -1,4 +1,4 @@
-"""That compiled code is being made is told, once: a minute in which nothing else is heard."""
+"""One message when Numba compiles code, because the program is silent for a minute then."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from functools import cache
 
 from numba.core import event
 
-__all__ = ["tell"]
+__all__ = ["announce_compilation"]
 
-WORDS = (
-    "compiling the contact solver, once for this installation: about a minute (beforehand, and where nobody waits: "
+MESSAGE = (
+    "compiling the contact solver, once for this installation: about a minute (to do this beforehand: "
     "python -m mic.commands.compile)"
 )
 
 
 @cache
-def tell() -> None:
-    """From now on; code that was kept from an earlier process is read without a word."""
-    event.register("numba:compile", _Once())
+def announce_compilation() -> None:
+    """Log a warning when Numba first compiles in this process; code loaded from Numba's cache is not reported."""
+    event.register("numba:compile", _FirstCompilation())
 
 
-class _Once(event.Listener):
-    """Hears of what Numba compiles, and says so the first time."""
+class _FirstCompilation(event.Listener):
+    """Logs the first compilation."""
 
     def __init__(self) -> None:
-        self.said = False
+        self._logged = False
 
     def on_start(self, _) -> None:
-        if not self.said:
-            self.said = True
-            logging.getLogger(__name__).warning(WORDS)
+        if not self._logged:
+            self._logged = True
+            logging.getLogger(__name__).warning(MESSAGE)
 
     def on_end(self, _) -> None:
         pass

@@ -1,4 +1,4 @@
-"""What is said on the console: a user's text as it stands, and an error in one line."""
+"""Text for the console: user text without markup, and errors on one line."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import re
 from rich.console import Console
 from rich.markup import escape
 
-__all__ = ["plain", "sentence"]
+__all__ = ["error_line", "plain"]
 
 
 def plain(text):
-    """Text of a user's as it stands: no markup, and none of the characters by which a terminal is controlled."""
+    """Text of the user, its markup escaped and its terminal control characters replaced."""
     return escape(re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", str(text)))
 
 
-def sentence(error):
+def error_line(error):
     """An error as the console shows it."""
     console = Console(stderr=True)
     with console.capture() as capture:

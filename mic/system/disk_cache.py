@@ -1,14 +1,14 @@
-"""What is computed once and kept: meshes, contact pairs, influence coefficients, displacement fields,
-drawn shapes, assemblies learnt from.
+"""Disk cache of meshes, contact pairs, influence coefficients, displacement fields, drawn shapes and emulator data.
 
-A kept file is believed only where it is whole, of what is asked for, and one's own. It counts as absent, which is said
-in one line and mended by the next :meth:`Cache.keep`, where
+A cached file is used only if it is complete, holds the requested content, and belongs to the user. It is ignored, with
+a warning of one line, and replaced by the next :meth:`Cache.store` if
 
-- it is cut short, altered, or of another format: a checksum covers content and header;
-- it was computed from something else: the header names the identity of what it was computed from;
-- it, or its folder, belongs to another user, or others may write to it.
+- it is truncated, altered, or of another format: a checksum covers content and header;
+- it was computed from other inputs: the header holds the hash of the inputs;
+- it, or its folder, belongs to another user or is writable by others.
 
-The folders are closed to others. What no checksum shows is a file that the user has forged himself, checksum included.
+Other users cannot read the folders. Not ``diskcache`` or ``joblib.Memory``: both unpickle what they read, which can
+execute code, and neither verifies checksums or owners.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from mic.errors import FormatError, MicError
+from mic.errors import FormatError, MicError, StorageError
 from mic.system.files import Format, load_arrays, save_arrays
 
-__all__ = ["ABSENT", "Cache"]
+__all__ = ["ABSENT", "Cache", "cache_folder"]
 
-ABSENT = "it counts as absent and is replaced"  #: remedy of every format that a cache keeps
-ROOMS = (
+ABSENT = "it counts as absent and is replaced"  #: remedy of every format in a cache
+SECTIONS = (  # the subfolders of a cache folder
     "answers",
     "assemblies",
     "fields",
@@ -37,53 +37,53 @@ ROOMS = (
     "meshes",
     "shapes",
     "warnings",
-)  # of a cache folder, and all that it holds
+)
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Cache:
-    """One room of the cache folder: files of one format, each named by the identity of what it was computed from.
+    """One section of the cache folder: files of one format, each named by the hash of its inputs.
 
     Attributes
     ----------
     folder : Path
         The cache folder.
-    room : str
-        Folder in it, one of ``ROOMS``.
+    section : str
+        Subfolder, one of ``SECTIONS``.
     format : Format
-        Of its files; the remedy is :data:`ABSENT`.
-    most : int, optional
-        Files that stay: of more the oldest are removed.
+        Format of the files; its remedy is :data:`ABSENT`.
+    max_files : int, optional
+        Number of files beyond which the oldest are removed.
     """
 
     folder: Path
-    room: str
+    section: str
     format: Format
-    most: int | None = None
+    max_files: int | None = None
 
     def path(self, identity: str) -> Path:
-        """Where something is kept, whether it is or not."""
-        return Path(self.folder) / self.room / f"{identity}.npz"
+        """Path of a cached file, whether it exists or not."""
+        return Path(self.folder) / self.section / f"{identity}.npz"
 
-    def find(self, identity: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """Header and arrays as :meth:`keep` was given them; None where nothing is kept that can be believed.
+    def load(self, identity: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+        """Header and arrays as :meth:`store` received them; None if there is no valid file.
 
         Parameters
         ----------
         identity : str
-            Hash of everything that the content depends on.
+            Hash of all inputs of the content.
         """
         path = self.path(identity)
         try:
-            self._close()
-            for place in (path.parent, path):
-                if reason := _not_own(place):
-                    raise FormatError(f"{place}: this {reason}; {ABSENT}")
+            self._restrict()
+            for checked in (path.parent, path):
+                if reason := _untrusted(checked):
+                    raise FormatError(f"{checked}: this {reason}; {ABSENT}")
             header, arrays = load_arrays(path, self.format)
             if header.pop("identity", None) != identity:
-                raise FormatError(f"{path}: this {self.format.kind} was computed from something else; {ABSENT}")
+                raise FormatError(f"{path}: this {self.format.kind} was computed from other inputs; {ABSENT}")
         except FileNotFoundError:
             return None
         except MicError as problem:
@@ -94,66 +94,84 @@ class Cache:
             return None
         return header, arrays
 
-    def keep(self, identity: str, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep header and arrays for the next :meth:`find`; where that cannot be, it is said, and nothing else happens.
+    def store(self, identity: str, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """Store header and arrays for :meth:`load`; only warn if that fails.
 
         Parameters
         ----------
         identity : str
         header : dict
-            JSON-ready; ``"identity"`` is taken.
+            JSON-ready; the key ``"identity"`` is reserved.
         arrays : dict of str to array
         """
         path = self.path(identity)
         try:
             for folder in (Path(self.folder), path.parent):
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._close()
-            if reason := _not_own(path.parent):
+            self._restrict()
+            if reason := _untrusted(path.parent):
                 raise PermissionError(f"its folder {reason}")
-            save_arrays(path, self.format, {**header, "identity": identity}, arrays, lasting=False)
-            path.chmod(0o600)  # whatever the user's mask lets others do
-            if self.most is not None:
-                old = sorted(path.parent.glob("*.npz"), key=lambda one: -one.stat().st_mtime)[self.most :]
-                for one in old:
-                    one.unlink(missing_ok=True)
+            save_arrays(path, self.format, {**header, "identity": identity}, arrays, durable=False)
+            path.chmod(0o600)  # independent of the umask
+            if self.max_files is not None:
+                old = sorted(path.parent.glob("*.npz"), key=lambda file: -file.stat().st_mtime)[self.max_files :]
+                for file in old:
+                    file.unlink(missing_ok=True)
         except (MicError, OSError) as problem:
             _log.warning(
-                "%s: this %s cannot be kept (%s), it is computed again next time; let MIC_CACHE name a folder of your "
-                "own that can be written",
+                "%s: this %s cannot be cached (%s) and will be computed again; set MIC_CACHE to a folder of your own "
+                "that can be written",
                 path,
                 self.format.kind,
                 problem,
             )
 
-    def _close(self) -> None:
-        """Close the room to others, and the cache folder if it holds rooms alone: any folder may have been named."""
+    def _restrict(self) -> None:
+        """Deny others access to the section, and to the cache folder if it holds nothing but sections."""
         folder = Path(self.folder)
-        for place in (folder, folder / self.room):
+        for directory in (folder, folder / self.section):
             try:
-                found = place.stat()
-                if not _is_own(found) or not stat.S_IMODE(found.st_mode) & 0o077:
+                status = directory.stat()
+                if not _is_own(status) or not stat.S_IMODE(status.st_mode) & 0o077:
                     continue
-                if place != folder or all(entry in ROOMS for entry in os.listdir(place)):
-                    place.chmod(0o700)
-            except OSError:  # absent, or on a file system that is read only: nobody writes there
+                if directory != folder or all(entry in SECTIONS for entry in os.listdir(directory)):
+                    directory.chmod(0o700)
+            except OSError:  # absent, or on a read-only file system
                 continue
 
 
-def _is_own(found: os.stat_result) -> bool:
-    return not hasattr(os, "geteuid") or found.st_uid == os.geteuid()  # where there are no owners, all is one's own
+def cache_folder() -> Path:
+    """Folder of meshes and influence coefficients: ``$MIC_CACHE``, or the user's cache folder.
+
+    Raises
+    ------
+    StorageError
+        If the user has no home.
+    """
+    if os.environ.get("MIC_CACHE"):
+        return Path(os.environ["MIC_CACHE"])
+    from platformdirs import user_cache_path  # imported at first use: it is slow
+
+    folder = user_cache_path("mic")
+    if not folder.is_absolute():  # "~" that could not be expanded
+        raise StorageError("there is no home folder for the cache; set MIC_CACHE to a folder that can be written")
+    return folder
 
 
-def _not_own(path: Path) -> str | None:
-    """Why a file or a folder may be somebody else's doing; None where it cannot.
+def _is_own(status: os.stat_result) -> bool:
+    return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()  # True on systems without owners
+
+
+def _untrusted(path: Path) -> str | None:
+    """Why another user may have written a file or folder; None if that is excluded.
 
     Raises
     ------
     FileNotFoundError
     """
-    found = path.stat()
-    if not _is_own(found):
+    status = path.stat()
+    if not _is_own(status):
         return "belongs to another user"
-    if hasattr(os, "geteuid") and stat.S_IMODE(found.st_mode) & 0o022:
+    if hasattr(os, "geteuid") and stat.S_IMODE(status.st_mode) & 0o022:
         return "can be written by other users"
     return None

@@ -1,8 +1,10 @@
-"""Files that survive: written whole or not at all, and read back only as what they are.
+"""Atomic file writes, and readers that verify kind, version and checksum.
 
-Every file that the program reads again goes through here. A reader sees the old content or the new, never a half;
-what it meets instead (an older or newer format, a foreign file, one cut short or altered) ends in one sentence that
-says so.
+All files that the program reads again are written and read by this module. A reader sees the old content or the new,
+never a part; a file of another format, or one that is truncated or altered, raises an error of one sentence.
+
+Not the library ``atomicwrites``, which is unmaintained: several files must be replaced as a group, with ``fsync``, and
+partial files of killed processes must be recognised and removed.
 """
 
 from __future__ import annotations
@@ -44,10 +46,10 @@ __all__ = [
     "write_text",
 ]
 
-PARTIAL = ".partial"  # stands in the name of every file that is being written, and of none that is finished
-DAMAGED = ".damaged"  # stands behind the name of a file that could not be read and was set aside
+PARTIAL = ".partial"  # part of the name of every file that is being written, and of no complete one
+DAMAGED = ".damaged"  # suffix of a file that could not be read and was renamed
 
-SIDE_BY_SIDE = 16  # files that are brought to disk at a time: it takes hardly longer than one
+PARALLEL_SYNCS = 16  # files synchronised to disk at a time: hardly slower than one
 
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
 _PARTIAL_NAME = re.compile(rf"\..+\.([0-9a-f]{{8}})-(\d+){re.escape(PARTIAL)}(\.\w+)?")
@@ -60,11 +62,11 @@ class Format:
     Attributes
     ----------
     kind : str
-        In words, such as ``"reduced model"``; stands in the file and in messages.
+        Such as ``"reduced model"``; written to the file and used in messages.
     version : int
-        Raised whenever an older reader would misread the content.
+        Increased whenever an older reader would misread the content.
     remedy : str
-        What to do about a file that cannot be read, such as ``"build the model again"``.
+        Remedy for a file that cannot be read, such as ``"build the model again"``.
     """
 
     kind: str
@@ -72,7 +74,7 @@ class Format:
     remedy: str
 
     def check(self, path: Path, header: Any) -> None:
-        """Raise :class:`FormatError` unless a file's header names this very format."""
+        """Raise :class:`FormatError` unless the header has this kind and version."""
         if not isinstance(header, dict) or header.get("kind") != self.kind or not isinstance(header.get("format"), int):
             raise FormatError(f"{path}: this is no {self.kind}; {self.remedy}")
         if header["format"] != self.version:
@@ -83,32 +85,32 @@ class Format:
             )
 
     def damaged(self, path: Path) -> FormatError:
-        """The error of a file that was cut short or altered."""
+        """The error for a truncated or altered file."""
         return FormatError(f"{path}: this {self.kind} is cut short or damaged; {self.remedy}")
 
 
 @dataclass
 class Group:
-    """Files that wait for each other: their temporary paths, and the places that they shall take, in this order."""
+    """Files that are replaced together: temporary and final path of each, in order of writing."""
 
     files: list[tuple[Path, Path]] = field(default_factory=list)
 
 
 @contextmanager
-def replacing(path: Path, lasting: bool = True, group: Group | None = None) -> Iterator[Path]:
-    """A temporary path beside `path`, of the same suffix, that takes its place once the block has ended well.
+def replacing(path: Path, durable: bool = True, group: Group | None = None) -> Iterator[Path]:
+    """Atomic write: a temporary path, of the same suffix, that replaces `path` when the block ends without error.
 
-    The content is on disk before the name changes, and the new name is on disk when this ends; after an error the old
-    file stands untouched and nothing is left behind.
+    The content is synchronised to disk before the file is renamed, and the new name afterwards. After an error the old
+    file is unchanged and the temporary file is removed.
 
     Parameters
     ----------
     path : Path
-    lasting : bool
-        Whether to wait for the name too. Of a file that is made again where it is missing, or that another which
-        follows vouches for, a failure of power may else take the name, never a part of the content.
+    durable : bool
+        Whether to synchronise the name too. If False, a power failure may lose the file, but never part of its
+        content: for files that can be made again, or whose later index file is durable.
     group : optional
-        Of :func:`together`: the file takes its place with the others of it.
+        From :func:`together`: the file is replaced together with the others of the group.
 
     Raises
     ------
@@ -117,51 +119,50 @@ def replacing(path: Path, lasting: bool = True, group: Group | None = None) -> I
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{_HOST}-{os.getpid()}{PARTIAL}{path.suffix}")
-    waits = False
+    deferred = False
     try:
-        with _telling(path):
+        with _storage_error(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             if group is not None:
                 group.files.append((temporary, path))
-                waits = True
+                deferred = True
                 return
-            _to_disk(temporary)
+            _fsync(temporary)
             temporary.replace(path)
-            if lasting:
-                _to_disk(path.parent)
+            if durable:
+                _fsync(path.parent)
     finally:
-        if not waits:
+        if not deferred:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def together() -> Iterator[Group]:
-    """Several files that :func:`replacing` writes, one after the other: each takes its place once all are on disk.
+    """Write several files with :func:`replacing`; none is replaced before all are synchronised to disk.
 
-    To wait for many at a time takes hardly longer than for one. They take their places in the order in which they were
-    written, and the name of the last is on disk when this ends; so it vouches for the others. After an error all old
-    files stand untouched.
+    They are replaced in the order of writing, so that the last one can serve as an index of the others, and the last
+    name is synchronised to disk. If writing fails, all old files are unchanged.
 
     Raises
     ------
     StorageError
-        If one of them cannot be written.
+        If a file cannot be written.
     """
     group = Group()
     try:
         yield group
-        with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-            for (_, path), done in zip(group.files, [pool.submit(_to_disk, file) for file, _ in group.files]):
-                with _telling(path):
-                    done.result()
+        with ThreadPoolExecutor(PARALLEL_SYNCS) as pool:
+            for (_, path), synced in zip(group.files, [pool.submit(_fsync, file) for file, _ in group.files]):
+                with _storage_error(path):
+                    synced.result()
         for temporary, path in group.files:
-            with _telling(path):
+            with _storage_error(path):
                 temporary.replace(path)
         if group.files:
-            with _telling(path):
-                _to_disk(path.parent)
+            with _storage_error(path):
+                _fsync(path.parent)
     finally:
         for temporary, _ in group.files:
             with suppress(OSError):
@@ -169,31 +170,31 @@ def together() -> Iterator[Group]:
 
 
 @contextmanager
-def _telling(path: Path) -> Iterator[None]:
-    """What the system says against a file, in one sentence."""
+def _storage_error(path: Path) -> Iterator[None]:
+    """Turn an error of the operating system into a :class:`StorageError` of one sentence."""
     try:
         yield
     except OSError as problem:
         raise StorageError(
-            f"{path}: cannot be written ({_reason(problem)}); what is finished stays, make room or give permission and "
-            "call again"
+            f"{path}: cannot be written ({_reason(problem)}); finished samples are saved: free disk space or give "
+            "permission and run again"
         ) from problem
 
 
 def set_aside(path: Path, mark: str = DAMAGED, prefix: str = "") -> Path | None:
-    """Give a file a name of its own, `mark` and where that is taken a number behind it; nothing is ever overwritten.
+    """Rename a file by appending `mark`, and a number if that name exists; nothing is overwritten.
 
     Parameters
     ----------
     path : Path
     mark : str
     prefix : str
-        Stands before the name: readers of a whole dataset pass over files whose names begin with ``_``.
+        Put before the name: readers of a dataset skip files whose names begin with ``_``.
 
     Returns
     -------
     Path or None
-        The new name; None where there is no file.
+        The new path; None if there is no file.
     """
     if not path.is_file():
         return None
@@ -204,19 +205,19 @@ def set_aside(path: Path, mark: str = DAMAGED, prefix: str = "") -> Path | None:
     try:
         path.rename(aside)
     except OSError as problem:
-        raise StorageError(f"{path}: cannot be set aside ({_reason(problem)}); remove it and call again") from problem
+        raise StorageError(f"{path}: cannot be renamed ({_reason(problem)}); remove it and run again") from problem
     return aside
 
 
 def clean(folders: Iterable[Path], alone: bool = False) -> None:
-    """Remove the partial files that programs which were killed have left in some folders.
+    """Remove partial files of killed processes.
 
     Parameters
     ----------
     folders : iterable of Path
-        Looked through one by one, not below. A folder that does not exist, or is a link, is passed over.
+        Searched without their subfolders. Folders that do not exist and links are skipped.
     alone : bool
-        Whether nobody else writes there now. Else only files of processes of this machine that are gone are removed.
+        Whether no other process writes there. Otherwise only files of ended processes of this host are removed.
     """
     for folder in folders:
         if folder.is_symlink() or not folder.is_dir():
@@ -229,13 +230,13 @@ def clean(folders: Iterable[Path], alone: bool = False) -> None:
 
 
 def fingerprint(content: bytes | Any) -> str:
-    """Hash of bytes, or of anything that JSON can hold, 32 hexadecimal digits."""
+    """SHA-256 of bytes or of JSON-ready content, shortened to 32 hexadecimal digits."""
     if not isinstance(content, bytes):
         content = json.dumps(content, sort_keys=True).encode()
     return hashlib.sha256(content).hexdigest()[:32]
 
 
-def _to_disk(path: Path) -> None:
+def _fsync(path: Path) -> None:
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -254,18 +255,18 @@ def _alive(process: int) -> bool:
 
 
 def _reason(problem: OSError) -> str:
-    """Why, without the path that the message names already."""
+    """Reason of an error, without the path."""
     return (problem.strerror or str(problem)).lower()
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, UTF-8."""
+    """Write a text file in UTF-8, atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def append_text(path: Path, text: str) -> None:
-    """Write text at a file's end; it is on disk when this ends, whatever becomes of the program.
+    """Append text to a file and synchronise it to disk.
 
     Raises
     ------
@@ -279,17 +280,17 @@ def append_text(path: Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
     except OSError as problem:
-        raise StorageError(f"{path}: cannot be written ({_reason(problem)}); make room and call again") from None
+        raise StorageError(f"{path}: cannot be written ({_reason(problem)}); free disk space and run again") from None
 
 
 def save_json(path: Path, format: Format, content: Mapping[str, Any]) -> None:
-    """Write a dict; its keys must not be ``kind`` or ``format``, which name the format."""
+    """Write a dict; the keys ``kind`` and ``format`` are reserved."""
     document = {"kind": format.kind, "format": format.version, **content}
     write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def load_json(path: Path, format: Format) -> dict[str, Any]:
-    """Read what :func:`save_json` wrote.
+    """Read a file of :func:`save_json`.
 
     Raises
     ------
@@ -313,26 +314,25 @@ def save_arrays(
     format: Format,
     header: Mapping[str, Any],
     arrays: Mapping[str, np.ndarray],
-    lasting: bool = True,
+    durable: bool = True,
     group: Group | None = None,
 ) -> None:
-    """Write named arrays, and a JSON-ready header beside them, to one ``.npz`` file with a checksum over all of it.
+    """Write named arrays and a JSON-ready header to one ``.npz`` file with a checksum.
 
-    `lasting` and `group` as :func:`replacing` takes them.
+    `durable` and `group` as for :func:`replacing`.
     """
     arrays = {name: np.asarray(array) for name, array in arrays.items()}
     document = {"kind": format.kind, "format": format.version, **header}
     document["checksum"] = _checksum(document, arrays)
-    # Not by numpy's savez: on a full disk it leaves its archive to the interpreter to close, who complains aloud. Nor
-    # compressed: of compliance and forces that saves 4 %, at 2 s for 100 MB.
-    with replacing(path, lasting, group) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+    # numpy.savez leaves its archive open on a full disk. Compression would save 4 % and take 2 s per 100 MB.
+    with replacing(path, durable, group) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in ({"header": np.array(json.dumps(document))} | arrays).items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays that :func:`save_arrays` wrote. No content of the file is ever executed.
+    """Header and arrays of a file of :func:`save_arrays`; its content is never executed.
 
     Raises
     ------
@@ -340,7 +340,7 @@ def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, n
     FormatError
     """
     try:
-        document, arrays, whole = _read_arrays(path)
+        document, arrays, valid = _read_arrays(path)
     except FileNotFoundError:
         raise
     except PermissionError as problem:
@@ -348,18 +348,18 @@ def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, n
     except _UNREADABLE:
         raise format.damaged(path) from None
     format.check(path, document)
-    if not whole:
+    if not valid:
         raise format.damaged(path)
     return {key: value for key, value in document.items() if key not in ("kind", "format", "checksum")}, arrays
 
 
 def arrays_header(path: Path) -> dict[str, Any]:
-    """Header of what :func:`save_arrays` wrote, of whatever kind and version; empty where nothing whole can be read."""
+    """Header of a file of :func:`save_arrays` of any kind and version; empty if it cannot be read or is invalid."""
     try:
-        document, _, whole = _read_arrays(path)
+        document, _, valid = _read_arrays(path)
     except _UNREADABLE:
         return {}
-    return document if whole else {}
+    return document if valid else {}
 
 
 _UNREADABLE = (
@@ -368,7 +368,7 @@ _UNREADABLE = (
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], bool]:
-    """Document, arrays, and whether they are what the checksum was taken over; no object is ever unpickled."""
+    """Document, arrays, and whether the checksum is right; nothing is unpickled."""
     with np.load(Path(path), allow_pickle=False) as data:
         arrays = {name: data[name] for name in data.files}
     document = json.loads(str(arrays.pop("header")))

@@ -1,8 +1,10 @@
-"""The lock of a results folder: one run at a time, and what a run that was killed leaves behind holds up nobody.
+"""Lock of a results folder: one run at a time; the lock of a killed run is taken over.
 
-The file ``.lock`` names its owner: process, the time it started, host, boot of that host, and command. The operating
-system's own lock on the file settles who comes first; the owner's name settles the rest where that lock does not reach,
-as on some network file systems.
+The file ``.lock`` records its owner: process number and start time, host, boot of the host, and command. ``flock``
+decides between processes; the recorded owner decides on file systems without locks, such as some network file systems.
+
+Not the library ``filelock``: it records no owner, so it can neither name the owner in its error nor detect that a lock
+on a file system without ``flock`` belongs to an ended process.
 """
 
 from __future__ import annotations
@@ -24,36 +26,36 @@ __all__ = ["LOCK", "locked"]
 
 LOCK = ".lock"
 
-_held: dict[str, int] = {}  # folders that this process holds, by how many callers
+_held: dict[str, int] = {}  # number of holders in this process, by folder
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[bool]:
-    """Hold a results folder, which is made if need be; a process may hold the same folder more than once.
+    """Hold the lock of a results folder, which is created if necessary; a process may hold it more than once.
 
     Yields
     ------
     bool
-        Whether the lock was taken over from a process that is gone.
+        Whether the lock was taken over from a process that has ended.
 
     Raises
     ------
     RunError
-        If somebody else holds it.
+        If another process holds it.
     StorageError
-        If the folder cannot be made or written.
+        If the folder cannot be created or written.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise RunError(f"{folder}: is a file; name a folder for the results with --out")
-    made = not folder.exists()
+    created = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         key = os.path.realpath(folder)
         if key in _held:
             descriptor, stale = None, False
         else:
-            descriptor, stale = _take(folder)
+            descriptor, stale = _acquire(folder)
     except OSError as problem:
         raise StorageError(
             f"{folder}: cannot hold results ({(problem.strerror or str(problem)).lower()}); name another folder with "
@@ -70,26 +72,26 @@ def locked(folder: Path) -> Iterator[bool]:
                 with suppress(OSError):
                     (folder / LOCK).unlink()
                 os.close(descriptor)
-            if made:
-                with suppress(OSError):  # a run that was refused leaves no empty folder
+            if created:
+                with suppress(OSError):  # no empty folder after a refused run
                     folder.rmdir()
 
 
-def _take(folder: Path) -> tuple[int, bool]:
-    """Descriptor of the lock file, locked and written, and whether a dead process had left it."""
+def _acquire(folder: Path) -> tuple[int, bool]:
+    """Descriptor of the lock file, locked and written, and whether it was left by an ended process."""
     path = folder / LOCK
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:
             busy = not _flock(descriptor)
-            if not busy and not _same(descriptor, path):
-                os.close(descriptor)  # its owner let go, and took the file away, while we waited for it
+            if not busy and not _is_current(descriptor, path):
+                os.close(descriptor)  # its owner released and removed it meanwhile
                 continue
-            owner = _read(descriptor)
-            if busy or _lives(owner):
+            owner = _recorded_owner(descriptor)
+            if busy or _may_be_alive(owner):
                 raise RunError(_refusal(folder, owner))
             os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, json.dumps(_self(), indent=2).encode() + b"\n", 0)
+            os.pwrite(descriptor, json.dumps(_this_process(), indent=2).encode() + b"\n", 0)
             os.fsync(descriptor)
         except BaseException:
             with suppress(OSError):
@@ -104,19 +106,19 @@ def _flock(descriptor: int) -> bool:
     except BlockingIOError:
         return False
     except OSError:
-        return True  # a file system without locks: the owner's name decides
+        return True  # a file system without locks: the recorded owner decides
     return True
 
 
-def _same(descriptor: int, path: Path) -> bool:
+def _is_current(descriptor: int, path: Path) -> bool:
     try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False))
     except FileNotFoundError:
         return False
 
 
-def _read(descriptor: int) -> dict[str, Any] | None:
-    """The owner that a lock file names; None where it names none, or was cut short while it was written."""
+def _recorded_owner(descriptor: int) -> dict[str, Any] | None:
+    """Owner in a lock file; None if there is none or the file is incomplete."""
     try:
         owner = json.loads(os.pread(descriptor, 65536, 0))
     except ValueError:
@@ -124,7 +126,7 @@ def _read(descriptor: int) -> dict[str, Any] | None:
     return owner if isinstance(owner, dict) else None
 
 
-def _self() -> dict[str, Any]:
+def _this_process() -> dict[str, Any]:
     return {
         "process": os.getpid(),
         "started": _started(os.getpid()),
@@ -134,8 +136,8 @@ def _self() -> dict[str, Any]:
     }
 
 
-def _lives(owner: dict[str, Any] | None) -> bool:
-    """Whether a lock's owner may still be at work; of another host nobody here can tell, so that one is believed."""
+def _may_be_alive(owner: dict[str, Any] | None) -> bool:
+    """Whether the owner of a lock may still be running; an owner on another host is assumed to be."""
     if owner is None or not isinstance(owner.get("process"), int):
         return False
     if owner.get("host") != socket.gethostname():
@@ -145,7 +147,7 @@ def _lives(owner: dict[str, Any] | None) -> bool:
 
 
 def _started(process: int) -> int | None:
-    """Start of a process in clock ticks since boot: it tells apart two of the same number; None if gone."""
+    """Start time of a process in clock ticks since boot, which identifies reused process numbers; None if ended."""
     try:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -161,10 +163,10 @@ def _boot() -> str:
 
 
 def _refusal(folder: Path, owner: dict[str, Any] | None) -> str:
-    who = "another process"
+    holder = "another process"
     if owner is not None:
-        who = f"process {owner.get('process')} on {owner.get('host')} ({owner.get('command')})"
-    remedy = "wait until it has ended, or name another folder with --out"
+        holder = f"process {owner.get('process')} on {owner.get('host')} ({owner.get('command')})"
+    remedy = "wait until it has ended or name another folder with --out"
     if owner is not None and owner.get("host") != socket.gethostname():
-        remedy += f"; should it be dead, remove {folder / LOCK}"
-    return f"{folder}: is in use by {who}; {remedy}"
+        remedy += f"; if that process has ended, remove {folder / LOCK}"
+    return f"{folder}: is in use by {holder}; {remedy}"

@@ -1,19 +1,19 @@
-"""What a function makes of content alone, made once and kept in the cache: dataclasses with arrays in them.
+"""Memoisation on disk: results stored under a hash of their inputs and of the program.
 
-It is kept under a hash of that content, of every line of this program, and of the libraries that compute: whatever
-changes, nothing is found, and it is made again. So nothing else may go in: no clock, no file that was not hashed.
+The hash covers the inputs, the source code of this program and the versions of its numerical libraries. A memoised
+computation may depend on nothing else, such as the time or files that are not hashed.
 
-What nests is taken apart into a header that JSON holds and a few long arrays. Of a model there are thousands of short
-ones; those of one kind lie in one long one, for reading a file of its own would take a tenth of a millisecond each.
-Nothing that was kept is ever executed: only the classes that the reader names are made.
+Nested data are split into a JSON header and a few long arrays: a model has thousands of short arrays, and reading each
+from a file of its own would take 0.1 ms. Loading creates only the classes that the reader names and executes no
+content, unlike ``joblib.Memory``, which unpickles.
 """
 
 from __future__ import annotations
 
+import functools
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,99 +24,94 @@ from scipy.sparse import csr_matrix
 from mic.system.disk_cache import Cache
 from mic.system.files import fingerprint
 
-__all__ = ["kept", "pack", "program", "unpack"]
+__all__ = ["memoise", "pack", "program", "unpack"]
 
 T = TypeVar("T")
 
 
-def kept(
-    room: Cache, content: Any, known: Mapping[str, Any], classes: Sequence[type], make: Callable[[], T]
+def memoise(
+    cache: Cache, inputs: Any, known: Mapping[str, Any], classes: Sequence[type], compute: Callable[[], T]
 ) -> tuple[T, str]:
-    """What `make` returns, from the cache where it is there.
+    """Result of `compute`, from the disk cache if it is there.
 
-    Arrays lie in memory as the cache gives them, whether it had them or not: rounding hangs on that.
+    The arrays have the memory layout of the cached file in either case, since rounding depends on it.
 
     Parameters
     ----------
-    room : Cache
-    content
-        All that the result follows from, JSON-ready.
+    cache : Cache
+    inputs
+        Everything that the result depends on, JSON-ready.
     known, classes
-        As :func:`unpack` takes them; what is known must follow from `content` too.
-    make : callable
-        What it raises is not caught, and nothing is kept.
+        As for :func:`unpack`; known objects must depend on `inputs` only.
+    compute : callable
+        Its exceptions propagate, and nothing is cached then.
 
     Returns
     -------
-    found
+    result
     identity : str
-        Hash of what it follows from.
+        Hash of the inputs and of the program.
     """
-    identity = fingerprint([program(), content])
-    found = room.find(identity)
-    if found is None:
-        header, arrays = pack(make(), known)
-        room.keep(identity, {"content": header}, arrays)
+    identity = fingerprint([program(), inputs])
+    cached = cache.load(identity)
+    if cached is None:
+        header, arrays = pack(compute(), known)
+        cache.store(identity, {"content": header}, arrays)
     else:
-        header, arrays = found[0]["content"], found[1]
+        header, arrays = cached[0]["content"], cached[1]
     return unpack(header, arrays, classes, known), identity
 
 
-@cache
+@functools.cache
 def program() -> list[str]:
-    """This program and what it computes with."""
+    """Hash of the source code of this program, versions of numpy, of Python, and the processor architecture."""
     sources = sorted(Path(__file__).parents[1].rglob("*.py"))
-    own = fingerprint(b"".join(source.read_bytes() for source in sources))
-    return [own, np.__version__, scipy.__version__, platform.machine(), platform.python_version()]
+    code = fingerprint(b"".join(source.read_bytes() for source in sources))
+    return [code, np.__version__, scipy.__version__, platform.machine(), platform.python_version()]
 
 
 def pack(content: Any, known: Mapping[str, Any]) -> tuple[Any, dict[str, np.ndarray]]:
-    """Take apart dataclasses, dicts with names as keys, tuples, lists, arrays, CSR matrices and plain values.
+    """Split nested data into a JSON-ready header and a few long arrays, one for each dtype.
 
     Parameters
     ----------
     content
+        Dataclasses, dicts with string keys, tuples, lists, arrays, CSR matrices and plain values.
     known : mapping of str to object
-        What the reader has already: told by its name wherever it stands.
-
-    Returns
-    -------
-    header
-        JSON-ready.
-    arrays : dict of str to array
+        Objects that the reader has already; only their names are stored.
 
     Raises
     ------
     TypeError
-        For anything else.
+        For any other content.
     """
-    packer = _Packer({id(one): name for name, one in known.items()})
-    header = packer.told(content)
-    return header, {kind: np.concatenate(pieces) for kind, pieces in packer.pieces.items()}
+    packer = _Packer({id(value): name for name, value in known.items()})
+    header = packer.header(content)
+    return header, {dtype: np.concatenate(pieces) for dtype, pieces in packer.pieces.items()}
 
 
 def unpack(header: Any, arrays: Mapping[str, np.ndarray], classes: Sequence[type], known: Mapping[str, Any]) -> Any:
-    """Put together what :func:`pack` took apart.
+    """Restore what :func:`pack` has split.
 
     Parameters
     ----------
     header, arrays
-        As :func:`pack` gave them.
+        As :func:`pack` returned them.
     classes : sequence of type
-        The dataclasses that may be in it.
+        The dataclasses that the content may hold.
     known : mapping of str to object
-        As :func:`pack` was given.
+        As for :func:`pack`.
 
     Raises
     ------
     KeyError
-        For another class, or a name that is not known.
+        For another class or an unknown name.
     """
-    by_name = {one.__name__: one for one in classes}
+    by_name = {allowed.__name__: allowed for allowed in classes}
 
-    def made(node: Any) -> Any:
+    def restore(node: Any) -> Any:
         if isinstance(node, list):
-            return [made(one) for one in node]
+            return [restore(item) for item in node]
         if not isinstance(node, dict):
             return node
         ((kind, value),) = node.items()
@@ -126,26 +121,26 @@ def unpack(header: Any, arrays: Mapping[str, np.ndarray], classes: Sequence[type
             dtype, start, shape = value
             return arrays[dtype][start : start + int(np.prod(shape))].reshape(shape)
         if kind == "matrix":
-            *parts, shape = (made(one) for one in value)
+            *parts, shape = restore(value)
             return csr_matrix(tuple(parts), shape=tuple(shape))
         if kind == "tuple":
-            return tuple(made(one) for one in value)
+            return tuple(restore(value))
         if kind == "dict":
-            return {name: made(one) for name, one in value.items()}
-        return by_name[kind](**{name: made(one) for name, one in value.items()})
+            return {name: restore(item) for name, item in value.items()}
+        return by_name[kind](**{name: restore(item) for name, item in value.items()})
 
-    return made(header)
+    return restore(header)
 
 
 class _Packer:
-    """Arrays so far, by kind, and how much there is of each."""
+    """Collects arrays by dtype, and the length of each collection."""
 
     def __init__(self, known: dict[int, str]) -> None:
         self.pieces: dict[str, list[np.ndarray]] = {}
         self._length: dict[str, int] = {}
         self._known = known
 
-    def told(self, content: Any) -> Any:
+    def header(self, content: Any) -> Any:
         if id(content) in self._known:
             return {"known": self._known[id(content)]}
         if content is None or isinstance(content, (str, bool, int, float)):
@@ -155,23 +150,24 @@ class _Packer:
         if isinstance(content, np.ndarray):
             return {"array": self._array(content)}
         if isinstance(content, csr_matrix):
-            return {"matrix": [self.told(one) for one in (content.data, content.indices, content.indptr)] + [
-                list(map(int, content.shape))
-            ]}  # fmt: skip
+            return {
+                "matrix": self.header([content.data, content.indices, content.indptr, list(map(int, content.shape))])
+            }
         if isinstance(content, tuple):
-            return {"tuple": [self.told(one) for one in content]}
+            return {"tuple": self.header(list(content))}
         if isinstance(content, list):
-            return [self.told(one) for one in content]
+            return [self.header(item) for item in content]
         if isinstance(content, dict):
-            return {"dict": {name: self.told(one) for name, one in content.items()}}
-        own = {field.name: self.told(getattr(content, field.name)) for field in fields(content)}
-        return {type(content).__name__: own}
+            return {"dict": {name: self.header(item) for name, item in content.items()}}
+        return {
+            type(content).__name__: {field.name: self.header(getattr(content, field.name)) for field in fields(content)}
+        }
 
     def _array(self, array: np.ndarray) -> list[Any]:
         if array.dtype.hasobject:
             raise TypeError(f"an array of {array.dtype} cannot be packed")
-        kind = array.dtype.str
-        start = self._length.get(kind, 0)
-        self.pieces.setdefault(kind, []).append(np.ravel(array))
-        self._length[kind] = start + array.size
-        return [kind, start, list(array.shape)]
+        dtype = array.dtype.str
+        start = self._length.get(dtype, 0)
+        self.pieces.setdefault(dtype, []).append(np.ravel(array))
+        self._length[dtype] = start + array.size
+        return [dtype, start, list(array.shape)]

@@ -1,5 +1,5 @@
 """The native backend: compiled kernels, the cheap rungs, the patient rungs."""
 
-from mic.system.compilation import tell
+from mic.system.compilation import announce_compilation
 
-tell()
+announce_compilation()

@@ -42,7 +42,7 @@ def write_vtu(
     """
     # Not compressed: of places and fields that saves a tenth, and takes fifteen times as long.
     mesh = meshlane.Mesh(points, [("triangle", triangles.astype(np.int32))], point_data=dict(point_data or {}))
-    with replacing(Path(path), lasting=False, group=group) as temporary:
+    with replacing(Path(path), durable=False, group=group) as temporary:
         meshlane.vtu.write(temporary, mesh, compression=None)
 
 

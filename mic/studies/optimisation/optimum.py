@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mic import cache_folder
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
@@ -32,6 +31,7 @@ from mic.studies.optimisation.matching import Kind, Matched, combinations, match
 from mic.studies.optimisation.moved_items import Sites
 from mic.studies.optimisation.objective import Kept, Objective
 from mic.studies.optimisation.search import all_designs, local_search, successive_halving
+from mic.system.disk_cache import cache_folder
 
 __all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "judged", "optimise"]
 

@@ -1,0 +1,65 @@
+"""From a scene to its reduced model, or to the warnings of the plausibility check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mic.model.assembly import Assembly, assemble
+from mic.plausibility import SceneWarning, find_warnings
+from mic.process.model import ReducedModel
+from mic.process.plan import plan_assembly
+from mic.process.stiffness import coefficients
+from mic.scene import Scene
+from mic.system.disk_cache import cache_folder
+
+__all__ = ["check", "reduce"]
+
+
+def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
+    """Build the reduced model of a scene: meshes, contact pairs, influence coefficients. Each MPI rank builds its own.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path, optional
+        Folder of generated meshes and influence coefficients; default :func:`mic.cache_folder`.
+
+    Raises
+    ------
+    SceneError
+        Naming the key and the remedy.
+    MissingProvider
+        If influence coefficients must be computed and no provider of them is installed.
+    """
+    cache = cache or cache_folder()
+    assembly = _planned(scene, cache)
+    return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
+
+
+def check(scene: Scene, cache: Path | None = None) -> tuple[SceneWarning, ...]:
+    """Mesh and assemble a scene, and warn of values that are valid but unusual in production.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path, optional
+        Folder of generated meshes; default :func:`mic.cache_folder`.
+
+    Returns
+    -------
+    tuple of mic.plausibility.SceneWarning
+        In the order of the rules; empty if nothing is unusual.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot be built, naming the key and the remedy.
+    """
+    return find_warnings(scene, _planned(scene, cache or cache_folder()))
+
+
+def _planned(scene: Scene, cache: Path) -> Assembly:
+    """The assembly of a scene whose process is feasible; checked before anything is factorised."""
+    assembly = assemble(scene, cache, check=plan_assembly)
+    plan_assembly(assembly)
+    return assembly
