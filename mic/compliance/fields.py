@@ -60,9 +60,9 @@ def _unit_fields(part: Part, loaded: np.ndarray, cache: Path) -> tuple[np.ndarra
 
     The pins of the part's support balance each unit force.
     """
-    store, identity, v = Cache(cache, "fields", FORMAT, MOST), part.fingerprint(), len(part.surface.points)
+    disk_cache, identity, v = Cache(cache, "fields", FORMAT, MOST), part.fingerprint(), len(part.surface.points)
     known, unit, rigid = np.zeros(0, dtype=int), np.zeros((0, 3 * v)), None
-    cached = store.load(identity)
+    cached = disk_cache.load(identity)
     if cached is not None:
         known, unit, rigid = (cached[1][name] for name in ("functional", "unit", "rigid"))
     missing = np.setdiff1d(loaded, known)
@@ -77,5 +77,5 @@ def _unit_fields(part: Part, loaded: np.ndarray, cache: Path) -> tuple[np.ndarra
         known = np.concatenate([known, missing])[order]
         unit = np.concatenate([unit, solved[:, :3].reshape(3 * v, -1).T])[order]
         rigid = np.ascontiguousarray(modes[:, :3].reshape(3 * v, 6))
-        store.store(identity, {"part": part.name}, {"functional": known, "unit": unit, "rigid": rigid})
+        disk_cache.store(identity, {"part": part.name}, {"functional": known, "unit": unit, "rigid": rigid})
     return known, unit, rigid

@@ -81,8 +81,8 @@ def chosen_sizes(
     identity = fingerprint(
         [GENERATION, scene.model_dump_json(exclude={"name", "description", "monte_carlo", "report"}), inputs]
     )
-    store = Cache(cache, "meshes", FORMAT)
-    cached = store.load(identity)
+    disk_cache = Cache(cache, "meshes", FORMAT)
+    cached = disk_cache.load(identity)
     if cached is not None:
         return {name: _graded(scene, name, size) for name, size in cached[0]["sizes"].items()}
     for number in range(ROUNDS):
@@ -92,7 +92,7 @@ def chosen_sizes(
         estimates = estimate_accuracy(assembly, cache, progress, stated)
         missed = {one.part: one for one in estimates if SAFETY * one.worst > stated[one.part]}
         if not missed:
-            store.store(identity, {"sizes": sizes}, {"none": np.zeros(0)})
+            disk_cache.store(identity, {"sizes": sizes}, {"none": np.zeros(0)})
             return sizes
         finer = {
             name: _graded(

@@ -155,7 +155,7 @@ def estimate_accuracy(
         If a part cannot be meshed at half the size.
     MissingProvider
     """
-    store, estimates = Cache(cache, "influence", FORMAT), []
+    disk_cache, estimates = Cache(cache, "influence", FORMAT), []
     for p, part in enumerate(assembly.parts):
         if (parts is not None and part.name not in parts) or part.superelement is not None:
             continue  # a superelement has no mesh
@@ -175,7 +175,7 @@ def estimate_accuracy(
                 for matrix in (rows.pushing, rows.reading, rows.datum, rows.locators)
             ]
         )
-        cached = store.load(identity)
+        cached = disk_cache.load(identity)
         if cached is not None:
             estimates.append(_from_table(cached[0]["accuracy"]))
             continue
@@ -185,7 +185,7 @@ def estimate_accuracy(
                 f"{len(part.surface.points)} and {len(finer.points)} nodes"
             )
         estimates.append(_estimate(rows, finer))
-        store.store(identity, {"accuracy": asdict(estimates[-1])}, {"none": np.zeros(0)})
+        disk_cache.store(identity, {"accuracy": asdict(estimates[-1])}, {"none": np.zeros(0)})
     return tuple(estimates)
 
 

@@ -30,7 +30,7 @@ from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
 from mic.model.rows import REACH
 from mic.scene import Scene
-from mic.scene.checks import problems
+from mic.scene.checks import find_errors
 from mic.scene.deviation import ClampDeviation
 from mic.scene.keys import NORMAL
 from mic.scene.measurement import Measurement
@@ -86,7 +86,7 @@ def place(
         changes["stages"] = [work.stage(stage) for stage in scene.stages]
         changes["deviations"] = [work.deviation(item) for item in changes.get("deviations", scene.deviations)]
     placed = scene.model_copy(update=changes)
-    wrong = problems(placed)
+    wrong = find_errors(placed)
     if wrong:
         raise SceneError("\n".join(wrong))
     return placed, tuple(work.messages)

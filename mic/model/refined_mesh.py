@@ -64,7 +64,7 @@ def refined_part(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, 
     def transferred(patch: Patch) -> Patch:
         if np.array_equal(patch.triangle, whole.triangle) and np.array_equal(patch.weight, whole.weight):
             return surface.whole()  # a load on the whole sheet
-        return Patch(*fine.carried(patch.triangle, patch.barycentric), patch.weight)
+        return Patch(*fine.locate(patch.triangle, patch.barycentric), patch.weight)
 
     patches = tuple(transferred(patch) for patch in part.functionals.patches)
     return replace(part, surface=surface, functionals=replace(part.functionals, patches=patches))

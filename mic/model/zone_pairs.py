@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mic.errors import Problems, SceneError
+from mic.geometry.coincident_sheets import refuse_coincident
 from mic.geometry.pairing import ContactPair, PressedPoint, Side, find_pairs, node_pairs, pair_at
-from mic.model.coincident_sheets import refuse_untold
 from mic.scene import Scene
 from mic.scene.checks import entry
 
@@ -33,7 +33,7 @@ def zone_pairs(
     bodies : mapping of str to Side
         Parts and fixtures by name.
     pressed : list
-        PressedPoint places of each zone.
+        Pressed points of each zone.
     every_node : bool
         Whether every mesh vertex in the zones becomes a candidate.
     problems : Problems
@@ -52,7 +52,7 @@ def zone_pairs(
                     pairs.append(find_pairs(zone, first, second, landmarks(scene), places))
             except ValueError as error:
                 raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
-            refuse_untold(entry("zones", i, zone), zone.parts, pairs[-1], first, second)
+            refuse_coincident(entry("zones", i, zone), zone.parts, pairs[-1], first, second)
     return pairs
 
 
