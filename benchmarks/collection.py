@@ -20,7 +20,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from mic.contact import ContactSolver
-from mic.contact.benchmark_problems import ContactProblem
+from verification.contact_problems import ContactProblem
 
 SOLVED = 1e-8
 COLUMNS = ("problem", "contacts", "rank", "residual", "rung", "s", "bf8188e")

@@ -30,11 +30,11 @@ from threadpoolctl import threadpool_limits
 
 import mic
 from mic.contact import ContactSolver, certify
-from mic.contact.benchmark_problems import ContactProblem, compliant, manufactured, slip_dominated
 from mic.contact.friction import Friction
 from mic.contact.laws import LAWS, pressure_dependent
 from mic.process import process
 from mic.statistics.draw import draw
+from verification.contact_problems import ContactProblem, compliant, manufactured, slip_dominated
 
 #: A solver that is slower than this on one case stops after the samples done so far.
 SECONDS_PER_CASE = 10.0

@@ -59,7 +59,7 @@ def measure(arguments, cache: Path) -> None:
     model.eliminations  # noqa: B018
     phases.end("elimination of all steps")
     phases.pause(lambda: mic.reduce(mic.load_scene(COMPILES), cache).evaluate({}))
-    model.foreseen  # noqa: B018
+    model.forecast  # noqa: B018
     phases.end("candidates looked for ahead")
     found = model.process("coulomb").evaluate(draw(scene, scene.monte_carlo.seed, 0, arguments.samples))
     phases.end(f"{arguments.samples} samples", arguments.samples)

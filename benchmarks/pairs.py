@@ -30,7 +30,7 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.contact import ContactSolver, laws
 from mic.contact.friction import Friction
-from mic.contact.working_set import WatchedSolver
+from mic.contact.working_set import WorkingSetSolver
 from mic.system.matrix_product import one_thread
 
 CASES = ["2,102", "2,300", "2,1002", "20,1000"]
@@ -130,9 +130,9 @@ def measure(parts: int, pairs: int) -> list[str]:
     def watched(start, **settings):
         reach, all_ = np.full(pairs, 12.0), np.ones(pairs, dtype=bool)
         given = S, Friction.of(MU, pairs), stack.point, reach, start, all_, law
-        return WatchedSolver(*given, semidefinite=True, **settings)
+        return WorkingSetSolver(*given, semidefinite=True, **settings)
 
-    ahead = watched(np.zeros(pairs, dtype=bool), guessing=True)
+    ahead = watched(np.zeros(pairs, dtype=bool), screening=True)
     ahead.solve(stack.b[:AHEAD])
     solver = watched(ahead.carried)
     solver.solve(stack.b[:2])

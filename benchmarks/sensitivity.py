@@ -89,7 +89,7 @@ def _errors(model, law: str, x: np.ndarray) -> tuple[float, int, int]:
     process = model.process(law, 1e-12)
     found, σ = sensitivities(process, x), np.array([one.sigma for one in model.scene.deviations])
     n, p = x.shape
-    steps = {key: np.repeat(trail, p) for key, trail in found.steps.items()}
+    steps = {key: np.repeat(record, p) for key, record in found.steps.items()}
     base, slope = found.measurements[:, :, None], found.jacobian * σ
     scale = np.abs(slope).max(axis=(0, 2))[:, None]
 

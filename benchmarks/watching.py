@@ -53,13 +53,13 @@ def measure(scene, arguments) -> list[str]:
     model = mic.reduce(scene)
     model.eliminations  # noqa: B018  (once for all laws, candidates or not)
     deviations = draw(scene, scene.monte_carlo.seed, 0, arguments.samples)
-    Process(model, LAW, foreseen={}).evaluate(deviations[:1])  # compiles
-    ahead, _ = timed(lambda: model.foreseen)
+    Process(model, LAW, forecast={}).evaluate(deviations[:1])  # compiles
+    ahead, _ = timed(lambda: model.forecast)
     process = Process(model, LAW)
     watched, found = timed(lambda: process.evaluate(deviations))
     touching = {step: one.touching for step, one in process.seen.items()}
-    sets = {step: replace(one, touching=touching[step]) for step, one in model.foreseen.items()}
-    knowing = Process(model, LAW, foreseen=sets)
+    sets = {step: replace(one, touching=touching[step]) for step, one in model.forecast.items()}
+    knowing = Process(model, LAW, forecast=sets)
     known, again = timed(lambda: knowing.evaluate(deviations))
     touch = max(int((one.force[:, :, 0] > 0).sum(axis=1).max()) for one in found.resolutions.values())
     ok = ~(found.failed | again.failed)

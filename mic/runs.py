@@ -18,11 +18,11 @@ from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import SceneError
 from mic.execution.monte_carlo import blocks, monte_carlo
 from mic.execution.ranks import communicator, on_first, shared
-from mic.geometry.mesh_summary import mended
+from mic.geometry.mesh_summary import repair_summary
 from mic.model.assembly import Assembly, assemble
 from mic.model.mesh_accuracy import estimate_accuracy
 from mic.model.overlap import frozen_gaps
-from mic.plausibility import judge, readable, refuse, suspect
+from mic.plausibility import find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
@@ -106,7 +106,7 @@ def run(
             say = lambda line: listener.say(f"{line} …")
             assembly, warnings = on_first(world, lambda: _judged(scene, cache, say, listener, strict))
             for part in assembly.scene.parts:
-                for sentence in mended(part, assembly.decks[part.name]) if part.name in assembly.decks else ():
+                for sentence in repair_summary(part, assembly.decks[part.name]) if part.name in assembly.decks else ():
                     listener.say(f"note: {sentence}")
             scene = assembly.scene  # the first process's, should the file have changed meanwhile
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
@@ -191,12 +191,12 @@ def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) ->
         assembly = assemble(scene, cache, progress=say, check=plan_assembly)
         plan_assembly(assembly)
     except SceneError:
-        for warned in suspect(scene, readable(scene, cache)):
+        for warned in find_warnings_unplaced(scene, loadable_parts(scene, cache)):
             listener.say(f"warning: {warned}")
         raise
-    warnings = judge(scene, assembly, cache)
+    warnings = find_warnings(scene, assembly, cache)
     if strict:
-        refuse(warnings)
+        raise_warnings(warnings)
     for warned in warnings:
         listener.say(f"warning: {warned}")
     return assembly, [str(warned) for warned in warnings]
@@ -206,7 +206,7 @@ def _reduced(assembly: Assembly, influence: dict[str, InfluenceCoefficients]) ->
     """The reduced model, with all that it prepares once for all laws."""
     model = ReducedModel.build(assembly, influence)
     model.eliminations  # noqa: B018
-    model.foreseen  # noqa: B018
+    model.forecast  # noqa: B018
     return model
 
 

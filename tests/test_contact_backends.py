@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mic.contact import Status, solve
-from mic.contact.benchmark_problems import compliant, slip_dominated
 from mic.contact.law_comparison import compare_laws, summarise
+from verification.contact_problems import compliant, slip_dominated
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mic.contact import ContactSolver, certify, solve
-from mic.contact.benchmark_problems import slip_dominated
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, MICRO_SLIP, PRESSURE_DEPENDENT
 from mic.contact.path import Increments
+from verification.contact_problems import slip_dominated
 
 
 def dragged(compliance, bound, way, normal=1.0):

@@ -6,12 +6,12 @@ from scipy.optimize import brentq
 
 from mic.contact import ContactSolver, certify, ladder, solve
 from mic.contact.backends import BACKENDS
-from mic.contact.benchmark_problems import compliant, slip_dominated
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, PRESSURE_DEPENDENT
 from mic.contact.laws.pressure_dependent import power, rescaled, table
 from mic.contact.native import patience
 from mic.contact.native.solver import NativeSolver
+from verification.contact_problems import compliant, slip_dominated
 
 POINTS = [(0.5, 0.5), (1.0, 0.4), (2.0, 0.3), (5.0, 0.25)]
 FUNCTIONS = {
@@ -185,7 +185,7 @@ def test_with_little_friction_every_start_leads_to_one_solution():
         (lambda: table([(0.0, -0.1)]), "must not be negative"),
         (lambda: table([]), "at least one point"),
         (lambda: power(0.3, 1.0, 1.2, 0.1, 0.5), "must not fall with pressure, and does with n = 1.2"),
-        (lambda: power(0.3, 1.0, 0.0, 0.1, 0.5), "nothing depends on pressure"),
+        (lambda: power(0.3, 1.0, 0.0, 0.1, 0.5), "friction does not depend on pressure"),
         (lambda: power(0.3, 1.0, 0.5, 0.6, 0.5), "mu_min <= mu_max"),
         (lambda: solve(np.eye(3), -np.ones(3), Friction(np.ones(1), np.ones((2, 1, 5)))), "pressure must have"),
         (lambda: solve(np.eye(3), -np.ones(3), Friction(np.ones(1), None, -np.ones(1))), "compliance must not be neg"),

@@ -10,7 +10,11 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, Status, certify, ladder, solve
-from mic.contact.benchmark_problems import (
+from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
+from mic.contact.native import kernels, patience
+from mic.contact.native.solver import NativeSolver
+from mic.contact.states import OPEN, STICK
+from verification.contact_problems import (
     arch,
     box_stack,
     brick_wall,
@@ -23,10 +27,6 @@ from mic.contact.benchmark_problems import (
     slip_dominated,
     sphere_pile,
 )
-from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
-from mic.contact.native import kernels, patience
-from mic.contact.native.solver import NativeSolver
-from mic.contact.states import OPEN, STICK
 
 FRICTION = [0.0, 1e-12, 0.27, 1.0, 5.0, 1e3]
 
@@ -408,7 +408,7 @@ def test_contacts_that_hang_together_are_solved_by_themselves():
     np.testing.assert_allclose(u, expected, atol=1e-8 * np.abs(b).max())
     solver = ContactSolver(S, 0.4)
     solver.solve(b)
-    np.testing.assert_allclose(solver.under(0.2).solve(b).force, solve(S, b, 0.2).force, atol=1e-8)
+    np.testing.assert_allclose(solver.with_friction(0.2).solve(b).force, solve(S, b, 0.2).force, atol=1e-8)
 
 
 def test_each_part_of_a_stubborn_problem_keeps_what_was_found_for_the_others():

@@ -9,14 +9,14 @@ import pytest
 
 from mic.contact import ContactSolver, laws
 from mic.contact import working_set as watching
-from mic.contact.benchmark_problems import compliant
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.native import landing
 from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
 from mic.contact.states import OPEN
-from mic.contact.working_set import PENETRATION, Foreseen, WatchedSolver
+from mic.contact.working_set import PENETRATION, PathForecast, WorkingSetSolver
+from verification.contact_problems import compliant
 
 M, N = 60, 12
 
@@ -39,7 +39,7 @@ def watched(problem, law="coulomb", start=None, allowed=None, friction=0.3, **se
     start = np.zeros(M, bool) if start is None else start
     allowed = np.ones(M, bool) if allowed is None else allowed
     mu = Friction.of(friction, M)
-    return WatchedSolver(
+    return WorkingSetSolver(
         Columns.of(S), mu, point, np.full(M, 15.0), start, allowed, laws.find(law), tol=1e-10, **settings
     )
 
@@ -86,10 +86,10 @@ def test_what_touches_on_the_way_alone_takes_part(path):
     S = np.kron([[1.0, 0.9], [0.9, 1.0]], np.diag([1.0, 0.5, 0.5])) + np.diag([0, 0.2, 0.2] * 2)
     b = np.array([[[0.5, 0, 0, 0.1, 0, 0], [-1.0, 0.6, 0, -0.5, 0.6, 0]]])
     given = Friction.of(0.3, 2), np.zeros((2, 3)), np.ones(2), np.zeros(2, bool), np.ones(2, bool)
-    solver = WatchedSolver(Columns.of(S), *given, laws.find("coulomb"), tol=1e-10)
+    solver = WorkingSetSolver(Columns.of(S), *given, laws.find("coulomb"), tol=1e-10)
     few = solver.follow(b, np.zeros((1, 6)), np.zeros((1, 2, 2)), path)
     all_ = ContactSolver(S, 0.3).follow(b, np.zeros((1, 6)), np.zeros((1, 2, 2)), path)
-    assert few.force[0, 3] == 0 and few.trail is None
+    assert few.force[0, 3] == 0 and few.record is None
     assert all_.trace.work[0, 1] > 1e-4
     for name in ("slip", "length", "work", "share"):
         np.testing.assert_allclose(getattr(few.trace, name), getattr(all_.trace, name), atol=1e-5, err_msg=name)
@@ -98,7 +98,7 @@ def test_what_touches_on_the_way_alone_takes_part(path):
 
 def test_how_many_are_followed_together_changes_nothing(problem, monkeypatch):
     together = followed(watched(problem), problem[2], Followed())
-    monkeypatch.setattr("mic.contact.working_set.TOGETHER", 1)
+    monkeypatch.setattr("mic.contact.working_set.MAX_RECORDED", 1)
     alone = followed(watched(problem), problem[2], Followed())
     np.testing.assert_allclose(alone.displacement, together.displacement, atol=1e-9)
     np.testing.assert_allclose(alone.trace.work, together.trace.work, atol=1e-9)
@@ -153,7 +153,7 @@ def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
     given = Friction.of(0.3, 12), point, np.full(12, 0.5), np.zeros(12, bool), np.ones(12, bool)
 
     def end(b):
-        solver = WatchedSolver(Columns.of(S), *given, laws.find("coulomb"), tol=1e-10)
+        solver = WorkingSetSolver(Columns.of(S), *given, laws.find("coulomb"), tol=1e-10)
         return solver.follow(b, np.zeros((1, 36)), np.zeros((1, 12, 2)), Followed()).force[0, ::3]
 
     plain = end(b)
@@ -178,7 +178,7 @@ def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch)
 
 
 def test_forces_are_forecast_to_change_as_those_of_the_sample_with_the_nearest_gaps():
-    seen = Foreseen(
+    seen = PathForecast(
         touching=np.array([True, True]),
         load=np.array([[-1.0, 0.5], [-0.1, -2.0]]),
         change=np.array([[4.0, 1.0, 0.0, -3.0, 0.0, 1.0], [-2.0, 0.0, 1.0, 8.0, 0.0, 0.0]]),
@@ -187,7 +187,7 @@ def test_forces_are_forecast_to_change_as_those_of_the_sample_with_the_nearest_g
     forecast = seen.forces(np.array([[-0.9, 0.4], [-0.3, -1.5]]), force)
     np.testing.assert_array_equal(forecast[0], [5.0, 1.0, 0.5, 0.0, 0.0, 0.0])  # the second lets go
     np.testing.assert_array_equal(forecast[1], [0.0, 0.0, 0.0, 8.0, 0.0, 0.0])
-    assert not Foreseen.nothing(2, 3).forces(np.ones((2, 2)), force).any()
+    assert not PathForecast.empty(2, 3).forces(np.ones((2, 2)), force).any()
 
 
 def test_a_forecast_saves_factorisations_and_does_not_move_the_outcome(problem):
@@ -197,8 +197,8 @@ def test_a_forecast_saves_factorisations_and_does_not_move_the_outcome(problem):
     touching = (plain.force[:, ::3] > 0).any(axis=0)
     spent = {}
     for name, told in {"none": change[:0], "right": change, "wrong": -3.0 * change[::-1] + change.max()}.items():
-        seen = Foreseen(touching, load[: len(told)], told)
-        found = followed(watched(problem, start=touching, foreseen=seen), b, Increments(1))
+        seen = PathForecast(touching, load[: len(told)], told)
+        found = followed(watched(problem, start=touching, forecast=seen), b, Increments(1))
         assert found.converged.all() and (found.rung == "increments").all()
         np.testing.assert_allclose(found.displacement, plain.displacement, atol=1e-6)
         np.testing.assert_allclose(found.trace.work, plain.trace.work, atol=1e-6 * plain.trace.work.max())
@@ -208,14 +208,14 @@ def test_a_forecast_saves_factorisations_and_does_not_move_the_outcome(problem):
 
 def test_a_guessing_solver_tells_what_its_samples_went_through(problem):
     b = problem[2]
-    solver = watched(problem, guessing=True)
+    solver = watched(problem, screening=True)
     found = followed(solver, b, Increments(1))
-    seen = solver.seen
+    seen = solver.observed
     assert found.converged.all()
     np.testing.assert_array_equal(seen.load, b[:, 1, ::3])
     np.testing.assert_array_equal(seen.change, found.force)
     again = solver.follow(np.stack([b[:, 1], b[:, 0]], axis=1), found.force, found.anchor, Increments(1))
-    np.testing.assert_array_equal(solver.seen.change[N:], again.force - found.force)
+    np.testing.assert_array_equal(solver.observed.change[N:], again.force - found.force)
 
 
 @pytest.mark.parametrize("law", ["coulomb", "micro-slip", "associated", "frictionless"])
@@ -253,7 +253,7 @@ def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(prob
     given = np.kron(np.eye(M) + np.exp(-apart / 8.0), np.eye(3)), point, None
     friction = rough(0.3)
     usual = watched(given, law, start, friction=friction).solve(end)
-    monkeypatch.setattr(watching, "MANY", 10)
+    monkeypatch.setattr(watching, "MAX_INITIAL", 10)
     monkeypatch.setattr(landing, "STEPS", 3)  # enough where each squares the error
     near = watched(given, law, start, friction=friction)
     found = near.solve(end)
@@ -265,7 +265,7 @@ def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(prob
         alone = [solver.solve(end[[i]]) for i in range(N)]
         for name in ("force", "displacement", "anchor"):
             np.testing.assert_array_equal(getattr(found, name), np.concatenate([getattr(one, name) for one in alone]))
-    monkeypatch.setattr(watching, "PREPARED", 30)
+    monkeypatch.setattr(watching, "MAX_PREPARED", 30)
     apiece = watched(given, law, start, friction=friction)  # of more candidates no solver is had for all samples
     np.testing.assert_array_equal(apiece.solve(end).force, found.force)
 
@@ -277,7 +277,7 @@ def test_some_contacts_of_a_prepared_solver_are_solved_as_if_they_were_alone(pro
     rows = np.repeat(own, 3)
     friction = Friction(np.linspace(0.1, 0.4, M), compliance=np.linspace(1e-3, 2e-3, M))
     alone = ContactSolver(S[np.ix_(rows, rows)], friction.take(own), law).solve(b[:, 1, rows])
-    taken = ContactSolver(S, friction, law).take(own).solve(b[:, 1, rows])
+    taken = ContactSolver(S, friction, law).subset(own).solve(b[:, 1, rows])
     assert (alone.force[:, ::3] > 1e-9).any(axis=1).all() and alone.converged.all()
     np.testing.assert_array_equal(taken.force, alone.force)
     np.testing.assert_array_equal(taken.residual, alone.residual)
@@ -304,7 +304,7 @@ def test_under_another_friction_a_solver_is_to_the_bit_as_one_made_for_it(proble
     before, path = ContactSolver(S, rough(0.5), law), Increments(1)
     first = followed(before, b, path)
     for friction in (rough(0.2), rough(0.2, yielding=3e-4)):
-        found = followed(before.under(friction), b, path)
+        found = followed(before.with_friction(friction), b, path)
         alike(found, followed(ContactSolver(S, friction, law), b, path))
         assert (law == "frictionless") == (np.abs(found.force - first.force).max() < 1e-9)
     alike(followed(before, b, path), first)  # the one it was made of stays
@@ -315,7 +315,7 @@ def test_candidates_under_another_friction_are_to_the_bit_as_such_made_for_it(pr
     _, _, b = problem
     before, path = watched(problem, law, friction=rough(0.5)), Increments(1)
     followed(before, b, path)
-    after, made = before.under(rough(0.2)), watched(problem, law, friction=rough(0.2))
+    after, made = before.with_friction(rough(0.2)), watched(problem, law, friction=rough(0.2))
     alike(followed(after, b, path), followed(made, b, path))
     np.testing.assert_array_equal(after.carried, made.carried)
     normal = np.full((1, M), 0.2)
@@ -351,7 +351,7 @@ def test_columns_that_are_passed_on_are_kept_where_they_go_and_found_once():
         return S.T[numbers]
 
     columns = Columns(find, S.shape)
-    doubled = Columns(lambda numbers: 2 * columns.passed(numbers), S.shape)
+    doubled = Columns(lambda numbers: 2 * columns.uncached(numbers), S.shape)
     columns.take(np.array([2]))
     for _ in range(2):
         np.testing.assert_array_equal(doubled.take(np.array([4, 2, 0])), 2 * S.T[[4, 2, 0]])
@@ -360,8 +360,8 @@ def test_columns_that_are_passed_on_are_kept_where_they_go_and_found_once():
 
 def crowd(monkeypatch):
     """So few candidates and contacts are many from here on."""
-    monkeypatch.setattr("mic.contact.working_set.CROWD", 10)
-    monkeypatch.setattr("mic.contact.working_set.MANY", 5)
+    monkeypatch.setattr("mic.contact.working_set.MANY_CANDIDATES", 10)
+    monkeypatch.setattr("mic.contact.working_set.MAX_INITIAL", 5)
 
 
 @pytest.mark.parametrize("path", [Increments(1), Followed(1e-5)], ids=["at once", "followed"])
@@ -384,7 +384,7 @@ def test_a_guess_about_a_crowd_is_what_presses_without_friction(problem, monkeyp
     S, _, b = problem
     crowd(monkeypatch)
     smooth = ContactSolver(S, 0.0, "frictionless").solve(b[:, 1]).force
-    guess = watched(problem, guessing=True)
+    guess = watched(problem, screening=True)
     found = guess.solve(b[:, 1])
     np.testing.assert_allclose(found.force, smooth, atol=1e-5 * smooth.max())
     assert (guess.carried == (smooth[:, ::3] > 1e-9 * smooth.max()).any(axis=0)).all()

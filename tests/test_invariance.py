@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
 
-from mic.contact.working_set import ON_THE_WAY, PENETRATION
+from mic.contact.working_set import PATH_PENETRATION, PENETRATION
 from mic.model.assembly import assemble
 from mic.process.stage import LEAST_MOTION
 
@@ -87,7 +87,7 @@ def test_the_same_scene_has_the_same_measurements(change, watched, seed, given_m
                 "mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit
             )  # lengths too, though no scene states them
             patch.setattr("mic.contact.working_set.PENETRATION", PENETRATION / unit)
-            patch.setattr("mic.contact.working_set.ON_THE_WAY", ON_THE_WAY / unit)
+            patch.setattr("mic.contact.working_set.PATH_PENETRATION", PATH_PENETRATION / unit)
             changed = other.measurements(there, law) * unit
         np.testing.assert_allclose(changed, given_one, rtol=0, atol=1e-8 * np.abs(given_one).max())
 

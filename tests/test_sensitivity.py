@@ -16,8 +16,8 @@ import mic
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import find
-from mic.contact.path_record import Trail
-from mic.contact.tangent import Contact, Varied, retrace
+from mic.contact.path_record import PathRecord
+from mic.contact.tangent import Contact, Dual, differentiate_path
 from mic.errors import SceneError
 from mic.model.rest_rows import separating_motion, separating_motion_slope
 from mic.options import app
@@ -132,7 +132,7 @@ def frozen(process, steps):
     """What key characteristics are along paths of these steps, for so many samples beside each."""
 
     def values(samples):
-        beside = {key: np.repeat(trail, len(samples) // len(trail)) for key, trail in steps.items()}
+        beside = {key: np.repeat(record, len(samples) // len(record)) for key, record in steps.items()}
         return sensitivities(process, samples, process.model.parameters[:1], beside).measurements
 
     return values
@@ -144,7 +144,7 @@ def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
     process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 4)
     found = sensitivities(process, samples)
     assert found.exact.all()
-    assert {trail.order for trails in found.steps.values() for trail in trails} == {2}
+    assert {record.order for records in found.steps.values() for record in records} == {2}
     slope = found.jacobian * sigmas(model)
     assert off(slope, central(model, frozen(process, found.steps), samples)) < EXACT
     # Free steps differ by what the paths err, over the difference's step.
@@ -164,8 +164,8 @@ def test_along_the_hats_followed_path_too(hat_model):
         [draw(hat_model.scene, seed, first, 1) for seed, first in ((1, 0), (hat_model.scene.monte_carlo.seed, 2))]
     )
     found = sensitivities(process, samples)
-    assert found.exact.all() and min(len(trail.ends) for trails in found.steps.values() for trail in trails) > 1
-    assert sum(len(trails[0].ends) for trails in found.steps.values()) > 50
+    assert found.exact.all() and min(len(record.ends) for records in found.steps.values() for record in records) > 1
+    assert sum(len(records[0].ends) for records in found.steps.values()) > 50
     slope = found.jacobian * sigmas(hat_model)
     # Rounding of the values leaves 1e-7 of the slopes over smaller steps, and a third of that over these.
     assert off(slope, extrapolated(hat_model, frozen(process, found.steps), samples, 6 * STEP)) < EXACT
@@ -308,22 +308,22 @@ def test_memory_that_is_forgotten_is_seen(lap_model, monkeypatch, what):
     assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) > 1e3 * EXACT
 
 
-def one_contact(b, slope, law="coulomb", trail=None, end=None, anchor=None):
+def one_contact(b, slope, law="coulomb", record=None, end=None, anchor=None):
     """A contact of compliance 1 and friction 0.5, from ``b``; inputs are the columns of ``slope`` (3, p)."""
     b, slope = np.array([b], dtype=float), np.array([slope], dtype=float)
     p = slope.shape[2]
     contact = Contact(find(law), Columns.of(np.eye(3)), Friction.of(0.5, 1), np.zeros((1, p)), 3)
-    none = Varied(np.zeros((1, 2)), np.zeros((1, 2, p)))
-    start = Varied(b, slope)
-    return retrace(
-        contact, start, start if end is None else end, anchor or none, [trail or Trail(1, np.ones(1), b * 0)]
+    none = Dual(np.zeros((1, 2)), np.zeros((1, 2, p)))
+    start = Dual(b, slope)
+    return differentiate_path(
+        contact, start, start if end is None else end, anchor or none, [record or PathRecord(1, np.ones(1), b * 0)]
     )
 
 
 def test_a_slider_turns_with_its_drag():
     """Pressed by 1 and dragged by (3, 4): f_t = -μ f_n (0.6, 0.8); across the drag it turns by μ f_n/‖b_t‖."""
-    guess = Trail(1, np.ones(1), np.array([[1.0, -0.3, -0.4]]))
-    end = one_contact([-1, 3, 4], np.column_stack([[-1, 0, 0], [0, 0.6, 0.8], [0, -0.8, 0.6]]), trail=guess)
+    guess = PathRecord(1, np.ones(1), np.array([[1.0, -0.3, -0.4]]))
+    end = one_contact([-1, 3, 4], np.column_stack([[-1, 0, 0], [0, 0.6, 0.8], [0, -0.8, 0.6]]), record=guess)
     np.testing.assert_allclose(end.force.value[0], [1, -0.3, -0.4], atol=1e-12)
     expected = np.column_stack([[1, -0.3, -0.4], [0, 0, 0], [0, 0.8 * 0.1, -0.6 * 0.1]])
     np.testing.assert_allclose(end.force.slope[0], expected, atol=1e-12)
@@ -331,10 +331,10 @@ def test_a_slider_turns_with_its_drag():
 
 def test_a_contact_at_rest_on_its_cone_keeps_its_slope():
     """It slid to u_t = (2.7, 3.6); a step that moves nothing begins there, with no slip to take a direction from."""
-    guess = Trail(1, np.ones(1), np.array([[1.0, -0.3, -0.4]]))
+    guess = PathRecord(1, np.ones(1), np.array([[1.0, -0.3, -0.4]]))
     slope = np.column_stack([[-1, 0, 0], [0, -0.8, 0.6]])
-    first = one_contact([-1, 3, 4], slope, trail=guess)
-    again = one_contact([-1, 3, 4], slope, trail=guess, anchor=first.anchor)
+    first = one_contact([-1, 3, 4], slope, record=guess)
+    again = one_contact([-1, 3, 4], slope, record=guess, anchor=first.anchor)
     np.testing.assert_allclose(again.force.value, first.force.value, atol=1e-12)
     np.testing.assert_allclose(again.force.slope, first.force.slope, atol=1e-9)
 

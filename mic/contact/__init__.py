@@ -4,8 +4,8 @@
 >>> solution = solve(S, b, mu)          # S (3m, 3m), b (3m,) or (n, 3m), mu scalar or (m,)
 
 ``docs/contact.md`` has the mathematics; :class:`ContactSolver` prepares one ``S`` for many batches.  ``laws`` has the
-contact laws, ``states`` the states of a contact, ``ladder`` the methods that look for a solution, ``backends`` who
-carries them out.
+contact laws, ``states`` the states of a contact, ``ladder`` the solution methods in their order, ``backends`` their
+implementations.
 """
 
 from mic.contact.certificate import Certificate, certify

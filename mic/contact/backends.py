@@ -1,4 +1,4 @@
-"""What a backend does for :class:`mic.contact.ContactSolver`, and which there are."""
+"""The interface of backends of :class:`mic.contact.ContactSolver`, and the available ones."""
 
 from __future__ import annotations
 
@@ -21,49 +21,49 @@ __all__ = ["BACKENDS", "Backend"]
 
 
 class Backend(Protocol):
-    """One compliance and one law, prepared; many right-hand sides."""
+    """Prepared solver for one compliance and one law, with many right-hand sides."""
 
-    def take(self, own: np.ndarray) -> Backend:
-        """The same for the contacts `own` (m,) alone, as if the others were not there."""
+    def subset(self, own: np.ndarray) -> Backend:
+        """The backend of a subset `own` (m,) of the contacts."""
 
-    def under(self, friction: Friction) -> Backend:
-        """The same contacts under another friction (m,)."""
+    def with_friction(self, friction: Friction) -> Backend:
+        """The backend of the same contacts with another friction (m,)."""
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Forces for every sample, good or not: the caller certifies them.
+        """Forces for every sample, which the caller certifies.
 
         Parameters
         ----------
         b : (n, d m) array
             Displacements without contact forces [length].
         guess : array shaped like ``b``, or None
-            Forces to start from, by a backend that can.
+            Initial forces, which a backend may ignore.
 
         Returns
         -------
         force : array shaped like ``b``
         iterations, factorisations : (n,) int array
-            As :class:`mic.contact.solution.ContactSolution` has them.
+            See :class:`mic.contact.solution.ContactSolution`.
         rung : (n,) object array of str
             The method that found each force.
         """
 
     def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
-        """Further forces for one sample, by more and more patient methods, from the best one so far.
+        """Further forces for one sample, by increasingly expensive methods, from the best force so far.
 
-        The caller certifies each and stops at the first that is good enough.  The generator ends by itself, so that a
-        hopeless sample cannot hold up the rest; a backend without further methods yields nothing.
+        The caller certifies each and stops at the first that is accurate enough.  The generator is finite; a backend
+        without further methods yields nothing.
 
         Yields
         ------
         force : (d m,) array
         iterations, factorisations : int
-            Since the last force.
+            Counted since the last force.
         rung : str
         """
 
     def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
-        """Every sample from one load to the next, for a law whose path can be followed.
+        """Follow every sample from one load to the next, under a law whose path can be followed.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class Backend(Protocol):
         force : (n, d m) array
             Contact forces at the first.
         anchor : (n, m, 2) array
-            Where slip is measured from.
+            Points from which slip is measured.
         path : Path
         """
 
@@ -88,40 +88,40 @@ class Backend(Protocol):
         near: bool,
         leg: Leg,
     ) -> None:
-        """One increment of samples `some` (k,) of a batch, each with contacts of its own.
+        """One increment of samples `some` (k,) of a batch, each with its own working set.
 
         Parameters
         ----------
         among : (l,) int array
-            Numbers of this problem's contacts among the batch's m.
+            Indices of this problem's contacts among the m of the batch.
         b, force, anchor : (n, 2, d m), (n, d m), (n, m, 2) array
-            Loads, forces and anchors of the batch, as :meth:`follow` has them.
+            Loads, forces and anchors of the batch, see :meth:`follow`.
         working : (n, m) bool array
-            A sample's own contacts; all of them are among this problem's.
+            Working sets, all within the contacts of this problem.
         guess : (n, d m) array
-            Forces at the end to begin with, for samples that have any: so `near` that they may be tried as they are,
-            or a forecast.
+            Initial forces at the end of the increment. If `near`, they are close enough for Newton's method; otherwise
+            they are a forecast.
         leg : Leg
-            Of the batch: what was found of the samples' own contacts is put there, and factorisations are added.
+            Result of the batch, updated in place for the working sets of the samples; factorisations are added.
         """
 
     def landing(self, own: np.ndarray, S: Columns) -> Landing:
-        """What :meth:`land` needs of a problem of contacts that most samples press, `own` (m,) of those of `S`; nothing
-        true where their inverse is not accurate."""
+        """Factorised problem of the contacts `own` (m,) of `S` that most samples close, for :meth:`land`; falsy if its
+        inverse is not accurate."""
 
     def land(
         self, b: np.ndarray, guess: np.ndarray, among: np.ndarray, landing: Landing | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """As :meth:`solve`, for a law with friction and guesses (n, 3m) that are near: Newton's method alone.
+        """Like :meth:`solve`, by Newton's method alone, for a law with friction and close guesses (n, 3m).
 
         Parameters
         ----------
         among : (m,) int array
-            Numbers of this problem's contacts among those that `landing` knows.
+            Indices of this problem's contacts among those of `landing`.
         """
 
     def infeasible(self, b: np.ndarray) -> bool:
-        """Whether it is proven that no force keeps the contacts of sample ``b`` (d m,) from penetrating."""
+        """Whether it is proven that no force can prevent penetration of the contacts of sample ``b`` (d m,)."""
 
 
 def _native(S, friction, law, tol, threads, dimension):
@@ -134,8 +134,8 @@ def _programme(optimiser, S, friction, law, tol, threads, dimension):
     return ConeProgramme(S, friction.coefficient, law, optimiser, dimension)
 
 
-#: Every backend by its name: a function of a checked ``(S, friction, law, tol, threads, dimension)``, as
-#: :class:`mic.contact.ContactSolver` has them.
+#: Backends by name: functions of the checked ``(S, friction, law, tol, threads, dimension)`` of
+#: :class:`mic.contact.ContactSolver`.
 BACKENDS: dict[str, Callable[[np.ndarray, Friction, Law, float, int, int], Backend]] = {
     "native": _native,
     **{name: partial(_programme, name) for name in OPTIMISERS},

@@ -1,4 +1,4 @@
-r"""How far a force is from obeying its contact law: one scale-free number, and the physics behind it.
+r"""Residual of a contact law: one scale-free number, and the violations of its conditions.
 
 With ``u = S f + b`` and ``û`` the displacement that the law makes complementary to the force (:mod:`mic.contact.laws`),
 ``f`` is a solution exactly when it is a fixed point of the projection,
@@ -7,7 +7,7 @@ With ``u = S f + b`` and ``û`` the displacement that the law makes complementar
 
     F_k(f) = f_k - P_K\bigl(f_k - \rho_k \hat u_k\bigr) = 0, \qquad \rho_k = 1 / \|S_{kk}\|_2 .
 
-``ρ_k`` turns a displacement into the force that would cause it at that contact, so every term is a force.  The residual
+``ρ_k`` converts a displacement into the force that causes it at that contact, so every term is a force.  The residual
 is
 
 .. math::
@@ -15,20 +15,20 @@ is
     r = \frac{\|D^{-1} F(f)\|}{\max\bigl((f^T S f)^{1/2}, \|D^{-1} F(0)\|\bigr)}, \qquad D_k = \rho_k^{1/2} .
 
 ``D⁻¹`` makes contacts of different compliance commensurate: ``‖D⁻¹ f‖²`` is twice the energy that ``f`` would store in
-the contacts' own compliances, as ``fᵀ S f`` is twice the energy that it does store.  ``F(0)`` is the force with which
-each overlapping contact alone would answer ``b``; open contacts have none, so that a wide gap somewhere cannot hide an
-error elsewhere.  Hence
+the contacts' own compliances, as ``fᵀ S f`` is twice the energy that it does store.  ``F(0)`` holds the force
+of each overlapping contact alone under ``b``; open contacts have none, so that a wide gap cannot hide an error
+elsewhere.  Hence
 
 - ``r`` does not change with the units of force or length;
-- the zero force has ``r = 1`` wherever anything overlaps, and ``r = 0``, by definition of 0/0, in an open scene;
-- forces that grow without bound and move nothing, the answer of an iteration to an infeasible problem, do not make
-  ``r`` small, as they would if ``‖D⁻¹ f‖`` were the scale; nor do they by rounding: ``‖D⁻¹ F(f)‖`` counts as
-  ``ε ‖D⁻¹ f‖`` at least, ε the rounding of a double.
+- the zero force has ``r = 1`` if any contact overlaps, and ``r = 0``, defined as 0/0, if all are open;
+- forces that grow without bound and cause no displacement, as iterations produce for infeasible problems, do not make
+  ``r`` small, as they would if ``‖D⁻¹ f‖`` were the scale; nor does rounding: ``‖D⁻¹ F(f)‖`` is at least
+  ``ε ‖D⁻¹ f‖``, with ε the relative precision of a double.
 
-Where the coefficient depends on the normal force, ``K_k`` is the cone with the coefficient that belongs to ``f_k``: a
-force obeys such a law exactly if it obeys Coulomb's with these coefficients.  Where a spring stands in series with the
+Where the coefficient depends on the normal force, ``K_k`` is the cone with the coefficient at ``f_k``: a force
+satisfies such a law exactly if it satisfies Coulomb's with these coefficients.  If a spring is in series with the
 slider, ``u`` is the slider's displacement ``S' f + b``, ``S' = S + C`` (:mod:`mic.contact.laws.micro_slip`), and ``S'``
-stands for ``S`` in ``ρ`` and in the energy.
+replaces ``S`` in ``ρ`` and in the energy.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
-from mic.contact.units import beyond, unit
+from mic.contact.units import out_of_range, unit
 from mic.system.matrix_product import product
 
 __all__ = ["Certificate", "certify", "contact_stiffness", "in_units", "residual", "series_compliance"]
@@ -50,10 +50,10 @@ EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was measured on a force; scalars for one sample, (n,) arrays for a batch.
+    """Residual and violations of a force; scalars for one sample, (n,) arrays for a batch.
 
-    The residual judges the law that was asked for.  The other four measure Coulomb's own conditions (9) and (10) with
-    the law's bound of friction, so that they show what a solution of ``associated`` gives up.
+    The residual is that of the requested law.  The other four measure Coulomb's conditions (9) and (10) with the
+    friction bound of the law, so that they show how a solution of ``associated`` violates them.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Certificate:
 def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:
     """``ρ_k = 1/‖S_kk‖₂`` per contact, with ``S_kk`` the normal entry alone for the frictionless law.
 
-    A contact whose block vanishes has no compliance of its own and takes the mean of the others.
+    A contact whose block is zero has no compliance and takes the mean of the others.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray
 
 
 def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> Certificate:
-    """Measure how well ``force`` solves the contact problem ``(S, b, mu)``.
+    """Certificate of a force for the contact problem ``(S, b, mu)``.
 
     Parameters
     ----------
@@ -108,11 +108,11 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     b : (3m,) or (n, 3m) array
         Relative displacements without contact forces, gap included [length].
     mu : float, (m,) array or Friction
-        Coefficients of friction, or all that is known of it; of no effect on the frictionless law.
+        Coefficients of friction, or :class:`mic.contact.friction.Friction`; ignored by the frictionless law.
     force : array shaped like ``b``
         Contact forces [force].
     law : str or Law
-        The law to judge by: a name in :data:`mic.contact.laws.LAWS`, or the law itself.
+        A name in :data:`mic.contact.laws.LAWS`, or the law itself.
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, (m, m) and (n, m).
 
@@ -129,7 +129,7 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     S = S + np.diag(series)
     rows, forces, parameters = np.atleast_2d(b), np.atleast_2d(force), law.parameters(friction)
     length, compliance = np.ones(len(rows)), 1.0
-    if (beyond(rows) | beyond(S.ravel())).any() and not law.reads:
+    if (out_of_range(rows) | out_of_range(S.ravel())).any() and not law.reads:
         length, compliance = unit(rows), float(unit(S.ravel()))
     S, rows, forces = S / compliance, rows / length[:, None], forces * (compliance / length)[:, None]
     stiffness = contact_stiffness(S, law, dimension)
@@ -140,25 +140,25 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     return Certificate(**{name: float(values[0]) for name, values in vars(certificate).items()})
 
 
-def in_units(found: Any, length: np.ndarray, force: np.ndarray) -> dict[str, np.ndarray]:
-    """What was measured (n,) in units of these lengths and forces (n,), in those that the caller has."""
-    with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # both together may be too large for any number
+def in_units(scaled: Any, length: np.ndarray, force: np.ndarray) -> dict[str, np.ndarray]:
+    """Violations (n,) measured in units of these lengths and forces (n,), converted to the units of the caller."""
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # length times force may overflow
         work = length * force
         units = {"penetration": length, "cone_violation": force, "complementarity": work, "slip_error": work}
-        return {name: getattr(found, name) * each for name, each in units.items()}
+        return {name: getattr(scaled, name) * factor for name, factor in units.items()}
 
 
 def series_compliance(law: Law, friction: Friction, dimension: int = 3) -> np.ndarray:
-    """(d m,) diagonal of ``C = diag(0, c, c)``, contact by contact: what stands in series with the sliders."""
+    """(d m,) diagonal of ``C = diag(0, c, c)``, contact by contact: compliance in series with the sliders."""
     series = np.zeros((len(friction), dimension))
     series[:, 1:] = law.compliance(friction)[:, None]
     return series.ravel()
 
 
 def measure(S, b, parameters, force, law, stiffness, dimension, series):
-    """:func:`certify` on a batch, all of the problem known, ``S`` with the sliders' ``series`` compliance in it.
+    """Certificate of a batch, for checked arguments and ``S`` that includes the ``series`` compliance.
 
-    Returns the certificate and the contacts' own displacement (n, d m), without ``series``.
+    Returns the certificate and the displacement of the contacts (n, d m), without ``series``.
     """
     displacement = product(force, S) + b
     found = residual(S, b, parameters, force, law, stiffness, dimension, displacement)
@@ -182,27 +182,27 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
 
 
 def residual(S, b, parameters, force, law, stiffness, dimension, displacement=None) -> np.ndarray:
-    """(n,) the first number of :func:`measure` alone; ``displacement`` (n, d m) is ``S f + b``, where it is known."""
+    """(n,) residuals alone, see :func:`measure`; ``displacement`` (n, d m) is ``S f + b``, if known."""
     displacement = product(force, S) + b if displacement is None else displacement
     n, m = len(b), len(S) // dimension
     f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
-    # The coefficients that belong to the force, and those of the zero force.
+    # Coefficients at the force and at zero force.
     mu, mu0 = (law.coefficient(parameters, normal) for normal in (f[..., 0], np.zeros((n, m))))
     if not law.frictional:
         u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
 
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        # F of the force and of none, at once: few contacts take no longer than one.
+        # F of the force and of zero force together, which is faster.
         both, moved, μ = np.concatenate([f, np.zeros_like(f)]), np.concatenate([u, u0]), np.concatenate([mu, mu0])
         value = both - law.projection(both - stiffness[:, None] * law.complementary(moved, μ), μ)
-        # Free contacts are exact solutions of every law; say so without rounding.
+        # Free contacts satisfy every law exactly: avoid rounding.
         free = (both == 0.0).all(-1) & (law.opening(moved, μ) >= 0.0)
         own = np.concatenate([np.where(free[..., None], 0.0, value), f])
         norm = np.sqrt(np.einsum("nki,nki,k->n", own, own, 1.0 / stiffness))
         error, least, size = norm[:n], norm[n : 2 * n], norm[2 * n :]
-        # Beside forces so large that rounding swallows ρ û, the map would vanish whatever the displacements are.
+        # If forces are so large that ρ û is lost to rounding, F would be zero for any displacements.
         error = np.maximum(error, EPS * size)
-        # Redundant contacts may carry large forces that store nothing: keep their rounding out of the energy.
+        # Redundant contacts may carry large forces without energy: exclude their rounding errors.
         energy = np.einsum("ni,ni->n", force, displacement - b) - 4.0 * S.shape[0] * EPS * size**2
         scale = np.maximum(np.sqrt(np.maximum(energy, 0.0)), least)
         found = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)

@@ -1,13 +1,13 @@
-"""The convex laws through general-purpose optimisers, to reproduce the paper and to cross-check the native solver.
+"""The convex laws solved by general-purpose optimisers, to reproduce the paper and to verify the native solver.
 
-Without friction the quadratic programme (12), stated in the scaled normal forces ``y >= 0``; with it and without De
-Saxcé's shift the second-order cone programme (13) in the scaled forces,
+The problem is the quadratic programme (12) in scaled normal forces ``y >= 0`` without friction, and the second-order
+cone programme (13) in scaled forces with friction and without De Saxcé's shift,
 
 .. math:: \\min_f \\tfrac12 f^T S f + b^T f, \\quad \\|f_t\\| \\le \\mu f_n, \\; f_n \\ge 0 .
 
-The non-penetration rows printed in (13) follow from its optimality conditions and are left out; ``f_n >= 0`` is stated
-because at ``μ = 0`` a solver's cone ``‖f_t‖ <= 0`` would leave the normal force free.  Only ``b`` is a parameter, so
-that CVXPY canonicalises once per ``S``.
+The non-penetration constraints of (13) follow from its optimality conditions and are omitted; ``f_n >= 0`` is needed at
+``μ = 0``, where the cone ``‖f_t‖ <= 0`` does not bound the normal force.  ``b`` is the only parameter, so that CVXPY
+canonicalises once per ``S``.
 """
 
 from __future__ import annotations
@@ -83,27 +83,27 @@ class ConeProgramme:
             constraints = [self._force >= 0]
         self._problem = cvxpy.Problem(objective, constraints)
 
-    def under(self, friction: Friction) -> ConeProgramme:
-        """See :meth:`mic.contact.backends.Backend.under`; it is stated anew."""
+    def with_friction(self, friction: Friction) -> ConeProgramme:
+        """See :meth:`mic.contact.backends.Backend.with_friction`; it is built again."""
         S, _, law, dimension = self._known
         return ConeProgramme(S, friction.coefficient, law, self.name, dimension)
 
-    def take(self, own: np.ndarray) -> ConeProgramme:
-        """See :meth:`mic.contact.backends.Backend.take`; it is stated anew."""
+    def subset(self, own: np.ndarray) -> ConeProgramme:
+        """See :meth:`mic.contact.backends.Backend.subset`; it is built again."""
         S, mu, law, dimension = self._known
         rows = np.repeat(own, dimension)
         return ConeProgramme(S[np.ix_(rows, rows)], mu[own], law, self.name, dimension)
 
     def solve(self, b: np.ndarray, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Forces for each row of ``b``; zero where the optimiser gives up.  ``guess`` is not used by these solvers.
+        """Forces for each row of ``b``; zero if the optimiser fails.  ``guess`` is ignored.
 
         See :meth:`mic.contact.backends.Backend.solve`; the rung is the optimiser's name.
         """
         force = np.zeros_like(b)
-        iterations, untold = np.zeros((2, len(b)), dtype=np.int64)
-        found = np.full(len(b), self.name, dtype=object)
+        iterations, factorisations = np.zeros((2, len(b)), dtype=np.int64)
+        rung = np.full(len(b), self.name, dtype=object)
         if not self._force.size:
-            return force, iterations, untold, found
+            return force, iterations, factorisations, rung
         for sample, row in enumerate(b[:, :: self._stride] * self._scaling):
             # The optimum scales with the load; a unit load suits the solvers' absolute tolerances.
             size = np.abs(row).max() or 1.0
@@ -115,12 +115,12 @@ class ConeProgramme:
             iterations[sample] = self._problem.solver_stats.num_iters or 0
             if self._force.value is not None and np.isfinite(self._force.value).all():
                 force[sample, :: self._stride] = self._force.value * size * self._scaling
-        return force, iterations, untold, found
+        return force, iterations, factorisations, rung
 
     def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
-        """None: an optimiser has said what it can."""
+        """No further methods."""
         return iter(())
 
     def infeasible(self, b: np.ndarray) -> bool:
-        """Nothing is proven."""
+        """Infeasibility is not detected."""
         return False

@@ -1,4 +1,4 @@
-"""What is known of the friction of each contact; a law reads what it needs of it."""
+"""Friction data of each contact; a law uses the fields that it needs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Friction:
     coefficient : (m,) array
         μ of the laws with a constant coefficient.
     pressure : (m, q, 5) array or None
-        μ as a function of the normal force, in pieces: see :mod:`mic.contact.laws.pressure_dependent`.  None where it
-        is constant.
+        μ as a piecewise function of the normal force, see :mod:`mic.contact.laws.pressure_dependent`.  None if it is
+        constant.
     compliance : (m,) array or None
         Tangential compliance ``c = 1/(k_t A)`` in series with the slider [length / force], for
-        :mod:`mic.contact.laws.micro_slip`.  None where contacts do not yield before they slip.
+        :mod:`mic.contact.laws.micro_slip`.  None for rigid contacts.
     """
 
     coefficient: np.ndarray
@@ -31,12 +31,12 @@ class Friction:
 
     @classmethod
     def of(cls, value, contacts: int) -> Friction:
-        """Friction from a number, one coefficient per contact, or itself; checked.
+        """Checked friction, from a number, one coefficient per contact, or another :class:`Friction`.
 
         Raises
         ------
         ValueError
-            Naming what has the wrong shape, is not finite, or negative.
+            Naming the field that has the wrong shape, is not finite, or is negative.
         """
         if not isinstance(value, Friction):
             return cls(_checked("mu", value, contacts))
@@ -52,7 +52,7 @@ class Friction:
         return len(self.coefficient)
 
     def take(self, own: np.ndarray) -> Friction:
-        """Of some of the contacts, a mask or their numbers."""
+        """Friction of a subset of the contacts, given as a mask or as indices."""
         return Friction(
             self.coefficient[own],
             None if self.pressure is None else self.pressure[own],
@@ -80,8 +80,7 @@ def finite(name: str, value) -> np.ndarray:
 def _checked(name, value, contacts):
     array = finite(name, value)
     if array.shape not in ((), (contacts,)):
-        one = f"have one entry per contact, ({contacts},)"
-        raise ValueError(f"{name} must be a number or {one}; got shape {array.shape}")
+        raise ValueError(f"{name} must be a number or have shape ({contacts},); got shape {array.shape}")
     if (array < 0.0).any():
         raise ValueError(f"{name} must not be negative")
     return np.broadcast_to(array, (contacts,)).copy()

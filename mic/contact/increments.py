@@ -1,4 +1,4 @@
-"""Increments of a path: what a scene means by their number."""
+"""Increments of a path at which backward Euler's method is applied."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ __all__ = ["Increments"]
 class Increments:
     """Steps of backward Euler's method that end at ``s_k = sin²(π k / 2 count)``.
 
-    They are short at both ends of a leg, where contacts make most of their way: a clamp moves the sheets before it
-    presses them, and a release after its force has faded.  There steps of the square of their number do; equal ones
-    have to be four times as many.
+    They are short at both ends of a leg, where contacts slide most: a clamp moves the sheets before it presses them, a
+    release after its force has vanished.  Equal steps of the same accuracy would be four times as many.
 
     Attributes
     ----------
     count : int
     recorded : bool
-        Whether the solution tells its :class:`mic.contact.path_record.Trail`.
+        Whether the solution includes its :class:`mic.contact.path_record.PathRecord`.
     """
 
     count: int = 1
@@ -30,5 +29,5 @@ class Increments:
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """(count,) where the steps end."""
+        """(count,) ends of the steps."""
         return np.sin(0.5 * np.pi * np.arange(1, self.count + 1) / self.count) ** 2

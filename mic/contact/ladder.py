@@ -1,14 +1,15 @@
-"""The ladder: which methods look for a solution, in which order, with which settings, and for which laws.
+"""The ladder: the solution methods in their order, with their settings and the laws that they apply to.
 
-Every sample starts on the first rung that applies to its law and leaves at the first whose force is good enough.  The
-rungs of :data:`BATCH` are cheap and take all samples together; those of :data:`PATIENT` take one stubborn sample at a
-time, until :data:`BUDGET` is spent.
+Each sample starts on the first rung that applies to its law and ends at the first whose force is accurate enough.  The
+rungs of :data:`BATCH` are cheap and solve all samples together; those of :data:`PATIENT` solve one remaining sample at
+a time, until :data:`BUDGET` is used up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -25,55 +26,37 @@ __all__ = [
     "rungs",
 ]
 
-#: The compiled kernels work to this fraction of the tolerance, because their residual and the certificate weigh
+#: Fraction of the tolerance that the compiled kernels solve to, because their residual and the certificate weight
 #: contacts differently.
 MARGIN = 1e-2
 #: The patient rungs may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts
 #: and 100 s for 600.
 BUDGET = 500.0
-#: Contacts that hang together are solved, apart from the others, once their own residual is this fraction of the
-#: tolerance.
+#: A connected component of contacts is solved once its own residual is below this fraction of the tolerance.
 APART = 0.1
 
 
-def _smooth(law: Law) -> bool:
-    return not law.frictional
-
-
-def _frictional(law: Law) -> bool:
-    return law.frictional
-
-
-def _swept(law: Law) -> bool:
-    return law.gauss_seidel
+_swept = attrgetter("gauss_seidel")
 
 
 def _unswept(law: Law) -> bool:
     return law.frictional and not law.gauss_seidel
 
 
-def _varying(law: Law) -> bool:
-    return law.varies
-
-
-def _every(law: Law) -> bool:
-    return True
-
-
 @dataclass(frozen=True)
 class Rung:
-    """One method.
+    """One solution method.
 
     Attributes
     ----------
     name : str
-        What :class:`mic.contact.ContactSolution` reports.
+        Name in :class:`mic.contact.ContactSolution`.
     reason : str
-        One sentence: why it is there.
+        Purpose in one sentence.
     applies : function of a law
-        Whether the method serves the law.
+        Whether the method applies to the law.
     settings : mapping of str to number or tuple
-        Its tunables; ``rung["steps"]`` reads one.
+        Its parameters; ``rung["steps"]`` reads one.
     """
 
     name: str
@@ -88,64 +71,63 @@ class Rung:
         return self.settings[name]
 
 
-# Another rung shares its settings.
+# The other splitting rung shares its settings.
 SPLITTING = Rung(
     "splitting",
-    "Each step is one product with an inverse formed once per S, however many contacts touch: for loads that stick.",
+    "Each step is one product with an inverse formed once per S: efficient if many contacts stick.",
     _swept,
-    # Steps before the first Newton, and rounds of twice as many each: under Coulomb's law what does not stick by then
-    # is better left to Newton's method. Newton uses W⁻¹ up to this condition number of W: the inverse is then good to
-    # 1e-8, and each step gains that much.
+    # Steps before the first Newton step, doubled in each round: contacts that do not stick by then are better solved by
+    # Newton's method. Newton uses W⁻¹ up to this condition number of W, where the inverse is accurate to 1e-8.
     {"steps": 20, "rounds": 4, "invertible": 1e8},
 )
-#: Cheap methods, for all samples together.
+#: Methods for all samples together.
 BATCH = (
     Rung(
         "sweeps",
-        "A few sweeps of Gauss-Seidel find which contacts touch, and one run of Newton lands.",
+        "A few Gauss-Seidel sweeps identify the closed contacts, from which Newton's method converges.",
         _swept,
-        # Above this share of contacts that are not open, Newton for their forces costs more than the splitting.
+        # Above this fraction of closed contacts, Newton's method for their forces costs more than the splitting.
         {"sweeps": 10, "rounds": 1, "crowd": 0.65},
     ),
     Rung(
         "guess",
-        "Newton lands from a guess that is near; from afar it is a waste, so it is tried with a guess alone.",
+        "Newton's method converges from a close guess, so it is tried only if there is one.",
         _unswept,
         {"crowd": 0.65},
     ),
     SPLITTING,
     Rung(
         "splitting",
-        "Where the problem is convex the steps converge from anywhere, so they are given time.",
+        "For convex problems the steps converge from any start, so more of them are allowed.",
         _unswept,
-        # Newton is mostly wasted after 20 steps.
+        # After 20 steps Newton's method usually fails.
         dict(SPLITTING.settings) | {"steps": 50, "rounds": 5},
     ),
     Rung(
         "active set",
-        "Without friction a few sweeps of projected Gauss-Seidel and the Newton steps of an active set suffice.",
-        _smooth,
+        "Without friction a few projected Gauss-Seidel sweeps and the Newton steps of an active set suffice.",
+        lambda law: not law.frictional,
         {"rounds": 3},
     ),
 )
 
-#: Methods for one sample that the cheap ones did not solve. Each of their problems is tried by so many steps of
-#: Newton's method, the derivative damped so, after each of so many more sweeps where the law has them, to a tolerance.
+#: Fallbacks for single samples. They solve subproblems by `newton` steps with a `damping` of the derivative, after each
+#: number of `sweeps` if the law has them, to the tolerance `tol`.
 PATIENT = (
     Rung(
         "renewed friction",
-        "With the coefficients of friction held the law is Coulomb's; then they are renewed from its normal forces.",
-        _varying,
-        # At this tolerance Newton for the whole lands.
+        "For fixed coefficients the law is Coulomb's; they are then updated from the normal forces of its solution.",
+        attrgetter("varies"),
+        # From this tolerance on, Newton's method for the full problem converges.
         {"steps": 20, "sweeps": (10, 20, 40), "newton": 15, "damping": 1e-12, "tol": 1e-8},
     ),
     Rung(
         "proximal points",
-        "Each step is a problem with a regular W + α I near the last answer, solved or rejected: whatever is left.",
-        _every,
-        # First the problem itself, Newton after each of these sweeps. Then α starts here, is multiplied by `gain` after
-        # a success at once and by `loss` after a failure, between its limits; after a failure it falls again once so
-        # many problems are solved.
+        "Proximal point method: each step is a problem with a regular W + α I, near the last solution.",
+        lambda law: True,
+        # `first`: sweeps before Newton's method for the problem itself. α begins at `start`, is multiplied by `gain`
+        # after a success and by `loss` after a failure, within its limits; after a failure it decreases again once
+        # `wait` problems are solved.
         {
             "first": (30, 60, 120, 240, 480, 960),
             "steps": 2000,
@@ -165,5 +147,5 @@ PATIENT = (
 
 
 def rungs(law: Law) -> list[str]:
-    """Names of the rungs that serve a law, from the first to the last."""
+    """Names of the rungs that apply to a law, in order."""
     return [rung.name for rung in BATCH + PATIENT if rung.applies(law)]

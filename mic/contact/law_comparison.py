@@ -1,7 +1,7 @@
-"""What the choice of contact law costs: the same contacts solved with every law, as a function of friction.
+"""Comparison of contact laws: the same contacts solved with every law, as a function of friction.
 
 The associated programme (13) lets a sliding contact open by ``μ‖u_t‖`` while it carries load, which Coulomb's law (9)
-forbids.  This study measures that, and what leaving friction out costs, on any ``S`` and ``b``.
+excludes.  This comparison measures the effect, and that of neglecting friction, for any ``S`` and ``b``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mic.contact.compliance_columns import Columns
 from mic.contact.laws import COULOMB, LAWS
 from mic.contact.solver import ContactSolver
 from mic.contact.states import STATES, ContactState, classify
-from mic.contact.working_set import WatchedSolver
+from mic.contact.working_set import WorkingSetSolver
 
 __all__ = ["compare_laws", "summarise"]
 
@@ -26,14 +26,14 @@ def compare_laws(
     mu_values: Iterable,
     tol: float = 1e-10,
     threads: int = 1,
-    solver: Callable[..., ContactSolver | WatchedSolver] = ContactSolver,
+    solver: Callable[..., ContactSolver | WorkingSetSolver] = ContactSolver,
 ) -> pd.DataFrame:
-    """Solve every sample with every friction coefficient, under every law that reads nothing else.
+    """Solve every sample for every coefficient of friction, under every law that needs no other friction data.
 
     Parameters
     ----------
     S : (3m, 3m) array
-        Compliance [length / force], as the solver takes it.
+        Compliance [length / force].
     b : (3m,) or (n, 3m) array
         Displacements without contact forces [length].
     mu_values : sequence of float or of (m,) arrays
@@ -41,7 +41,7 @@ def compare_laws(
     tol, threads
         As for :class:`mic.contact.solver.ContactSolver`.
     solver : callable
-        Takes S, a coefficient, and law, tol and threads by name; returns what solves.
+        Creates a solver from S, a coefficient, and the keywords law, tol and threads.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def compare_laws(
         ``slip``
             Root mean square of ``‖u_t‖`` over the contacts [length].
         ``gap_at_load``
-            Largest ``u_n`` where Coulomb's law has none: at contacts that carry load [length].
+            Largest ``u_n`` at contacts that carry load, where Coulomb's law requires zero [length].
         ``contacts_open``, ``contacts_stick``, ``contacts_slip``
             Contacts in each state of :mod:`mic.contact.states`.
         ``force_change``, ``slip_change``
@@ -67,7 +67,7 @@ def compare_laws(
     b = np.atleast_2d(np.asarray(b, dtype=float))
     frames = []
     for mu in mu_values:
-        # Laws that read more than a coefficient are Coulomb's here.
+        # Without further friction data the other laws are Coulomb's.
         laws = [law for law in LAWS.values() if not law.reads]
         solutions = {law: solver(S, mu, law=law, tol=tol, threads=threads).solve(b) for law in laws}
         coulomb = solutions[COULOMB]
@@ -101,7 +101,7 @@ def compare_laws(
 
 
 def summarise(study: pd.DataFrame) -> pd.DataFrame:
-    """Means over the samples that converged, the largest gap, and how many samples were left out.
+    """Means over converged samples, the largest gap, and the number of excluded samples.
 
     Parameters
     ----------

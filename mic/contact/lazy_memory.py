@@ -1,4 +1,4 @@
-"""Room for what may come, of which little does."""
+"""Large arrays of which only the written pages take memory."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 
 import numpy as np
 
-__all__ = ["untouched"]
+__all__ = ["lazy_zeros"]
 
 
-def untouched(*shape: int) -> np.ndarray:
-    """Zeros that take memory where they are written, and nowhere else: from the system, for the allocator that MPI
-    brings along writes all that it gives. Processes do not share them."""
+def lazy_zeros(*shape: int) -> np.ndarray:
+    """Array of zeros whose pages take memory only once written; not shared between processes.
+
+    ``np.zeros`` does not guarantee this: the allocator that MPI installs writes to all memory.
+    """
     size = int(np.prod(shape))
     if not size:
         return np.zeros(shape)

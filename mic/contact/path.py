@@ -1,14 +1,14 @@
-"""How contacts get from one load to the next: friction has memory, so that the way there is part of the answer.
+"""Load paths: contact forces under friction depend on the loading history.
 
-Between two loads the displacements without contact forces go straight from ``b⁰`` to ``b¹``, ``b(s) = b⁰ + s (b¹ -
-b⁰)``, and ``u = S f + b(s)``.  A contact that slips moves against its force, and one that sticks or is open does not
-slip; where each of them stands, the point from which its slip is measured, is the *anchor* ``a`` (m, 2).  One step of
-backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.  Where
-contacts yield before they slip, the anchor is where their sliders stand, ``u_t + c f_t``
+Between two loads the displacements without contact forces change linearly from ``b⁰`` to ``b¹``, ``b(s) = b⁰ + s (b¹ -
+b⁰)``, and ``u = S f + b(s)``.  A slipping contact moves against its tangential force; a sticking or open one does not
+slip. The point from which the slip of a contact is measured is its *anchor* ``a`` (m, 2).  One step of
+backward Euler's method solves the law with ``u_t - a`` in place of ``u_t`` and moves the anchor to ``u_t``.  With
+compliant contacts, the anchor is the position of the slider, ``u_t + c f_t``
 (:mod:`mic.contact.laws.micro_slip`).
 
-:class:`Increments` takes steps of this kind, first order.  :class:`Followed` is of second order and controls its
-error (:mod:`mic.contact.native.follower`).
+:class:`Increments` are such steps, of first order.  :class:`Followed` is of second order with error control
+(:mod:`mic.contact.native.follower`).
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from functools import reduce
 import numpy as np
 
 from mic.contact.increments import Increments
-from mic.contact.path_record import Trail, trails
+from mic.contact.path_record import PathRecord, record_array
 from mic.contact.solution import ContactSolution
 from mic.contact.states import OPEN, SLIP, STICK, classify
 from mic.system.matrix_product import product
 
-__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "at_once", "ended"]
+__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "end_state", "from_solution"]
 
-#: Increments of a leg for a sample that the follower gives up.
+#: Increments of a leg for samples at which the follower fails.
 RESCUE = 256
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Steps of second order, as long as their error allows.
+    """Second-order steps, their length controlled by an error estimate.
 
     Attributes
     ----------
     tolerance : float
-        Largest error of a step, as a share of the tangential motion that the contacts made on the leg so far (root mean
-        squares over the contacts).
+        Largest error of a step, relative to the tangential motion of the contacts on the leg so far (root mean squares
+        over the contacts).
     least : float
-        Of a motion at least so large, however little the contacts have moved [length].
+        Lower bound of the motion that the tolerance is relative to [length].
     steps : int or None
-        So many equal steps instead, whatever their error: to show the order of the method.
+        Number of equal steps without error control, to measure the order of the method.
     recorded : bool
-        Whether the solution tells its :class:`mic.contact.path_record.Trail`.
+        Whether the solution includes its :class:`mic.contact.path_record.PathRecord`.
     """
 
     tolerance: float = 2.5e-4
@@ -55,7 +55,7 @@ class Followed:
 
     @property
     def ends(self) -> np.ndarray:
-        """(steps,) where equal steps end; none, if their error is controlled."""
+        """(steps,) ends of equal steps; empty with error control."""
         return np.arange(1, (self.steps or 0) + 1) / (self.steps or 1)
 
 
@@ -64,25 +64,24 @@ Path = Increments | Followed
 
 @dataclass(frozen=True)
 class Trace:
-    """What n samples of m contacts went through on a path.
+    """Slip, work and states of m contacts along a path, for n samples.
 
     Attributes
     ----------
     slip : (n, m, 2) array
         Net slip under load: tangential motion of the anchor while the contact was closed, mm.
     length : (n, m) array
-        Its length along the way, mm.
+        Accumulated length of the slip, mm.
     work : (n, m) array
         Work dissipated by friction, N mm; never negative.
     share : (n, m, 3) array
-        Shares of the path that the contact was open, stuck and slipping.
+        Fractions of the path on which the contact was open, stuck and slipping.
     error : (n,) array
-        Estimate of the error that the path left in the contacts' tangential positions, and in the slip of those that
-        opened, root mean square over the contacts, mm; NaN where nothing estimates it.
+        Estimated integration error of the contacts' tangential positions, and of the slip of those that opened: root
+        mean square over the contacts, mm; NaN if not estimated.
     steps, factorisations : (n,) int array
-        What it took: matrices over the contacts that touch that were factorised or inverted anew, by whichever rung,
-        those of a rung that failed too.  What changes a few rows of an inverse is not counted, nor what is factorised
-        once for all samples.
+        Number of steps, and of matrices over the closed contacts that were factorised or inverted, failed rungs
+        included.  Low-rank updates and factorisations shared by all samples are not counted.
     """
 
     slip: np.ndarray
@@ -95,24 +94,29 @@ class Trace:
 
     @classmethod
     def start(cls, n: int, m: int) -> Trace:
-        """Nothing has happened yet."""
-        none = np.zeros(n, dtype=np.int64)
+        """The trace at the start of a path."""
         return cls(
-            np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3)), np.zeros(n), none, none.copy()
+            slip=np.zeros((n, m, 2)),
+            length=np.zeros((n, m)),
+            work=np.zeros((n, m)),
+            share=np.zeros((n, m, 3)),
+            error=np.zeros(n),
+            steps=np.zeros(n, dtype=np.int64),
+            factorisations=np.zeros(n, dtype=np.int64),
         )
 
     def weighted(self, weight: float) -> Trace:
-        """With the shares of the path multiplied, where paths of unequal length come one after the other."""
+        """The trace with its shares multiplied, for paths of unequal length in sequence."""
         return replace(self, share=weight * self.share)
 
     def __add__(self, other: Trace) -> Trace:
-        """One after the other; shares add up, for :meth:`PathSolution.join` to divide by the number of paths."""
+        """Two paths in sequence; the shares are summed, and :meth:`PathSolution.join` divides them by their number."""
         return Trace(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(Trace)})
 
 
 @dataclass(frozen=True)
 class PathSolution:
-    """Where n samples ended.
+    """State of n samples at the end of a path.
 
     Attributes
     ----------
@@ -120,16 +124,16 @@ class PathSolution:
     displacement : (n, 3m) array
         ``u = S f + b¹``.
     anchor : (n, m, 2) array
-        Where the contacts stand, from which slip goes on.
+        Points from which further slip is measured.
     trace : Trace
     residual : (n,) array
-        The largest of the steps whose certificate was taken: all increments, or the end of a followed path.
+        The largest of the steps that were certified: all increments, or the end of a followed path.
     converged : (n,) bool array
     iterations : (n,) int array
     status, rung : (n,) object array
-        Of the last step; the rung is ``"followed"`` or ``"increments"``, or the ladder's where neither would do.
-    trail : (n,) object array or None
-        The :class:`mic.contact.path_record.Trail` of each sample, of the last leg, where its path is recorded.
+        Of the last step; the rung is ``"followed"`` or ``"increments"``, or that of the ladder if both failed.
+    record : (n,) object array or None
+        The :class:`mic.contact.path_record.PathRecord` of the last leg of each sample, if its path is recorded.
     """
 
     force: np.ndarray
@@ -141,27 +145,27 @@ class PathSolution:
     iterations: np.ndarray
     status: np.ndarray
     rung: np.ndarray
-    trail: np.ndarray | None = None
+    record: np.ndarray | None = None
 
-    def put(self, own: np.ndarray, some: PathSolution) -> PathSolution:
-        """These paths, those of the samples `own` replaced; what was factorised in vain counts too."""
-        found = _put(self, own, some)
-        found.trace.factorisations[own] += self.trace.factorisations[own]
-        return found
+    def replaced(self, own: np.ndarray, new: PathSolution) -> PathSolution:
+        """The paths with those of the samples `own` replaced; factorisations of both count."""
+        solution = _replaced(self, own, new)
+        solution.trace.factorisations[own] += self.trace.factorisations[own]
+        return solution
 
     @classmethod
     def join(cls, pieces: Sequence[PathSolution]) -> PathSolution:
-        """Paths in a row: where the last one ended, and what all of them were.
+        """Paths in sequence: the end of the last one, and the sums of their traces.
 
-        A sample has the rung of its last path, unless that was followed and one before had to be rescued.
+        The rung of a sample is that of its last path, or of an earlier one that could not be followed.
         """
         last = pieces[-1]
         if len(pieces) == 1:
             return last
         rung = last.rung.copy()
         for piece in pieces:
-            rescued = (piece.rung != "followed") & (rung == "followed")
-            rung[rescued] = piece.rung[rescued]
+            not_followed = (piece.rung != "followed") & (rung == "followed")
+            rung[not_followed] = piece.rung[not_followed]
         trace = reduce(Trace.__add__, (piece.trace for piece in pieces))
         return replace(
             last,
@@ -175,22 +179,22 @@ class PathSolution:
 
 @dataclass(frozen=True)
 class Leg:
-    """What a follower found between two loads, good or not: the caller certifies it.
+    """Result of a follower between two loads, not certified yet.
 
     Attributes
     ----------
     force : (n, 3m) array
-        At the end.
+        Contact forces at the end.
     b : (n, 3m) array
-        Displacements without contact forces, from where slip is measured in the last step: the problem that `force`
-        solves.
+        Displacements without contact forces, relative to the anchors of the last step: the problem that `force` solves.
     anchor : (n, m, 2) array
     slip, length, work, share, error
         As :class:`Trace` has them.
     steps, factorisations : (n,) int array
         As :class:`Trace` has them.
     given_up : (n,) bool array
-    trail : (n,) object array or None
+        Whether the follower failed.
+    record : (n,) object array or None
         As :class:`PathSolution` has it.
     """
 
@@ -205,11 +209,11 @@ class Leg:
     steps: np.ndarray
     factorisations: np.ndarray
     given_up: np.ndarray
-    trail: np.ndarray | None = None
+    record: np.ndarray | None = None
 
     @classmethod
     def start(cls, n: int, m: int) -> Leg:
-        """No forces yet, all contacts open on all of the way, with friction."""
+        """No forces, all contacts open along the leg, with friction."""
         trace = Trace.start(n, m)
         trace.share[:, :, OPEN] = 1.0
         return cls(
@@ -222,13 +226,13 @@ class Leg:
 
 
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
-    """Leg by leg, each starting where the one before ended; see :meth:`mic.contact.ContactSolver.follow`."""
+    """Solve leg by leg, each from the end of the previous one; see :meth:`mic.contact.ContactSolver.follow`."""
     n, loads, _ = b.shape
     m, d = solver.contacts, solver.dimension
     force = np.zeros((n, d * m)) if force is None else force
     anchor = b[:, 0].reshape(n, m, d)[:, :, 1:] if anchor is None else anchor
     if not solver.law.frictional:
-        return at_once(solver, b[:, -1], force, path.recorded)
+        return end_state(solver, b[:, -1], force, path.recorded)
     legs = []
     for k in range(loads - 1):
         b0, b1 = b[:, k], b[:, k + 1]
@@ -244,49 +248,50 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
 
 
 def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
-    """One leg by the compiled follower; a sample that it gives up, or whose end misses the certificate, is rescued by
+    """One leg by the compiled follower; samples at which it fails, or whose end is not certified, are solved by
     increments, each with the whole ladder."""
     n = len(b0)
-    plain = isinstance(path, Increments)
+    incremental = isinstance(path, Increments)
     leg = solver.backend.follow(b0, b1, force, anchor, path)
-    name = "increments" if plain else "followed"
-    moved = product(leg.force, solver.S)
-    residual, converged, status = solver.judged(leg.b, leg.force, moved)
+    response = product(leg.force, solver.S)
+    residual, converged, status = solver.check_convergence(leg.b, leg.force, response)
     trace = Trace(
         leg.slip,
         leg.length,
         leg.work,
         leg.share,
-        np.full(n, np.nan) if plain else leg.error,
+        np.full(n, np.nan) if incremental else leg.error,
         leg.steps,
         leg.factorisations,
     )
-    found = PathSolution(
+    solution = PathSolution(
         force=leg.force,
-        displacement=moved + b1,
+        displacement=response + b1,
         anchor=leg.anchor,
         trace=trace,
         residual=residual,
         converged=converged,
         iterations=leg.factorisations,
         status=status,
-        rung=np.full(n, name, dtype=object),
-        trail=leg.trail,
+        rung=np.full(n, "increments" if incremental else "followed", dtype=object),
+        record=leg.record,
     )
-    lost = np.flatnonzero(~converged | leg.given_up)
-    if not lost.size:
-        return found
-    rescue = path if isinstance(path, Increments) else Increments(RESCUE, path.recorded)
-    return found.put(lost, increments(solver, b0[lost], b1[lost], force[lost], anchor[lost], rescue))
+    failed = np.flatnonzero(~converged | leg.given_up)
+    if not failed.size:
+        return solution
+    fallback = path if isinstance(path, Increments) else Increments(RESCUE, path.recorded)
+    return solution.replaced(
+        failed, increments(solver, b0[failed], b1[failed], force[failed], anchor[failed], fallback)
+    )
 
 
-def _put(all_samples, own, some):
-    """The first with the samples `own` from the second."""
+def _replaced(all_samples, own, some):
+    """A copy of the first with the samples `own` taken from the second."""
     values = {}
     for field in fields(all_samples):
         value, new = getattr(all_samples, field.name), getattr(some, field.name)
         if isinstance(value, Trace):
-            values[field.name] = _put(value, own, new)
+            values[field.name] = _replaced(value, own, new)
         elif value is not None:
             value = value.copy()
             value[own] = new
@@ -307,16 +312,16 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         b = b0 + end * (b1 - b0)
         b = b.reshape(n, m, 3).copy()
         b[:, :, 1:] -= anchor
-        # Where Coulomb's law has several solutions, take the one that continues the state before.
+        # If Coulomb's law has several solutions, the guess selects the one that continues the last state.
         solution = solver.solve(b.reshape(n, -1), guess=force)
         before, now = (f.reshape(n, m, 3) for f in (force, solution.force))
         moved = solution.displacement.reshape(n, m, 3)[:, :, 1:] + solver.compliance[:, None] * now[:, :, 1:]
         state = classify(now, solver.bound(now[..., 0]))
         closed = state != OPEN
-        slid = np.where((state == SLIP)[:, :, None], moved, 0.0)
-        slip, length = slip + slid, length + np.linalg.norm(slid, axis=-1)
-        # The trapezoidal rule where the contact was closed before, else its force has grown from nothing.
-        work = work - np.sum(0.5 * (before + now)[:, :, 1:] * slid, axis=-1)
+        slips = np.where((state == SLIP)[:, :, None], moved, 0.0)
+        slip, length = slip + slips, length + np.linalg.norm(slips, axis=-1)
+        # The trapezoidal rule; a contact that was open before has zero force there.
+        work = work - np.sum(0.5 * (before + now)[:, :, 1:] * slips, axis=-1)
         share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) * part
         anchor = anchor + moved
         force = solution.force
@@ -337,17 +342,17 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         iterations,
         np.asarray(solution.status),
         np.asarray(solution.rung),
-        _trails(ends, forces) if path.recorded else None,
+        _records(ends, forces) if path.recorded else None,
     )
 
 
-def _trails(ends, forces) -> np.ndarray:
-    """(n,) of steps of first order that all samples take, forces (n, d m) at the end of each."""
-    return trails(Trail(1, ends, own) for own in np.stack(forces, axis=1))
+def _records(ends, forces) -> np.ndarray:
+    """(n,) records of first-order steps that are the same for all samples, with forces (n, d m) at the end of each."""
+    return record_array(PathRecord(1, ends, force) for force in np.stack(forces, axis=1))
 
 
-def at_once(solver, b, guess, recorded: bool = False) -> PathSolution:
-    """The law at the end alone, as if nothing had been before: all that counts without friction.
+def end_state(solver, b, guess, recorded: bool = False) -> PathSolution:
+    """Solve the law at the end alone, without history: exact without friction.
 
     Parameters
     ----------
@@ -355,11 +360,11 @@ def at_once(solver, b, guess, recorded: bool = False) -> PathSolution:
     b, guess : (n, d m) array
     recorded : bool
     """
-    return ended(solver, solver.solve(b, guess=guess), recorded)
+    return from_solution(solver, solver.solve(b, guess=guess), recorded)
 
 
-def ended(solver, solution: ContactSolution, recorded: bool = False) -> PathSolution:
-    """A path that is no more than the `solution` (n samples) at its end, by a :class:`mic.contact.ContactSolver`."""
+def from_solution(solver, solution: ContactSolution, recorded: bool = False) -> PathSolution:
+    """The path of one step that ends in a `solution` (n samples) of a :class:`mic.contact.ContactSolver`."""
     n, m = len(solution.force), solver.contacts
     u = solution.displacement.reshape(n, m, -1)
     force = solution.force.reshape(n, m, -1)
@@ -378,5 +383,5 @@ def ended(solver, solution: ContactSolution, recorded: bool = False) -> PathSolu
         solution.iterations,
         np.asarray(solution.status),
         np.asarray(solution.rung),
-        _trails(np.ones(1), [solution.force]) if recorded else None,
+        _records(np.ones(1), [solution.force]) if recorded else None,
     )

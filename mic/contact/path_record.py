@@ -1,4 +1,4 @@
-"""Where the steps of a path ended: what it takes to go it again, or beside it."""
+"""Record of the steps of a path, from which the path can be repeated or differentiated."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Trail", "trails"]
+__all__ = ["PathRecord", "record_array"]
 
 
 @dataclass(frozen=True)
-class Trail:
+class PathRecord:
     """The steps of one sample on a leg.
 
     Attributes
     ----------
     order : {1, 2}
-        Of the steps: backward Euler's method, or the follower's, which begins with a step that leads nowhere, at 0.
+        Order of the steps: backward Euler's method, or the follower's, whose first step has zero length, at 0.
     ends : (k,) array
-        Where they ended, in shares of the leg, the last at 1.
+        Ends of the steps as fractions of the leg, the last is 1.
     force : (k, d m) array
-        Of the contacts there, N.
+        Contact forces at the ends, N.
     """
 
     order: int
@@ -29,9 +29,9 @@ class Trail:
     force: np.ndarray
 
 
-def trails(found: Iterable[Trail]) -> np.ndarray:
-    """(n,) object array of trails."""
-    every = list(found)
-    array = np.empty(len(every), dtype=object)
-    array[:] = every
+def record_array(records: Iterable[PathRecord]) -> np.ndarray:
+    """(n,) object array of records."""
+    items = list(records)
+    array = np.empty(len(items), dtype=object)
+    array[:] = items
     return array

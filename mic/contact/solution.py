@@ -1,4 +1,4 @@
-"""What a contact solve returns."""
+"""Result of a contact solve."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ContactSolution", "Status"]
 
 
 class Status(str, Enum):  # noqa: UP042  (StrEnum would change how a status prints)
-    """Outcome of one sample; :attr:`advice` says what to do about it."""
+    """Outcome of one sample, with :attr:`advice`."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not converged"
@@ -25,26 +25,26 @@ class Status(str, Enum):  # noqa: UP042  (StrEnum would change how a status prin
 
 
 _ADVICE = {
-    Status.CONVERGED: "The force obeys the contact law to the tolerance asked for; use it.",
+    Status.CONVERGED: "The force satisfies the contact law to the requested tolerance.",
     Status.NOT_CONVERGED: (
-        "No force was found that obeys the law to the tolerance, so leave this sample out of any statistics: read its "
-        "residual, loosen tol if that is good enough, and otherwise look for supports or gaps that leave nothing to "
+        "No force was found that satisfies the law to the tolerance, so exclude this sample from statistics: check its "
+        "residual, increase tol if that is accurate enough, and otherwise look for supports or gaps that cannot "
         "balance the load."
     ),
     Status.INFEASIBLE: (
-        "No admissible force balances this load, because some combination of contacts that cannot be separated by any "
-        "force overlaps: correct the gaps or free the part, then solve again."
+        "No admissible force balances this load, because contacts overlap that no force can separate: "
+        "correct the gaps or free the part, then solve again."
     ),
     Status.OUT_OF_RANGE: (
-        "The forces are too large or too small to be told, or the law has units of its own, in which S or b lie beyond "
-        "1e-60 or 1e60: state the problem in units of its own size, then solve again."
+        "The forces exceed the range of doubles, or the law has units of its own, in which S or b lie outside 1e-60 to "
+        "1e60: rescale the problem, then solve again."
     ),
 }
 
 
 @dataclass(frozen=True)
 class ContactSolution:
-    """Forces, displacements and the evidence that they are a solution.
+    """Forces and displacements, with the residuals that show whether they are a solution.
 
     Scalars and (3m,) vectors if ``b`` was one sample; leading axis n if it was a batch.
 
@@ -61,12 +61,12 @@ class ContactSolution:
     status : Status or (n,) object array of Status
         One outcome per sample.
     iterations : int or (n,) int array
-        Passes over all contacts: Gauss-Seidel sweeps, Newton steps and splitting steps together; a backend's own count.
+        Passes over all contacts: Gauss-Seidel sweeps, Newton steps and splitting steps; other backends count their own.
     factorisations : int or (n,) int array
-        How many of them were of Newton's method: each factorises a matrix over the contacts
-        that touch, or over all.  What is factorised once for all samples is not counted; 0 where a backend tells none.
+        Number of Newton steps among them: each factorises a matrix over the closed contacts, or over all.
+        Factorisations shared by all samples are not counted; 0 if a backend reports none.
     rung : str or (n,) object array of str
-        Which rung of the ladder found the force, a name in :mod:`mic.contact.ladder`; another backend's own name.
+        Rung of :mod:`mic.contact.ladder` that found the force; for other backends, their name.
     penetration, cone_violation, complementarity, slip_error : float or (n,) array
         Coulomb's conditions one by one, see :class:`mic.contact.certificate.Certificate`.
     """

@@ -1,4 +1,4 @@
-"""The front door: check the input, scale once, solve many right-hand sides, certify every sample."""
+"""Contact solver: checks the input, prepares S once, solves many right-hand sides and certifies each sample."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow
 from mic.contact.solution import ContactSolution, Status
-from mic.contact.units import beyond, unit
+from mic.contact.units import out_of_range, unit
 from mic.system.matrix_product import one_thread
 
 __all__ = ["ContactSolver", "solve"]
 
-#: Relative asymmetry ``max|S - Sᵀ| / max|S|`` beyond rounding, symmetrised with a warning; and beyond which S is
-#: refused.
+#: Relative asymmetry ``max|S - Sᵀ| / max|S|`` above which S is symmetrised with a warning, and refused.
 ASYMMETRY_WARNED, ASYMMETRY_REFUSED = 1e-10, 1e-2
-#: A negative eigenvalue beyond this share of the largest entry is an error of sign, not of rounding: entries printed
-#: with seven digits err by half of 1e-6.
+#: A negative eigenvalue below this fraction of the largest entry is an error of sign, not of rounding: entries printed
+#: with seven digits have errors of half of 1e-6.
 INDEFINITE = 5e-7
-#: Doubles below have fewer digits than others.
+#: Smaller doubles have a reduced precision.
 SMALLEST = np.finfo(float).tiny / np.finfo(float).eps
-#: The search for a solution ends this far below the tolerance, so that rounding cannot undo the verdict.
+#: The search for a solution ends at this fraction of the tolerance, so that rounding cannot change the outcome.
 SAFETY = 0.5
 
 
 class ContactSolver:
-    """One compliance, prepared once; many right-hand sides.
+    """Solver of contact problems with one compliance and many right-hand sides.
 
     Solves ``u = S f + b`` together with the contact law that ties ``f`` to ``u`` contact by contact
     (:mod:`mic.contact.laws`).
@@ -44,8 +43,7 @@ class ContactSolver:
         Compliance: relative displacements per contact force, symmetric positive semidefinite, contact by contact in the
         order n, t1, t2 [length / force].
     mu : float, (m,) array or Friction
-        Coefficients of friction, ``>= 0``, or all that is known of it: what a law reads beyond them
-        (:class:`mic.contact.friction.Friction`).
+        Coefficients of friction, ``>= 0``, or :class:`mic.contact.friction.Friction` for laws that need more data.
     law : str or Law
         A name in :data:`mic.contact.laws.LAWS`, or the law itself.  ``coulomb`` is Coulomb's law proper; ``associated``
         the cone programme (13); ``frictionless`` the programme (12), which takes forces from the normal block alone and
@@ -60,19 +58,18 @@ class ContactSolver:
     dimension : {3, 1}
         1 if ``S`` and ``b`` hold only the normal rows, for scenes without friction; needs a law without friction.
     semidefinite : bool
-        Whether S is known to be symmetric and positive semidefinite, by the way it was made: looking takes a Cholesky
-        factorisation.
+        Whether S is known to be symmetric and positive semidefinite; otherwise a Cholesky factorisation checks it.
 
     Attributes
     ----------
     compliance : (m,) array
-        Tangential compliance ``c`` in series with each slider, zero but under ``micro-slip``: a slider stands at
-        ``u_t + c f_t``.
+        Tangential compliance ``c`` in series with each slider, zero except under ``micro-slip``: the position of a
+        slider is ``u_t + c f_t``.
 
     Raises
     ------
     ValueError
-        Naming the argument that has the wrong shape, is not finite, negative, or unknown.
+        Naming the argument that has the wrong shape, is not finite, is negative or unknown.
     ImportError
         If the backend is not installed.
     """
@@ -105,17 +102,17 @@ class ContactSolver:
         self.dimension, self.tol = dimension, float(tol)
         self.S = _checked_compliance(S, dimension, semidefinite)
         self.contacts = len(self.S) // dimension
-        friction = self._rub(mu)
-        # The law ties the force to the sliders' displacement S' f + b, S' = S + C.
+        friction = self._set_friction(mu)
+        # The law relates the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series) if self._series.any() else self.S
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
         # S is semidefinite: its largest entry lies on the diagonal.
-        self._rigid, self._strange = not self.S.any(), bool(beyond(self.S.diagonal()))
+        self._rigid, self._scaled = not self.S.any(), bool(out_of_range(self.S.diagonal()))
         self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
         self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
 
-    def _rub(self, mu: float | np.ndarray | Friction) -> Friction:
-        """Take friction as it is, and its parameters; what the law has of it."""
+    def _set_friction(self, mu: float | np.ndarray | Friction) -> Friction:
+        """Store the checked friction and the parameters of the law."""
         friction = Friction.of(mu if self.law.frictional else 0.0, self.contacts)
         self.mu, self.compliance = friction.coefficient, self.law.compliance(friction)
         self._parameters = self.law.parameters(friction)
@@ -123,18 +120,18 @@ class ContactSolver:
         return friction
 
     @one_thread
-    def under(self, mu: float | np.ndarray | Friction) -> ContactSolver:
-        """The same contacts under another friction; what the compliance alone decides is kept."""
+    def with_friction(self, mu: float | np.ndarray | Friction) -> ContactSolver:
+        """The solver of the same contacts with another friction; everything that depends on S alone is reused."""
         some = copy(self)
-        friction = some._rub(mu)
+        friction = some._set_friction(mu)
         if (some._series == self._series).all():
-            some.backend = self.backend.under(friction)
+            some.backend = self.backend.with_friction(friction)
             return some
         return ContactSolver(self.S, mu, self.law, tol=self.tol, semidefinite=True, **self._settings)
 
     @one_thread
-    def take(self, own: np.ndarray) -> ContactSolver:
-        """The same for the contacts `own` (m,) alone, as if the others were not there; what is prepared is kept."""
+    def subset(self, own: np.ndarray) -> ContactSolver:
+        """The solver of a subset `own` (m,) of the contacts; prepared data are reused."""
         from mic.contact.native.kernels import block  # compiles, or reads the cache, when it is imported
 
         index, rows = np.flatnonzero(own), np.repeat(own, self.dimension)
@@ -142,21 +139,21 @@ class ContactSolver:
         some.contacts, some.S = len(index), block(self.S, index, self.dimension)
         some._sliding = some.S if self._sliding is self.S else block(self._sliding, index, self.dimension)
         diagonal = some.S.diagonal()
-        some._rigid, some._strange = not diagonal.any(), bool(beyond(diagonal))
+        some._rigid, some._scaled = not diagonal.any(), bool(out_of_range(diagonal))
         some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]
         some._series, some._stiffness = self._series[rows], self._stiffness[own]
-        some.backend = self.backend.take(own)
+        some.backend = self.backend.subset(own)
         return some
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
-        """Largest tangential forces ``g(f_n)`` under the normal forces (..., m), as the law has them."""
+        """Largest tangential forces ``g(f_n)`` of the law for normal forces (..., m)."""
         return self.law.bound(normal, self._parameters)
 
     @one_thread
     def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
 
-        Each sample is solved by itself: neither its answer nor its failure touches the others.
+        Samples are independent of each other.
 
         Parameters
         ----------
@@ -176,26 +173,26 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        strange = beyond(rows) | self._strange
-        if not strange.any():
+        scaled = out_of_range(rows) | self._scaled
+        if not scaled.any():
             solution = self._solve(rows, guess)
-        elif strange.all():
-            solution = self._solve_strange(rows, guess)
+        elif scaled.all():
+            solution = self._solve_scaled(rows, guess)
         else:
-            solution = self._solve(np.where(strange[:, None], 0.0, rows), guess)
-            own = self._solve_strange(rows[strange], None if guess is None else guess[strange])
-            solution = _replaced(solution, strange, own)
+            solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess)
+            own = self._solve_scaled(rows[scaled], None if guess is None else guess[scaled])
+            solution = _replaced(solution, scaled, own)
         return solution if b.ndim == 2 else _only(solution)
 
     def _solve(self, rows, guess) -> ContactSolution:
-        """Numbers within range."""
-        if self._rigid:  # nothing moves, whatever the forces: either none are needed or none help
+        """Solve problems whose numbers are within range."""
+        if self._rigid:  # forces cause no displacement
             force, counts = np.zeros_like(rows), np.zeros((2, len(rows)), dtype=np.int64)
             rung = np.full(len(rows), "rigid", dtype=object)
         else:
             force, *both, rung = self.backend.solve(rows, guess)
             counts = np.array(both)
-        solution = self.certified(rows, force, counts[0], counts[1], rung)
+        solution = self.certify(rows, force, counts[0], counts[1], rung)
         unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
             infeasible = np.zeros(len(rows), dtype=bool)
@@ -204,22 +201,22 @@ class ContactSolver:
                 if infeasible[sample]:
                     force[sample] = 0.0
                 else:
-                    self._persist(sample, rows, force, counts, rung)
-            solution = self.certified(rows, force, counts[0], counts[1], rung, infeasible)
+                    self._apply_fallbacks(sample, rows, force, counts, rung)
+            solution = self.certify(rows, force, counts[0], counts[1], rung, infeasible)
             lost = ~solution.converged & ~infeasible
-            if guess is not None and lost.any():  # where a guess leads nowhere, none may lead on
+            if guess is not None and lost.any():  # try again without the guess
                 again = self._solve(rows[lost], None)
                 counts = counts[:, lost] + [again.iterations, again.factorisations]
                 again = replace(again, iterations=counts[0], factorisations=counts[1])
                 solution = _replaced(solution, lost, again)
         return solution
 
-    def _solve_strange(self, rows, guess) -> ContactSolution:
-        """Numbers out of range: in units of their own where the law knows none, else refused."""
+    def _solve_scaled(self, rows, guess) -> ContactSolution:
+        """Solve problems out of range in scaled units, unless the law depends on units."""
         if self.law.reads:
             n, zero = len(rows), np.zeros_like(rows)
             none = np.zeros(n, dtype=np.int64)
-            found = self.certified(rows, zero, none, none.copy(), np.full(n, "none", dtype=object))
+            found = self.certify(rows, zero, none, none.copy(), np.full(n, "none", dtype=object))
             return _refused(found, np.ones(n, dtype=bool))
         compliance, length = unit(self.S.ravel()), unit(rows)
         own = ContactSolver(self.S / compliance, self.mu, self.law, tol=self.tol, semidefinite=True, **self._settings)
@@ -234,13 +231,13 @@ class ContactSolver:
                 displacement=found.displacement * length[:, None],
                 **in_units(found, length, force),
             )
-            # A force that no double has all digits of was found in vain.
+            # Reject forces that doubles cannot represent to full precision.
             largest = np.abs(found.force).max(axis=1, initial=0.0)
             lost = ~np.isfinite(largest) | (found.force.any(axis=1) != moved) | ((largest < SMALLEST) & (largest > 0.0))
             return _refused(found, lost)
 
     @one_thread
-    def certified(
+    def certify(
         self,
         b: np.ndarray,
         force: np.ndarray,
@@ -249,15 +246,15 @@ class ContactSolver:
         rung: np.ndarray,
         infeasible: np.ndarray | None = None,
     ) -> ContactSolution:
-        """Judge the forces of a batch, whoever found them.
+        """Certify the forces of a batch.
 
         Parameters
         ----------
         b, force : (n, d m) array
         iterations, factorisations : (n,) int array
-            What that took.
+            Cost of finding them.
         rung : (n,) object array
-            Who found them.
+            Methods that found them.
         infeasible : (n,) bool array, optional
             Samples that are proven to have no solution.
         """
@@ -281,10 +278,12 @@ class ContactSolver:
         )
 
     @one_thread
-    def judged(self, b: np.ndarray, force: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (n,) of forces (n, d m) under right-hand sides likewise, which of them converged, and the word
-        for it; ``moved`` (n, d m) is what the forces move, ``S f``."""
-        displacement = moved + force * self._series + b
+    def check_convergence(
+        self, b: np.ndarray, force: np.ndarray, response: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual, convergence and status (n,) of forces and right-hand sides (n, d m); ``response`` (n, d m) is
+        ``S f``."""
+        displacement = response + force * self._series + b
         known = self._parameters, force, self.law, self._stiffness, self.dimension, displacement
         found = residual(self._sliding, b, *known)
         converged = found <= self.tol
@@ -300,20 +299,21 @@ class ContactSolver:
         anchor: np.ndarray | None = None,
         path: Path | None = None,
     ) -> PathSolution:
-        """Follow loads from one to the next; see :mod:`mic.contact.path`.
+        """Solve along a load path; see :mod:`mic.contact.path`.
 
         Parameters
         ----------
         b : (n, k + 1, 3m) array
-            Displacements without contact forces, gaps included, at k + 1 loads; straight in between.
+            Displacements without contact forces, gaps included, at k + 1 loads, linear in between.
         force : (n, 3m) array, optional
-            Contact forces at the first load; none, if left out. Where they do not balance it, since parts overlap
-            there, that is resolved first, before the load moves.
+            Contact forces at the first load; default: zero. If they are not in equilibrium with it, because parts
+            overlap, they are corrected before the load changes.
         anchor : (n, m, 2) array, optional
-            Tangential displacements from which slip is measured; those of ``b`` at the first load, if left out.
+            Tangential displacements from which slip is measured; default: those of ``b`` at the first load.
         path : Path, optional
-            How it is followed; :class:`mic.contact.path.Followed` if left out. A law whose small steps do not tend to
-            itself takes :class:`mic.contact.path.Increments` only; without friction nothing but the last load counts.
+            Integration method; default :class:`mic.contact.path.Followed`. A law whose `followed` is False is solved
+            with
+            :class:`mic.contact.path.Increments`; without friction only the last load matters.
 
         Returns
         -------
@@ -325,8 +325,8 @@ class ContactSolver:
         known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
         return measure(self._sliding, rows, *known)
 
-    def _persist(self, sample, b, force, counts, rung):
-        """Work on one sample that did not converge, improving its force, counts and rung in place."""
+    def _apply_fallbacks(self, sample, b, force, counts, rung):
+        """Apply the fallback methods to one sample, improving its force, counts and rung in place."""
         best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
         for candidate, *more, name in self.backend.attempts(b[sample], force[sample].copy()):
             counts[:, sample] += more
@@ -353,7 +353,7 @@ def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, thre
 
 
 def _only(solution: ContactSolution) -> ContactSolution:
-    """The only sample of a batch, its numbers plain."""
+    """The only sample of a batch, as scalars and vectors."""
     values: dict[str, Any] = {name: value[0] for name, value in vars(solution).items()}
     for name, value in values.items():
         if isinstance(value, np.generic):
@@ -362,7 +362,7 @@ def _only(solution: ContactSolution) -> ContactSolution:
 
 
 def _refused(solution: ContactSolution, lost) -> ContactSolution:
-    """The solution but for the lost samples (n,), which have no force and no residual."""
+    """The solution with the lost samples (n,) set to no force and status out of range."""
     status = solution.status.copy()
     status[lost] = Status.OUT_OF_RANGE
     return replace(
@@ -375,7 +375,7 @@ def _refused(solution: ContactSolution, lost) -> ContactSolution:
 
 
 def _replaced(solution: ContactSolution, chosen, new: ContactSolution) -> ContactSolution:
-    """A batch with the new solutions of its chosen samples (n,)."""
+    """The batch with the chosen samples (n,) replaced by new solutions."""
     values = {name: value.copy() for name, value in vars(solution).items()}
     for name, value in values.items():
         value[chosen] = getattr(new, name)
@@ -391,9 +391,9 @@ def _checked_compliance(S, dimension, semidefinite):
         raise ValueError("S must be positive semidefinite; it has a negative diagonal entry")
     if semidefinite:
         return np.ascontiguousarray(S)
-    # Of thousands of contacts S is most of what the process holds: as few arrays of its size as may be at a time.
+    # With thousands of contacts S dominates the memory: allocate as few arrays of its size as possible.
     largest = max(S.max(initial=0.0), -S.min(initial=0.0))
-    asymmetry = (S - S.T).max(initial=0.0)  # what is added to one of two is taken from the other
+    asymmetry = (S - S.T).max(initial=0.0)  # the difference is antisymmetric, so its maximum suffices
     if asymmetry > ASYMMETRY_REFUSED * largest:
         raise ValueError(
             f"S must be symmetric; it differs from its transpose by {asymmetry / largest:.1e} of its largest entry, "
@@ -408,14 +408,14 @@ def _checked_compliance(S, dimension, semidefinite):
     if largest > 0.0 and not _semidefinite(np.divide(S, largest, out=half)):
         raise ValueError(
             f"S must be positive semidefinite; it has an eigenvalue below -{INDEFINITE:g} of its largest entry, so "
-            "that some forces would do work for nothing; check the signs of its rows"
+            "that some forces would do negative work; check the signs of its rows"
         )
     return S
 
 
 def _semidefinite(S) -> bool:
     """Whether no eigenvalue lies below -:data:`INDEFINITE`; S is overwritten."""
-    from scipy.linalg import cholesky  # which whoever asks for help need not wait for
+    from scipy.linalg import cholesky  # slow to import
 
     S[np.diag_indices(len(S))] += INDEFINITE
     try:

@@ -1,4 +1,4 @@
-"""States of a contact: open, stick or slip, and how they are read from a force."""
+"""States of a contact: open, stick or slip, and their classification from a force."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 
 __all__ = ["LOADED", "ON_CONE", "OPEN", "SLIP", "STATES", "STICK", "ContactState", "classify"]
 
-#: A contact is loaded above this share of the largest normal force of its sample.  A solver that meets its tolerance of
-#: 1e-10 leaves forces of that size on contacts that are open.
+#: A contact is loaded above this fraction of the largest normal force of its sample.  At a tolerance of 1e-10, solvers
+#: may leave forces of that relative size on open contacts.
 LOADED = 1e-9
-#: A loaded contact slips within this share of the cone's bound.  A contact that sticks comes so near by chance alone,
-#: and the tangential force of one that slips is exact to the solver's tolerance, which some backends reach to 1e-7
-#: only.
+#: A loaded contact slips if its tangential force is within this fraction of the friction bound.  The tangential force
+#: of a slipping contact is exact to the solver's tolerance, which is only 1e-7 for some backends.
 ON_CONE = 1e-6
 TINY = float(np.finfo(float).tiny)
 
@@ -33,7 +32,7 @@ class ContactState(IntEnum):
 
 #: Labels of the states; the index is the state's value.
 STATES = tuple(state.label for state in ContactState)
-#: The states as plain numbers, which compiled code takes as constants.
+#: The states as integers, constants in compiled code.
 OPEN, STICK, SLIP = map(int, ContactState)
 
 
@@ -45,8 +44,8 @@ def classify(force: np.ndarray, bound: np.ndarray | float) -> np.ndarray:
     force : (n, m, 3) or (n, m, 1) array
         Contact forces (n, t1, t2), or normal forces alone [force].
     bound : float or (n, m) array
-        Largest tangential forces [force], :meth:`mic.contact.laws.Law.bound`; zero for a law without friction, under
-        which every loaded contact is free to slip.
+        Largest tangential forces [force], :meth:`mic.contact.laws.Law.bound`; zero without friction, where every loaded
+        contact slips.
 
     Returns
     -------

@@ -11,7 +11,7 @@ import pandas as pd
 
 from mic.contact.friction import Friction
 from mic.contact.law_comparison import compare_laws
-from mic.contact.working_set import Foreseen
+from mic.contact.working_set import PathForecast
 from mic.process.process import contact_solver
 from mic.results.schema import FRICTION
 
@@ -58,12 +58,12 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         for quantity in ("f", "u")
     )
     b = displacement - S.under(force)  # u = S f + b
-    nothing = Foreseen.nothing(len(contacts), contacts.dimension)
-    foreseen = replace(nothing, touching=(force[:, ::3] > 0).any(axis=0))
+    nothing = PathForecast.empty(len(contacts), contacts.dimension)
+    forecast = replace(nothing, touching=(force[:, ::3] > 0).any(axis=0))
 
     def solver(S, coefficient, **settings):
         friction = Friction.of(coefficient, len(contacts))
-        return contact_solver(contacts, S, response.own[:rows], friction, step, foreseen, **settings)
+        return contact_solver(contacts, S, response.diagonal[:rows], friction, step, forecast, **settings)
 
     return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS, solver=solver)
 

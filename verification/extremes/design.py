@@ -14,12 +14,12 @@ import numpy as np
 from scipy.stats import qmc
 
 from mic.contact import ContactSolver, Friction
-from mic.contact.benchmark_problems import compliant, manufactured
 from mic.contact.laws import find
 from mic.geometry.structured import extrude
 from mic.scene import Locator
 from verification import strips
 from verification.analytic.sheet import Sheet, incline_reaction, stop_force
+from verification.contact_problems import compliant, manufactured
 
 __all__ = ["FAMILIES", "REMEDIES", "Cell", "Family", "cells", "remedied"]
 

@@ -12,11 +12,11 @@ from matplotlib.patches import Rectangle
 
 from fem_reference.shell.factorisation import FactorisationError
 from mic.contact import ContactSolver
-from mic.contact.benchmark_problems import compliant, manufactured
 from mic.geometry.structured import extrude
 from mic.scene import Locator, SceneError
 from verification import strips
 from verification.analytic.sheet import Sheet, incline_reaction, stop_force
+from verification.contact_problems import compliant, manufactured
 from verification.extremes import design
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study

@@ -8,7 +8,7 @@ pressure-dependent  Coulomb's law with ``μ = μ(f_n/A)``
 micro-slip          Coulomb's law between ``f`` and ``u + (0, c f_t)``: a spring in series with the slider
 ==================  =====================================================================================
 
-:mod:`mic.contact.laws.law` has the notation.  A new law is a file here and its place in :data:`LAWS`.
+:mod:`mic.contact.laws.law` has the notation.  A new law needs a module here and an entry in :data:`LAWS`.
 """
 
 from mic.contact.laws.associated import ASSOCIATED

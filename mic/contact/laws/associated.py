@@ -14,7 +14,7 @@ __all__ = ["ASSOCIATED", "equation"]
 def equation(parameters, y, w, phi, A, B, state, derivative):
     """``Φ = y - P_K(y - w)``, and its derivative ``dΦ = A dy + B dw``.
 
-    With ``a = y_n - w_n``, ``v = y_t - w_t`` and, where ``y - w`` is outside both the cone and its polar,
+    With ``a = y_n - w_n``, ``v = y_t - w_t`` and, if ``y - w`` lies outside both the cone and its polar,
     ``P_K(y - w) = p (1, μ v/‖v‖)``, ``p = (a + μ‖v‖)/(1 + μ²)``.  Arguments as in
     :func:`mic.contact.laws.coulomb.equation`.
     """
@@ -36,7 +36,7 @@ def equation(parameters, y, w, phi, A, B, state, derivative):
             phi[i + 1] = y[i + 1] - mu * p * e1
             phi[i + 2] = y[i + 2] - mu * p * e2
             if derivative:
-                # B: of P_K by y - w; A = I - B.
+                # B: derivative of P_K by y - w; A = I - B.
                 r = mu * p / t
                 g = 1.0 / (1.0 + mu * mu)
                 h = mu * g

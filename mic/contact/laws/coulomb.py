@@ -20,10 +20,10 @@ def equation(parameters, y, w, phi, A, B, state, derivative):
     y, w : (3m,) array
         Scaled forces and displacements (n, t1, t2).
     phi : (3m,) array
-        Receives ``Φ`` of the contacts that slip.  Those of the others are every law's: ``Φ = y`` where open, ``Φ = w``
-        where stuck.
+        Receives ``Φ`` of the slipping contacts.  For the others it is the same under every law: ``Φ = y`` if open,
+        ``Φ = w`` if stuck.
     A, B : (m, 3, 3) array
-        Receive the derivative for the contacts that slip, if it is asked for; empty otherwise.
+        Receive the derivative of the slipping contacts if `derivative` is set; otherwise empty.
     state : (m,) int array
         Receives OPEN, STICK or SLIP.
     derivative : bool
@@ -45,7 +45,7 @@ def equation(parameters, y, w, phi, A, B, state, derivative):
             phi[i + 1] = y[i + 1] - mu * a * e1
             phi[i + 2] = y[i + 2] - mu * a * e2
             if derivative:
-                # B: of (a, P_ball(μ a)(v)) by y - w; A = I - B.
+                # B: derivative of (a, P_ball(μ a)(v)) by y - w; A = I - B.
                 r = mu * a / t
                 B[k, 0, 0], B[k, 0, 1], B[k, 0, 2] = 1.0, 0.0, 0.0
                 B[k, 1, 0], B[k, 1, 1], B[k, 1, 2] = mu * e1, r - r * e1 * e1, -r * e1 * e2

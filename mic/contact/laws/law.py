@@ -1,4 +1,4 @@
-r"""What a contact law is: the cone of its forces, and the displacement that is complementary to them.
+r"""Contact laws: the cone of admissible forces, and the displacement that is complementary to the force.
 
 Contact ``k`` carries the force ``f = (f_n, f_t1, f_t2)`` and the relative displacement ``u = (u_n, u_t1, u_t2)``;
 ``f_n >= 0`` is compression, ``u_n >= 0`` separation.  With the friction cone ``K`` and its dual ``K*``,
@@ -19,8 +19,7 @@ with its own share ``s`` of De Saxcé's shift.  A contact that slips under load 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,36 +28,8 @@ from mic.contact.friction import Friction
 
 __all__ = ["LAWS", "Law", "find"]
 
-#: Every law by its name, in the order of reports; :mod:`mic.contact.laws` fills it.
+#: All laws by name, in the order of reports; filled by :mod:`mic.contact.laws`.
 LAWS: dict[str, Law] = {}
-
-
-class _FormerEnumeration(type):
-    """Keeps ``Law("coulomb")``, ``Law.COULOMB`` and iteration for one version: ``Law`` was an enumeration."""
-
-    def __call__(cls, *arguments, **fields):
-        if len(arguments) == 1 and not fields:
-            return _former(f"Law({arguments[0]!r})", "mic.contact.laws.find(name)")(arguments[0])
-        return super().__call__(*arguments, **fields)
-
-    def __getattr__(cls, name):
-        if not name.isupper():
-            raise AttributeError(f"class Law has no attribute {name!r}")
-        find = _former(f"Law.{name}", f"mic.contact.laws.{name}")
-        try:
-            return find(name.lower())
-        except ValueError as error:
-            raise AttributeError(str(error)) from None
-
-    def __iter__(cls) -> Iterator[Law]:
-        _former("iteration over Law", "mic.contact.laws.LAWS")
-        return iter(LAWS.values())
-
-
-def _former(old, new):
-    """Warn about the old name; return the function that finds a law by its name."""
-    warnings.warn(f"{old} is deprecated: use {new}", DeprecationWarning, stacklevel=3)
-    return find
 
 
 def _one_coefficient(friction: Friction) -> np.ndarray:
@@ -78,44 +49,43 @@ def _rigid(friction):
 
 
 @dataclass(frozen=True, eq=False)
-class Law(metaclass=_FormerEnumeration):
-    """A contact law: one object, known by its name.
+class Law:
+    """A contact law.
 
     Attributes
     ----------
     name : str
-        The word that scenes and calls use.
+        The name in scenes and calls.
     title : str
-        One line that explains it.
+        Explanation in one line.
     colour, mark : str
-        How pictures show it: a colour ``#rrggbb`` and a marker of Matplotlib.
+        Colour ``#rrggbb`` and Matplotlib marker in pictures.
     frictional : bool
-        Whether tangential forces exist.  Without them the law is ``0 <= f_n ⊥ u_n >= 0``, ``f_t = 0``.
+        Whether tangential forces exist.  If not, the law is ``0 <= f_n ⊥ u_n >= 0``, ``f_t = 0``.
     shift : float
         Share ``s`` of ``μ‖u_t‖`` that the law adds to ``u_n``: 1 keeps slipping contacts closed, 0 makes the problem
         convex.
     equation : function or None
-        One contact's equation ``Φ(y, w) = 0`` in scaled force ``y`` and displacement ``w``, for Newton's method; see
-        :func:`mic.contact.laws.coulomb.equation`.  Plain Python on numbers and small arrays, to be compiled by Numba,
-        so it calls nothing but ``math``, ``numpy`` and what Numba compiled.  None for a law without friction only.
+        The equation ``Φ(y, w) = 0`` of a contact in scaled force ``y`` and displacement ``w``, for Newton's method; see
+        :func:`mic.contact.laws.coulomb.equation`.  Numba compiles it, so it may call only ``math``, ``numpy`` and
+        compiled functions.  None only for a law without friction.
     gauss_seidel : bool
-        Whether the exact solution of a single contact in the Gauss-Seidel sweeps is this law's, with its coefficient
-        held.
+        Whether the single-contact solution of the Gauss-Seidel sweeps satisfies this law for a fixed coefficient.
     followed : bool
-        Whether small steps of the law tend to the law itself, so that its path can be followed.
+        Whether incremental solutions of the law converge with the step size, so that its path can be followed.
     paper_backend : str
-        The backend that the paper used for it; native where the paper had none.
+        The backend that the paper used for it; native if none.
     reads : {"", "pressure", "compliance"}
-        The field of :class:`mic.contact.friction.Friction` that it reads beyond the coefficient; where a contact has
-        none, the law is Coulomb's there.
+        The field of :class:`mic.contact.friction.Friction` that the law needs beyond the coefficient; a contact without
+        it obeys Coulomb's law.
     parameters : function
-        ``parameters(friction)``: the (m, p) array that the equation takes, the coefficient first.
+        ``parameters(friction)``: the (m, p) array for the equation, the coefficient in column 0.
     scaled : function
         ``scaled(parameters, d_n, d_t)``: the same for the scaled force ``y_n = f_n/d_n``, ``y_t = f_t/d_t``; both (m,).
     coefficient : function
         ``coefficient(parameters, normal)``: μ (..., m) under the normal forces (..., m), scaled as the parameters are.
     slope : function
-        ``slope(parameters, normal)``: ``g'(f_n)`` of the bound ``g(f_n) = μ f_n``, likewise.
+        ``slope(parameters, normal)``: ``g'(f_n)`` of the bound ``g(f_n) = μ f_n``, scaled likewise.
     compliance : function
         ``compliance(friction)``: (m,) tangential compliance ``c`` in series with the slider [length / force].  The law
         ties the force to the slider's displacement ``w_t = u_t + c f_t``, see :mod:`mic.contact.laws.micro_slip`.
@@ -145,12 +115,9 @@ class Law(metaclass=_FormerEnumeration):
 
     def __post_init__(self):
         if self.frictional and self.equation is None:
-            raise ValueError(f"law {self.name} has friction: give its equation")
+            raise ValueError(f"law {self.name} has friction and needs an equation")
 
     def __eq__(self, other):
-        if isinstance(other, str):
-            warnings.warn("comparing a law with a string is deprecated: use law.name", DeprecationWarning, stacklevel=2)
-            return self.name == other
         return isinstance(other, Law) and self.name == other.name
 
     def __hash__(self):
@@ -160,12 +127,6 @@ class Law(metaclass=_FormerEnumeration):
     def varies(self) -> bool:
         """Whether the coefficient changes with the normal force."""
         return self.coefficient is not _constant
-
-    @property
-    def value(self) -> str:
-        """Deprecated: the name."""
-        warnings.warn("law.value is deprecated: use law.name", DeprecationWarning, stacklevel=2)
-        return self.name
 
     def projection(self, x: np.ndarray, mu: np.ndarray) -> np.ndarray:
         """Euclidean projection ``P_K`` on the friction cones.
@@ -195,7 +156,7 @@ class Law(metaclass=_FormerEnumeration):
         return projected
 
     def complementary(self, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
-        """The displacement ``û = u + s μ‖u_t‖ n`` that the law makes complementary to the force.
+        """The displacement ``û = u + s μ‖u_t‖ n`` that is complementary to the force.
 
         Parameters
         ----------
@@ -207,7 +168,7 @@ class Law(metaclass=_FormerEnumeration):
         Returns
         -------
         (..., m, 3) array
-            ``u`` itself where the law has no shift.
+            ``u`` itself if the law has no shift.
         """
         if not self.shift:
             return u
@@ -219,13 +180,12 @@ class Law(metaclass=_FormerEnumeration):
         """Largest tangential force ``g(f_n) = μ f_n`` under the normal forces (..., m), with :attr:`parameters`."""
         return self.coefficient(parameters, normal) * normal
 
-    def rise(self, normal: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    def bound_slope(self, normal: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """``g'(f_n)`` under the normal forces (..., m), with :attr:`parameters`."""
         return self.slope(parameters, normal)
 
     def opening(self, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
-        """``û_n - μ‖u_t‖ = u_n - (1 - s) μ‖u_t‖``: a contact without force obeys the law exactly where it is not
-        negative.
+        """``û_n - μ‖u_t‖ = u_n - (1 - s) μ‖u_t‖``, non-negative exactly if the law admits zero force.
 
         Parameters
         ----------
@@ -244,12 +204,12 @@ class Law(metaclass=_FormerEnumeration):
 
 
 def find(law: str | Law) -> Law:
-    """The law of this name; a law is its own.
+    """The law with this name; a :class:`Law` is returned unchanged.
 
     Raises
     ------
     ValueError
-        Naming the laws that there are.
+        With the names of all laws, if the name is unknown.
     """
     if isinstance(law, Law):
         return law

@@ -2,7 +2,7 @@ r"""Coulomb's slider behind a tangential spring: a contact yields before it slip
 
 A contact of area ``A`` and tangential stiffness ``k_t`` per area has the compliance ``c = 1/(k_t A)``.  Its relative
 displacement ``u_t`` is the sum of the slider's, ``w_t``, and of the spring's.  The force acts on the second body and
-holds it back, so that the spring has moved by ``-c f_t``: a stuck contact (``w_t = 0``) moved by ``u_t`` answers with
+holds it back, so that the spring is displaced by ``-c f_t``: a stuck contact (``w_t = 0``) displaced by ``u_t`` carries
 ``f_t = -u_t/c``.  Hence
 
 .. math::
@@ -10,11 +10,11 @@ holds it back, so that the spring has moved by ``-c f_t``: a stuck contact (``w_
     w_t = u_t + c f_t, \qquad w = S f + b + C f = S' f + b, \qquad S' = S + C, \quad C_k = \mathrm{diag}(0, c, c),
 
 and Coulomb's law holds between ``f`` and ``w``: the same cone, the same certificate and the same solvers, on ``S'``.
-What a contact remembers is where its slider stands: ``b_t`` counts from there, and a contact that opens lets its spring
-relax.
+The state of a contact is the position of its slider, from which ``b_t`` is measured; the spring of a contact that opens
+relaxes.
 
-``C`` is positive semidefinite, so nothing that is known of existence and uniqueness for Coulomb's law on ``S`` is lost
-on ``S'``; tangentially ``S'`` is the better conditioned of the two.  ``c → 0`` is Coulomb's law.
+``C`` is positive semidefinite, so results on existence and uniqueness for Coulomb's law on ``S`` hold for ``S'``, which
+is better conditioned tangentially.  ``c → 0`` gives Coulomb's law.
 """
 
 from __future__ import annotations

@@ -13,13 +13,13 @@ import numpy as np
 from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
-from mic.contact.lazy_memory import untouched
+from mic.contact.lazy_memory import lazy_zeros
 from mic.contact.native import batch, follower, kernels, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
-from mic.contact.path_record import Trail, trails
+from mic.contact.path_record import PathRecord, record_array
 
 if TYPE_CHECKING:
     from mic.contact.compliance_columns import Columns
@@ -76,8 +76,8 @@ class NativeSolver:
         self.problem = ScaledProblem.of(law, np.ascontiguousarray(W), parameters)
         self._apart: list[NativeSolver] | None = None
 
-    def under(self, friction: Friction) -> NativeSolver:
-        """See :meth:`mic.contact.backends.Backend.under`."""
+    def with_friction(self, friction: Friction) -> NativeSolver:
+        """See :meth:`mic.contact.backends.Backend.with_friction`."""
         some, law = copy(self), self.problem.law
         parameters = law.parameters(friction)
         if law.frictional:
@@ -87,8 +87,8 @@ class NativeSolver:
         some._apart = None
         return some
 
-    def take(self, own: np.ndarray) -> NativeSolver:
-        """See :meth:`mic.contact.backends.Backend.take`."""
+    def subset(self, own: np.ndarray) -> NativeSolver:
+        """See :meth:`mic.contact.backends.Backend.subset`."""
         rows = np.flatnonzero(np.repeat(own, self._size))
         some, problem = copy(self), self.problem
         some.scaling = self.scaling[rows]
@@ -155,7 +155,7 @@ class NativeSolver:
     def _parts(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, NativeSolver]]:
         """Rows of b, of `size` in all, and of the scaled problem, and the solver, of contacts that hang together."""
         if self._apart is None:
-            self._apart = [self.take(own) for own in self.problem.components]
+            self._apart = [self.subset(own) for own in self.problem.components]
         dimension = size // len(self.problem.parameters)
         for own, part in zip(self.problem.components, self._apart):
             yield np.flatnonzero(np.repeat(own, dimension)), np.flatnonzero(np.repeat(own, self._size)), part
@@ -228,7 +228,7 @@ class NativeSolver:
             follower.SWEEPS * problem.law.gauss_seidel,
         )
         room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
-        passed, passed_force = untouched(n, room), untouched(n, room, 3 * m)
+        passed, passed_force = lazy_zeros(n, room), lazy_zeros(n, room, 3 * m)
         follow, _ = follower.follower()
 
         def chunk(own):
@@ -246,8 +246,8 @@ class NativeSolver:
             )
 
         self._each(chunk, n)
-        trail = self._trails(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None
-        return self._leg(Y, Q, L, slip, length, work, share, counts, estimate, trail)
+        record = self._records(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None
+        return self._leg(Y, Q, L, slip, length, work, share, counts, estimate, record)
 
     def step(self, among, some, b, force, anchor, working, guess, near, leg: Leg) -> None:
         """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
@@ -278,7 +278,7 @@ class NativeSolver:
         leg.factorisations[some] += counts[some, follower.FACTORISATIONS]
         leg.given_up[some] = counts[some, follower.FAILED] > 0
 
-    def _leg(self, Y, Q, L, slip, length, work, share, counts, error, trail=None) -> Leg:
+    def _leg(self, Y, Q, L, slip, length, work, share, counts, error, record=None) -> Leg:
         """What the follower tells in scaled quantities, in mm and N."""
         D, (n, m) = self.scaling, length.shape
         unit = 1.0 / D.reshape(m, 3)[:, 1]
@@ -294,14 +294,14 @@ class NativeSolver:
             steps=counts[:, follower.STEPS].copy(),
             factorisations=counts[:, follower.FACTORISATIONS].copy(),
             given_up=counts[:, follower.FAILED] > 0,
-            trail=trail,
+            record=record,
         )
 
-    def _trails(self, order, steps, passed, force) -> np.ndarray:
-        """(n,) trails of samples that took so many steps."""
+    def _records(self, order, steps, passed, force) -> np.ndarray:
+        """(n,) records of samples with these numbers of steps."""
         count = steps + (order == 2)
-        return trails(
-            Trail(order, ends[:k].copy(), own[:k] * self.scaling) for k, ends, own in zip(count, passed, force)
+        return record_array(
+            PathRecord(order, ends[:k].copy(), own[:k] * self.scaling) for k, ends, own in zip(count, passed, force)
         )
 
     def infeasible(self, b: np.ndarray) -> bool:
