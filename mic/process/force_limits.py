@@ -64,7 +64,7 @@ class Stops:
         rows_used = np.concatenate([np.arange(self.rows), stop])
         columns = np.zeros((len(numbers), self.dimension * self.total))
         present = np.isin(numbers, rows_used)
-        columns[np.ix_(present, rows_used)] = S.passed(np.searchsorted(rows_used, numbers[present]))
+        columns[np.ix_(present, rows_used)] = S.uncached(np.searchsorted(rows_used, numbers[present]))
         padding = numbers[~present]
         columns[~present, padding] = diagonal[self.rows + (padding - self.rows) // self.dimension]
         return columns
