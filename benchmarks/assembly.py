@@ -92,7 +92,7 @@ class Watch:
 
     def __init__(self, stages: list[PreparedStage]):
         self.spent = 0.0
-        for solver in {id(one): one for stage in stages for one in map(stage.solver, stage.needed) if one}.values():
+        for solver in {id(one): one for stage in stages for one in map(stage.solver, stage.required_steps) if one}.values():
             follow = solver.follow
 
             def watched(*arguments, follow=follow):

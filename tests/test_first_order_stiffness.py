@@ -17,7 +17,7 @@ from mic.model.assembly import assemble
 from mic.model.reduction import Reduction
 from mic.options import app
 from mic.process.model import ReducedModel
-from mic.process.stiffness import coefficients, most, wanted
+from mic.process.stiffness import coefficients, derivative_sets, select_shapes
 from mic.statistics.draw import draw
 from verification.comparison import difference, reduced_and_assembly
 from verification.stiffness import DeviatedStiffness
@@ -187,7 +187,7 @@ def test_only_parts_that_a_source_shapes_or_turns_are_computed_and_all_once(tmp_
         *("influence coefficients of upper at F + 1 σ", "influence coefficients of upper at F − 1 σ"),
     ]
     assert (
-        "stiffness to first order in F (1 more, which make 0.0% of how samples turn the sheets, are left out)" in lines
+        "stiffness to first order in F (1 more, with 0.0% of the rotations of the sheets, are left out)" in lines
     )
     assert set(found["upper"].slopes) == {"F"} and not found["lower"].slopes
     again: list[str] = []
@@ -207,7 +207,7 @@ def several(sigmas, **keys):
 
 def chosen(table, cache):
     assembly = assemble(read(table), cache)
-    return wanted(assembly, Reduction.build(assembly, coefficients(assembly_of(assembly), cache)[0]))
+    return select_shapes(assembly, Reduction.build(assembly, coefficients(assembly_of(assembly), cache)[0]))
 
 
 def assembly_of(assembly):
@@ -217,7 +217,7 @@ def assembly_of(assembly):
 
 def test_sources_that_hardly_matter_are_left_out_together_by_no_more_than_a_tenth(cache):
     every = chosen(several([1.0] * 4), cache)
-    assert list(every.along) == ["F0", "F1", "F2", "F3"] and every.left == 1 and every.share < 1e-3
+    assert list(every.along) == ["F0", "F1", "F2", "F3"] and every.omitted == 1 and every.share < 1e-3
     turned = {
         name: np.sqrt(np.mean(np.sum(fields["upper"][:, 3:] ** 2, axis=1))) for name, fields in every.along.items()
     }
@@ -228,7 +228,7 @@ def test_sources_that_hardly_matter_are_left_out_together_by_no_more_than_a_tent
 
     small = 0.07 * turned["F0"] / np.array([turned["F1"], turned["F2"]])
     fewer = chosen(several([1.0, *small, 1.0]), cache)
-    assert list(fewer.along) == ["F0", "F3"] and fewer.left == 3
+    assert list(fewer.along) == ["F0", "F3"] and fewer.omitted == 3
     assert fewer.share == pytest.approx(share([1.0, *small, 1.0]), rel=1e-3) and 0.05 < fewer.share < 0.1
     larger = 3.0 * small
     assert "F1" in chosen(several([1.0, *larger, 1.0]), cache).along
@@ -256,7 +256,7 @@ def test_a_check_tells_the_sets_of_coefficients_before_and_after(tmp_path):
     scene = tmp_path / "scene"
     scene.mkdir()
     table = lap("first-order")
-    names, sets = most(assemble(read(table), tmp_path))
+    names, sets = derivative_sets(assemble(read(table), tmp_path))
     assert names == ["F", "W"] and sets == 2 + 2 * 2 + 2 * 2
     text = (read(table).folder / "scene.toml").read_text().replace("fields = true", "")
     (scene / "scene.toml").write_text('stiffness = "first-order"\n' + text.replace("medium", "coarse"))
@@ -294,12 +294,12 @@ def test_processes_that_share_the_coefficients_find_what_one_does(tmp_path, buil
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"report": {"laws": ["coulomb"], "fields": True}}, "report.fields.*leave them out, or stiffness nominal"),
+        ({"report": {"laws": ["coulomb"], "fields": True}}, "report.fields.*fields need stiffness"),
         (
             {"deviations": [{"name": "T", "kind": "thickness", "part": "upper", "sigma": 0.02}]},
-            r"deviations\[0\] \(T\): thickness changes the stiffness, too; take it out",
+            r"deviations\[0\] \(T\): it needs stiffness",
         ),
-        ({"optimise": {"orders": [{"stage": "clamp"}]}}, "optimise: knows the nominal stiffness alone"),
+        ({"optimise": {"orders": [{"stage": "clamp"}]}}, "optimise: it needs stiffness"),
     ],
 )
 def test_what_stiffness_to_first_order_cannot_be_of_is_refused(keys, said):

@@ -224,7 +224,7 @@ def test_guns_one_after_the_other_press_only_while_their_weld_is_made():
 
 def test_what_goes_with_a_limit_and_a_gun_is_said():
     for clamp, words in (
-        (at_face("b", name="C", force=3.0, limit=4.0), "limit goes with stroke"),
+        (at_face("b", name="C", force=3.0, limit=4.0), "limit needs a stroke"),
         (at_face("b", name="C", stroke=0.1, limit=0.0), "limit"),
         (at_face("b", name="C", stroke=0.1, limit=-3.0), "limit"),
     ):
@@ -251,7 +251,7 @@ def test_limits_and_guns_in_words():
         "welds W, V and U join the sheets as they stand, guns W, V and U open",
     ]
     assert sentences(model.scene, plans["release"])[0] == "clamp C opens"
-    assert plans["weld"].judged_names(model.scene, model.weld_size) == ["W", "V", "U", "C"]
+    assert plans["weld"].limit_names(model.scene, model.weld_size) == ["W", "V", "U", "C"]
 
 
 @pytest.mark.parametrize("limit", [10.0, 100.0])

@@ -77,7 +77,7 @@ def test_contacts_are_given_the_same_problems(monkeypatch):
     process = plates(deviations=named).process("coulomb")
     asked = []
     for stage in process.stages:
-        for each in filter(stage.solved, stage.needed):
+        for each in filter(stage.solves_contact, stage.required_steps):
             solver = stage.solver(each)
             monkeypatch.setattr(solver, "follow", lambda *a, own=solver.follow: asked.append(a[:3]) or own(*a))
     deviations = np.array([[0.1, 0.2], [-0.9, -0.3]])

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 import mic
 from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
-from mic.model.assembly import GapPoints, Contacts
+from mic.model.assembly import Contacts, GapPoints
 from mic.model.rows import KINDS
 from mic.process.actions import tongs
 from mic.process.description import opening, sentences
@@ -231,7 +231,7 @@ def test_without_friction_only_the_last_step_counts_and_those_about_a_weld(plans
     assert solved["coulomb"] == {"set": 0, "close": 4, "close2": 3, "join": 1, "open": 5, "read": 0}
     assert solved["frictionless"] == {"set": 0, "close": 1, "close2": 1, "join": 1, "open": 1, "read": 0}
     gone = variant(join={"order": [["W2"], ["W1"]]})["join"]
-    assert gone.solves(LAWS["frictionless"]) == 1 and gone.remembered == (0, 1)
+    assert gone.solves(LAWS["frictionless"]) == 1 and gone.memory_steps == (0, 1)
 
 
 def test_the_process_in_words():

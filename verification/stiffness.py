@@ -15,7 +15,7 @@ from mic.errors import SceneError
 from mic.model.assembly import Assembly
 from mic.model.deviated_geometry import deviated_parts
 from mic.process.model import ReducedModel
-from mic.process.stiffness import carrying
+from mic.process.stiffness import with_shape
 
 __all__ = ["DeviatedStiffness"]
 
@@ -50,7 +50,7 @@ class DeviatedStiffness:
         fields = self._full.shape_fields(deviations)
         parts = deviated_parts(assembly, fields)
         found = {part.name: provider.find(part).coefficients([part])[part.name] for part in parts}
-        return carrying(model, assembly, fields, found, deviations)
+        return with_shape(model, assembly, fields, found, deviations)
 
     def shaping(self) -> np.ndarray:
         """(p,) bool: the deviations that give a part another shape."""

@@ -13,7 +13,7 @@ from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
 from mic.model.rest_rows import RestRows
-from mic.process.plan import Limit, Step, yielding
+from mic.process.plan import Limit, Step, row_compliance
 
 __all__ = ["Discretisation", "System"]
 
@@ -152,7 +152,7 @@ class Discretisation:
                 place = np.zeros(0, dtype=int)
             B = vstack([*(self.rows[kind][i] for kind, i in held), self.rows["rest"][place]], format="csr")
             springs = np.where(np.isin(self.rest.part[place], step.parked), 0.0, SOFT / self.contact_stiffness.max())
-            soft = yielding(self.assembly.scene, held)
+            soft = row_compliance(self.assembly.scene, held)
             soft = np.concatenate([np.zeros(len(held)) if soft is None else soft, springs])
             kept, combination = _independent(B, soft)
             names = [self.assembly.labels[kind][i] for kind, i in held] + ["a part that rests"] * len(place)

@@ -34,7 +34,7 @@ from mic.errors import FreeMotion
 from mic.model.rest_rows import separating_motion
 from mic.process.actions import Joints, Row, ResolveOverlap
 from mic.process.drive import Drive
-from mic.process.plan import StagePlan, Step, yielding
+from mic.process.plan import StagePlan, Step, row_compliance
 
 __all__ = ["ContactFailure", "FullResolution", "FullStage", "FullState", "Penalty", "Solve"]
 
@@ -219,7 +219,7 @@ class FullStage:
             return state, None, solves
         trace = sum(traces[1:], traces[0])
         trace = replace(trace, share=trace.share / len(traces))
-        judged = np.array([pushed[one] for one in self.plan.judged]).reshape(-1, 2)
+        judged = np.array([pushed[one] for one in self.plan.checked_limits]).reshape(-1, 2)
         return state, self._resolution(start, state, ends[-1], trace, drive, judged), solves
 
     def _position(self, limit, drive) -> float:
@@ -251,7 +251,7 @@ class FullStage:
         try:
             system = mesh.system(step)
             target = [state.frozen[i] if kind == "weld" else drive.target[kind][0, i] for kind, i in step.bilateral]
-            soft = yielding(mesh.assembly.scene, step.bilateral)
+            soft = row_compliance(mesh.assembly.scene, step.bilateral)
             carried = np.array([state.reaction.get(row, 0.0) for row in step.bilateral])
             v0 = system.rows @ state.solution.u
             place = drive.target["rest"][0, system.place] if step.sets_down else v0[len(target) :].copy()

@@ -10,25 +10,24 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Column, Table
 
-from mic import cache_folder
 from mic.commands.invocation import keep_studies, on_one_process, requested
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.compliance.thickness import chebyshev
 from mic.contact.laws import LAWS
 from mic.errors import MissingProvider, SceneError, StorageError
-from mic.geometry.mesh_summary import told
+from mic.geometry.mesh_summary import mesh_summary
 from mic.geometry.normals import COARSE, Rule
 from mic.model.assembly import assemble
 from mic.model.mesh_accuracy import estimate_accuracy
 from mic.model.one_sigma import one_sigma
 from mic.model.overlap import frozen_gaps
 from mic.model.reduction import Reduction
-from mic.plausibility import judge, readable, refuse, suspect, verdict
+from mic.plausibility import find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings, validity
 from mic.process.description import opening, sentences
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
-from mic.process.stiffness import listed, most, wanted
+from mic.process.stiffness import derivative_sets, list_sources, select_shapes
 from mic.results.cost_estimate import forecast
 from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
@@ -41,6 +40,7 @@ from mic.studies.optimisation.moved_items import on_their_parts
 from mic.studies.order import doubts
 from mic.studies.thickness import AWAY, interpolated
 from mic.system.console import plain
+from mic.system.disk_cache import cache_folder
 from mic.system.files import replacing
 
 __all__ = [
@@ -73,12 +73,12 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         plans = plan_assembly(assembly)
         optimisation = _optimisation(assembly)
     except SceneError as error:
-        parts = readable(asked, cache_folder())
-        warnings, surfaces = suspect(asked, parts), {one.part.name: one.surface for one in parts}
+        parts = loadable_parts(asked, cache_folder())
+        warnings, surfaces = find_warnings_unplaced(asked, parts), {one.part.name: one.surface for one in parts}
         _print_warnings(console, warnings)
         _draw_check(console, page, asked, surfaces, warnings, errors=str(error).splitlines())
         raise
-    warnings = judge(asked, assembly, cache_folder())
+    warnings = find_warnings(asked, assembly, cache_folder())
     console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
     _print_parts(console, assembly)
     _print_told(console, asked, assembly)
@@ -112,9 +112,9 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         if overlap is not None:
             _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
     if strict:
-        refuse(warnings)
+        raise_warnings(warnings)
     _print_warnings(console, warnings)
-    console.print(f"[{'yellow' if warnings else 'green'}]{verdict(warnings)}[/]")
+    console.print(f"[{'yellow' if warnings else 'green'}]{validity(warnings)}[/]")
 
 
 def _print_warnings(console, warnings):
@@ -277,7 +277,7 @@ def _print_told(console, asked, assembly):
     """What the parts' mesh files were taken for."""
     for part, source, filled in zip(assembly.parts, asked.parts, assembly.scene.parts):
         deck = assembly.decks.get(part.name)
-        for sentence in told(source, filled, deck, assembly.surfaces[part.name]) if deck is not None else ():
+        for sentence in mesh_summary(source, filled, deck, assembly.surfaces[part.name]) if deck is not None else ():
             console.print(plain(sentence), highlight=False, soft_wrap=True)
 
 
@@ -408,15 +408,16 @@ def _stiffness_words(assembly) -> str:
     told = "stiffness to first order in {}: {}; each sample is set up by itself, which takes many times as long"
     if len(assembly.contacts) <= LOOKED_AT and all(is_cached(part, cache_folder()) for part in assembly.parts):
         try:
-            shapes = wanted(assembly, Reduction.build(assembly, influence_coefficients(assembly, cache_folder())[0]))
+            nominal = Reduction.build(assembly, influence_coefficients(assembly, cache_folder())[0])
+            shapes = select_shapes(assembly, nominal)
         except MissingProvider:
             pass
         else:
-            further = {part.fingerprint(): part for part in shapes.further(assembly)}
+            further = {part.fingerprint(): part for part in shapes.additional_parts(assembly)}
             todo = sum(not is_cached(part, cache_folder()) for part in further.values())
             return told.format(shapes, f"{len(further)} further sets of influence coefficients, {todo} to be computed")
-    names, sets = most(assembly)
-    return told.format(f"up to {listed(names)}", f"at most {sets} further sets of influence coefficients")
+    names, sets = derivative_sets(assembly)
+    return told.format(f"up to {list_sources(names)}", f"at most {sets} further sets of influence coefficients")
 
 
 def _print_accuracy(console, assembly, say):

@@ -13,7 +13,7 @@ import numpy as np
 from mic.contact.friction import Friction
 from mic.contact.path import Path
 from mic.contact.states import OPEN
-from mic.contact.tangent import Bend, Contact, End, Varied, retrace
+from mic.contact.tangent import ComplianceDerivative, Contact, Dual, End, differentiate_path
 from mic.model.rest_rows import separating_motion_slope
 from mic.process.drive import Drive
 from mic.process.force_limits import Stops
@@ -59,7 +59,7 @@ class DifferentiatedProcess:
         self.process, self.names, self.sigma, self.given_steps = process, names, sigma, steps
         self.n, self.p = len(deviations), len(names)
         self.inputs = Inputs.of(process.model, names)
-        self.drive, self.drive_slope = process.asked(deviations), self.inputs.drive(process, deviations)
+        self.drive, self.drive_slope = process.drive(deviations), self.inputs.drive(process, deviations)
         self.undetermined = np.zeros(self.n, dtype=bool)
         self.offset = np.zeros(self.n) if offset is None else offset
         if offset is not None:
@@ -74,7 +74,7 @@ class DifferentiatedProcess:
         contacts, read = {}, (np.zeros((self.n, 0)), np.zeros((self.n * self.p, 0)))
         for stage in self.process.stages:
             before, last = slope, None
-            for number, eliminated in enumerate(stage.needed):
+            for number, eliminated in enumerate(stage.required_steps):
                 state, slope, end = self._step(stage, number, eliminated, state, slope)
                 last = end or last
             if last is not None:
@@ -123,10 +123,10 @@ class DifferentiatedProcess:
         places = [
             (drive.target if each.step.sets_down else of.reading)["rest"][:, each.rest.row] for each, of, drive in sides
         ]
-        ends = [(of.force, of.left, of.anchor, stage.stopped(each.step, of)) for each, of, _ in sides]
+        ends = [(of.force, of.left, of.anchor, stage.stop_forces(each.step, of)) for each, of, _ in sides]
         end: End | None = None
         converged = None
-        if stage.solved(eliminated):
+        if stage.solves_contact(eliminated):
             stops = stage.stops(eliminated)
             anchors = [of.anchor for _, of, _ in sides]
             soft = eliminated.rest.soft.any()
@@ -139,17 +139,17 @@ class DifferentiatedProcess:
                 ]
                 for s in (0.0, 1.0)
             )
-            bend = moving.bend()
+            compliance_slope = moving.compliance_slope()
             for s, (_, moved) in enumerate((starts, stop)):
                 moving.load(moved, self.p, *_values_and_loads(ramps[0], places[0], float(s)))
-            over, slope_over = (
+            overlap, overlap_slope = (
                 stage.overlap(each, of, drive, start) for (each, of, drive), start in zip(sides, starts)
             )
-            if bend is not None and eliminated.step.settles:
+            if compliance_slope is not None and eliminated.step.settles:
                 touching = np.column_stack([state.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
                 normal = slice(0, stops.rows, stops.dimension)
-                slope_over[:, normal] -= self._rows(bend.under(touching, self.p))[:, normal]
-            lifts = [np.maximum(0.0, over), np.where(np.repeat(over > 0.0, self.p, axis=0), slope_over, 0.0)]
+                overlap_slope[:, normal] -= self._rows(compliance_slope.apply(touching, self.p))[:, normal]
+            lifts = [np.maximum(0.0, overlap), np.where(np.repeat(overlap > 0.0, self.p, axis=0), overlap_slope, 0.0)]
             anchors_now = self._varied(*(_pad_anchor(stops, one) for one in anchors))
             if soft:
                 end, converged = self._step_with_resting_parts(
@@ -160,7 +160,7 @@ class DifferentiatedProcess:
                 record, converged = self._recorded_path(stage, number, eliminated, state, starts[0], stop[0])
                 end = self._differentiated_path(
                     self._excluded(eliminated),
-                    self._contact(stage, eliminated, bend),
+                    self._contact(stage, eliminated, compliance_slope),
                     self._varied(*(stops.pad(one) for one in starts)),
                     self._varied(*(stops.pad(one) for one in stop)),
                     anchors_now,
@@ -168,19 +168,19 @@ class DifferentiatedProcess:
                 )
             self.exact &= end.solved | ~converged
             self._update_reach(stage, eliminated, end)
-            found = (end.force, end.displacement, end.anchor)
+            outputs = (end.force, end.displacement, end.anchor)
             ends = [
-                _split_stops(stops, self.drive.gap, *(one.value for one in found)),
-                _split_stops(stops, self.drive_slope.gap, *(self._rows(one.slope) for one in found)),
+                _split_stops(stops, self.drive.gap, *(one.value for one in outputs)),
+                _split_stops(stops, self.drive_slope.gap, *(self._rows(one.slope) for one in outputs)),
             ]
 
-        def left_behind(side: int, solved: np.ndarray | None) -> ProcessState:
+        def state_after(side: int, solved: np.ndarray | None) -> ProcessState:
             each, of, drive = sides[side]
             force, left, anchor, stop = ends[side]
             return stage.after(each, of, drive, ramps[side], places[side], force, left, anchor, stop, solved)
 
-        after = left_behind(0, converged)
-        slope_after = left_behind(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
+        after = state_after(0, converged)
+        slope_after = state_after(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
         if len(moving):
             moving.read(
                 stage, slope_after, after, self.p, *_values_and_loads(ramps[0], places[0], 1.0), end is not None
@@ -194,78 +194,77 @@ class DifferentiatedProcess:
         slope = self._columns(stage.unloaded(plain, drive_slope, ramps[1], places[1], 0.0))
         place, anchor = stage.separating_motion(eliminated, state, start, places[0])
         soft, (_, m, d) = eliminated.rest.soft, state.force.shape
-        G = eliminated.rest.springs(eliminated.response)[1][: m * d].reshape(m, d, -1)
-        G = np.where(self._excluded(eliminated)[:m, None, None], 0.0, G)
+        G = stage.contact_motions(eliminated)
         moved, turned = self._columns(places[1]), self._columns(anchors[1])
         for i in np.flatnonzero((place != places[0]).any(axis=1)):
-            way = (place - places[0])[i, soft]
-            own = separating_motion_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], way)
-            moved[i, soft] += own
-            turned[i] += np.einsum("mjk,kp->mjp", G[:, 1:], own)
+            motion = (place - places[0])[i, soft]
+            motion_slope = separating_motion_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], motion)
+            moved[i, soft] += motion_slope
+            turned[i] += np.einsum("mjk,kp->mjp", G[:, 1:], motion_slope)
         places[:], anchors[:] = [place, self._rows(moved)], [anchor, self._rows(turned)]
 
     def _step_with_resting_parts(self, stage, number, eliminated, ramps, places, starts, stop, lifts, ends, anchor):
         """End of the contact path of a step with resting parts, and whether their positions converged.
 
         `places`, the positions of the resting parts and their slopes, are updated in place. The position q̄ of a part
-        is an additional input of each segment, determined by ``λ(x, q̄) = 0``: nothing is left for the springs to carry
-        (:mod:`mic.process.resting_parts`)."""
+        is an additional input of each segment, determined by ``λ(x, q̄) = 0``: the springs carry no force
+        (:mod:`mic.process.resting_parts`).
+        """
         rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
         (c, G), law = rest.springs(response), stage.solver(eliminated).law
         k, p = int(rest.soft.sum()), self.p
         contact = self._contact(stage, eliminated, None)
-        contact = replace(contact, rougher=np.pad(contact.rougher, ((0, 0), (0, k))))
+        contact = replace(contact, friction_slope=np.pad(contact.friction_slope, ((0, 0), (0, k))))
         nominal = self._varied(*(place[:, rest.soft] for place in places))
         force = self._varied(*(np.column_stack([f.reshape(len(f), -1), s]) for f, _, _, s in ends))
-        at, s0, converged = nominal, 0.0, np.ones(self.n, dtype=bool)
+        position, s_start, converged = nominal, 0.0, np.ones(self.n, dtype=bool)
 
-        def loads(s: float) -> tuple[Varied, Varied]:
-            """b, and the loads e on the rest rows, at s of the step."""
+        def loads(s: float) -> tuple[Dual, Dual]:
+            """b, and the loads e on the rest rows, position s of the step."""
             b = [(1 - s) * (start + lift) + s * last for start, lift, last in zip(starts, lifts, stop)]
             return self._varied(*b), self._varied(*(rest.pushed(response, ramp.at(s)[1]) for ramp in ramps))
 
-        for segment, (s1, path) in enumerate(rest.segments(stage.path, law)):
-            (b0, _), (b1, e1) = loads(s0), loads(s1)
-            record, target, good = self._rest_positions(
-                stage, number, segment, eliminated, (loads(s0), loads(s1)), nominal, at, force, anchor, path
+        for segment, (s_end, path) in enumerate(rest.segments(stage.path, law)):
+            (b0, _), (b1, e1) = loads(s_start), loads(s_end)
+            ends_of_loads = loads(s_start), loads(s_end)
+            record, target, settled = self._rest_positions(
+                stage, number, segment, eliminated, ends_of_loads, nominal, position, force, anchor, path
             )
-            converged &= good
+            converged &= settled
             carried = _times(force, G)
-            moved = _each(lambda now, nominal, f: now - nominal - c * f, at, nominal, carried)
+            moved = _each(lambda now, nominal, f: now - nominal - c * f, position, nominal, carried)
             begin = _each(np.add, b0, _times(moved, G.T))
             offset = _times(_each(lambda nominal, e: nominal + c * e, nominal, e1), G.T)
             without_parts = _each(np.subtract, b1, offset)
             none = np.zeros((self.n, len(G), k))
             for _ in range(ROUNDS):
-                end = Varied(
-                    without_parts.value + target @ G.T, np.concatenate([without_parts.slope, none + G], axis=2)
-                )
-                found = self._differentiated_path(
+                end = Dual(without_parts.value + target @ G.T, np.concatenate([without_parts.slope, none + G], axis=2))
+                end_state = self._differentiated_path(
                     self._excluded(eliminated),
                     contact,
-                    _for_solver(stops, Varied(begin.value, np.concatenate([begin.slope, none], axis=2))),
+                    _for_solver(stops, Dual(begin.value, np.concatenate([begin.slope, none], axis=2))),
                     _for_solver(stops, end),
-                    Varied(anchor.value, np.pad(anchor.slope, ((0, 0), (0, 0), (0, k)))),
+                    Dual(anchor.value, np.pad(anchor.slope, ((0, 0), (0, 0), (0, k)))),
                     record,
                 )
-                f = _without_padding(stops, found.force)
+                f = _without_padding(stops, end_state.force)
                 λ, M = e1.value - f.value @ G, np.einsum("rk,nrj->nkj", G, f.slope[:, :, p:])
                 scale = np.maximum(np.abs(f.value).max(axis=1, initial=0.0), np.abs(e1.value).max(axis=1, initial=0.0))
                 if (np.abs(λ).max(axis=1) <= SETTLED * scale).all():
                     break
                 target = target + _least_norm_solution(M, λ[..., None])[..., 0]
             before = e1.slope - np.einsum("rk,nrp->nkp", G, f.slope[:, :, :p])
-            dq = at.slope + _least_norm_solution(M, before - M @ at.slope)
-            left = np.abs(before - M @ dq).max(axis=(1, 2), initial=0.0)
-            self.undetermined |= left > LOOSE * np.maximum(np.abs(before).max(axis=(1, 2), initial=0.0), 1e-300)
-            found = _chain_rule(found, p, dq)
-            force, anchor, at = _without_padding(stops, found.force), found.anchor, Varied(target, dq)
-            self.exact &= found.solved | ~good
-            s0 = s1
-        for side, values in enumerate((at.value, self._rows(at.slope))):
+            dq = position.slope + _least_norm_solution(M, before - M @ position.slope)
+            residual = np.abs(before - M @ dq).max(axis=(1, 2), initial=0.0)
+            self.undetermined |= residual > LOOSE * np.maximum(np.abs(before).max(axis=(1, 2), initial=0.0), 1e-300)
+            end_state = _chain_rule(end_state, p, dq)
+            force, anchor, position = _without_padding(stops, end_state.force), end_state.anchor, Dual(target, dq)
+            self.exact &= end_state.solved | ~settled
+            s_start = s_end
+        for side, values in enumerate((position.value, self._rows(position.slope))):
             places[side] = places[side].copy()
             places[side][:, rest.soft] = values
-        return found, converged
+        return end_state, converged
 
     def _rest_positions(self, stage, number, segment, eliminated, loads, nominal, at, force, anchor, path):
         """Recorded steps (n,) of a segment, spring targets (n, k) of its resting parts, and whether they converged."""
@@ -273,48 +272,44 @@ class DifferentiatedProcess:
         if self.given_steps is not None:
             self.steps[key], self.steps[position_key] = self.given_steps[key], self.given_steps[position_key]
             return self.given_steps[key], np.stack(list(self.given_steps[position_key])), np.ones(self.n, dtype=bool)
-        rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
-        solver, sides = stage.solver(eliminated), stops.dimension - 1
+        rest, response = eliminated.rest, eliminated.response
         (b0, e0), (b1, e1) = loads
 
-        def follow(start, end, pressed, anchors_now, path):
-            way = np.stack([stops.pad(start), stops.pad(end)], axis=1)
-            none = np.zeros((len(start), stops.count, sides))
-            recorded = replace(path, recorded=True)
-            found = solver.follow(way, stops.pad(pressed), np.concatenate([anchors_now, none], axis=1), recorded)
-            solution, stopped = stops.split(found)
-            return solution, np.column_stack([solution.force, stopped])
+        def follow(start, end, pressed, anchors, path):
+            return stage.follow(eliminated, start, end, pressed, anchors, replace(path, recorded=True))
 
-        anchors_now = anchor.value.reshape(self.n, stops.total, sides)[:, : stops.contacts]
-        moving = Segment(b0.value, b1.value, e0.value, e1.value)
+        stops = stage.stops(eliminated)
+        anchors = anchor.value.reshape(self.n, stops.total, stops.dimension - 1)[:, : stops.contacts]
+        values = Segment(b0.value, b1.value, e0.value, e1.value)
         solution, pressed, place = rest.settle(
-            response, moving, nominal.value, at.value, force.value, anchors_now, follow, path
+            response, values, nominal.value, at.value, force.value, anchors, follow, path
         )
         c, G = rest.springs(response)
         target = place + c * (e1.value - pressed @ G)
-        record: Any = solution.trail
+        record: Any = solution.record
         positions = np.empty(self.n, dtype=object)
         positions[:] = list(target)
         self.steps[key], self.steps[position_key] = record, positions
         return record, target, solution.converged
 
     def _differentiated_path(
-        self, out: np.ndarray, contact: Contact, start: Varied, end: Varied, anchor: Varied, record
+        self, out: np.ndarray, contact: Contact, start: Dual, end: Dual, anchor: Dual, record
     ) -> End:
         """Retrace the recorded paths with derivatives; contacts `out` (m + s,) take no part.
 
         An offset sample has the friction at its offset, and contacts that were open throughout its recorded path are
-        added if they overlap."""
+        added if they overlap.
+        """
         if not self.offset.any():
-            return retrace(contact, start, end, anchor, record)
+            return differentiate_path(contact, start, end, anchor, record)
         ends = []
         for i, way in enumerate(self.offset):
-            coefficient = np.maximum(contact.friction.coefficient + way * contact.rougher[:, 0], 0.0)
+            coefficient = np.maximum(contact.friction.coefficient + way * contact.friction_slope[:, 0], 0.0)
             there = replace(contact, friction=replace(contact.friction, coefficient=coefficient))
-            b0, b1, anchors_now = (Varied(one.value[i : i + 1], one.slope[i : i + 1]) for one in (start, end, anchor))
+            b0, b1, anchors_now = (Dual(one.value[i : i + 1], one.slope[i : i + 1]) for one in (start, end, anchor))
             also = np.zeros(len(out), dtype=bool)
             while True:
-                found = retrace(there, b0, b1, anchors_now, record[i : i + 1], also)
+                found = differentiate_path(there, b0, b1, anchors_now, record[i : i + 1], also)
                 new = ~out & ~also & (found.state[0] == OPEN) & (found.normal.value[0] < -TOUCHES)
                 if not new.any():
                     break
@@ -351,8 +346,8 @@ class DifferentiatedProcess:
         moved = beside(step.limits, units.limits), beside(step.dropped_limits, units.dropped_limits)
         return replace(step, limits=moved[0], dropped_limits=moved[1]), units
 
-    def _varied(self, value, slope) -> Varied:
-        return Varied(value, self._columns(slope))
+    def _varied(self, value, slope) -> Dual:
+        return Dual(value, self._columns(slope))
 
     def _recorded_path(self, stage: PreparedStage, number: int, eliminated, state, b0, b1):
         """Recorded path steps (n,) of the contacts, and whether the samples met their tolerance."""
@@ -360,30 +355,33 @@ class DifferentiatedProcess:
         if self.given_steps is not None:
             self.steps[key] = self.given_steps[key]
             return self.given_steps[key], np.ones(self.n, dtype=bool)
-        stops, d = stage.stops(eliminated), self.process.model.contacts.dimension
-        force = np.column_stack([state.force.reshape(self.n, stops.rows), stage.stopped(eliminated.step, state)])
-        anchor = _pad_anchor(stops, state.anchor).reshape(self.n, stops.total, d - 1)
+        stop_forces = stage.stop_forces(eliminated.step, state)
+        force = np.column_stack([state.force.reshape(self.n, -1), stop_forces])
         path: Path = replace(stage.path, recorded=True)
-        way = np.stack([stops.pad(b0), stops.pad(b1)], axis=1)
-        found = stage.solver(eliminated).follow(way, stops.pad(force), anchor, path)
-        record: Any = found.trail
+        found, _ = stage.follow(eliminated, b0, b1, force, state.anchor, path)
+        record: Any = found.record
         self.steps[key] = record
         return record, found.converged
 
-    def _contact(self, stage: PreparedStage, eliminated: EliminatedStep, bend: Bend | None) -> Contact:
+    def _contact(
+        self, stage: PreparedStage, eliminated: EliminatedStep, compliance_slope: ComplianceDerivative | None
+    ) -> Contact:
         contacts, law = self.process.model.contacts, stage.solver(eliminated).law
         stops = stage.stops(eliminated)
         friction = stops.friction(contacts.friction_in(stage.plan.name))
-        rougher = np.concatenate([self.inputs.rougher, np.zeros((stops.count, self.p))])
+        friction_slope = np.concatenate([self.inputs.friction, np.zeros((stops.count, self.p))])
         if law.varies and friction.pressure is not None:
-            rougher[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
+            friction_slope[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
         return Contact(
             law,
             stops.compliance(*eliminated.compliance),
             friction if law.frictional else Friction.of(0.0, stops.total),
-            rougher,
+            friction_slope,
             contacts.dimension,
-            bend and Bend(stops.pad(bend.left), stops.pad(bend.lean), bend.whose),
+            compliance_slope
+            and ComplianceDerivative(
+                stops.pad(compliance_slope.left), stops.pad(compliance_slope.right), compliance_slope.inputs
+            ),
         )
 
     def _contacts(self, state: ProcessState, slope: ProcessState, before: ProcessState, end: End) -> ContactSensitivity:
@@ -402,17 +400,17 @@ class DifferentiatedProcess:
 
     def _update_reach(self, stage: PreparedStage, eliminated: EliminatedStep, end: End) -> None:
         """Update the distance to the nearest change of state with the contacts at the end of a step."""
-        there = ~self._excluded(eliminated)
+        active = ~self._excluded(eliminated)
         for margin in (end.normal, end.cone):
             size = np.abs(margin.value)
             finite = np.where(np.isfinite(size), size, 0.0)
-            pushed = np.abs(margin.slope) * self.sigma
-            joint = np.linalg.norm(pushed, axis=2)
+            change = np.abs(margin.slope) * self.sigma
+            joint = np.linalg.norm(change, axis=2)
             rests = np.maximum(finite, joint) <= RESTS * finite.max(axis=1, keepdims=True, initial=0.0)
-            counts = there & np.isfinite(size) & ~rests & (joint > 0.0)
+            counts = active & np.isfinite(size) & ~rests & (joint > 0.0)
             distance = np.where(counts, finite / np.where(counts, joint, 1.0), np.inf)
             along = np.where(
-                counts[:, :, None] & (pushed > 0.0), finite[:, :, None] / np.where(pushed > 0, pushed, 1.0), np.inf
+                counts[:, :, None] & (change > 0.0), finite[:, :, None] / np.where(change > 0, change, 1.0), np.inf
             )
             self.reach_along = np.minimum(self.reach_along, along.min(axis=1, initial=np.inf))
             if not distance.shape[1]:
@@ -426,11 +424,11 @@ class DifferentiatedProcess:
     def _state_change(self, stage: PreparedStage, eliminated: EliminatedStep, k: int, state: int, slips: bool) -> str:
         """Describe a change of state: the stage, the contact or stop, and whether it slips, closes or opens."""
         model = self.process.model
-        what = "slips" if slips else "closes" if state == 0 else "opens"
+        change = "slips" if slips else "closes" if state == 0 else "opens"
         if k >= len(model.contacts):
             kind, row = eliminated.step.stops[k - len(model.contacts)].row
-            return f"{stage.plan.name}: the stop of {model.labels[kind][row]} {what}"
-        return f"{stage.plan.name}: contact {k} of zone {model.scene.zones[model.contacts.zone[k]].name} {what}"
+            return f"{stage.plan.name}: the stop of {model.labels[kind][row]} {change}"
+        return f"{stage.plan.name}: contact {k} of zone {model.scene.zones[model.contacts.zone[k]].name} {change}"
 
 
 def _pad_anchor(stops: Stops, anchor: np.ndarray) -> np.ndarray:
@@ -471,26 +469,26 @@ def _offset_drive(drive: Drive, slope: Drive, distance: np.ndarray) -> Drive:
     )
 
 
-def _each(function, *terms: Varied) -> Varied:
+def _each(function, *terms: Dual) -> Dual:
     """A linear function of the values, and of the slopes."""
-    return Varied(function(*(term.value for term in terms)), function(*(term.slope for term in terms)))
+    return Dual(function(*(term.value for term in terms)), function(*(term.slope for term in terms)))
 
 
-def _times(one: Varied, matrix: np.ndarray) -> Varied:
+def _times(one: Dual, matrix: np.ndarray) -> Dual:
     """``X A``, of rows (n, r) and A (r, k)."""
-    return Varied(one.value @ matrix, np.einsum("nrp,rk->nkp", one.slope, matrix))
+    return Dual(one.value @ matrix, np.einsum("nrp,rk->nkp", one.slope, matrix))
 
 
-def _for_solver(stops: Stops, one: Varied) -> Varied:
+def _for_solver(stops: Stops, one: Dual) -> Dual:
     """Values of contacts and stops, padded to d rows for each stop as the solver needs them."""
     slope = [stops.pad(one.slope[:, :, i]) for i in range(one.slope.shape[2])]
-    return Varied(stops.pad(one.value), np.stack(slope, axis=2))
+    return Dual(stops.pad(one.value), np.stack(slope, axis=2))
 
 
-def _without_padding(stops: Stops, force: Varied) -> Varied:
+def _without_padding(stops: Stops, force: Dual) -> Dual:
     """(n, d m + s) forces of contacts and stops, without the rows that the solver adds to stops."""
     own = np.concatenate([np.arange(stops.rows), np.arange(stops.rows, force.value.shape[1], stops.dimension)])
-    return Varied(force.value[:, own], force.slope[:, own])
+    return Dual(force.value[:, own], force.slope[:, own])
 
 
 def _chain_rule(end: End, p: int, position_slope: np.ndarray) -> End:
@@ -498,8 +496,8 @@ def _chain_rule(end: End, p: int, position_slope: np.ndarray) -> End:
 
     def own(one):
         return (
-            Varied(one.value, one.slope[:, :, :p] + one.slope[:, :, p:] @ position_slope)
-            if isinstance(one, Varied)
+            Dual(one.value, one.slope[:, :, :p] + one.slope[:, :, p:] @ position_slope)
+            if isinstance(one, Dual)
             else one
         )
 

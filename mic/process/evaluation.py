@@ -177,12 +177,12 @@ class Evaluation:
 
     @property
     def functional_force(self) -> np.ndarray:
-        """(n, F) all forces on the retained functionals in the last stage, N, with those that make the parts' shapes."""
+        """(n, F) all forces on the retained functionals in the last stage, with those that make the shapes, N."""
         return self._equilibrium[0]
 
     @property
     def motion(self) -> np.ndarray:
-        """(n, 6P) rigid-body motions of the parts in the last stage, mm and rad, with those of the shape deviation."""
+        """(n, 6P) rigid-body motions of the parts in the last stage, with those of the shapes, mm and rad."""
         return self._equilibrium[1]
 
     @cached_property

@@ -1,17 +1,18 @@
-"""What a step leaves free, seen from the scene alone: rigid parts on the points and directions of what holds them.
+"""Motions that a step leaves free, from the scene alone: rigid parts on the points and directions of their supports.
 
 A locator, or a clamp that holds a position, at x along d reads ``d · (q + φ × (x - c))`` of a part's rigid motion
-(q, φ) about c; a weld reads both parts' motions at its point, second minus first, translations first and rotations
-where it carries moment. What these leave free of a part that `rests`, and of what is welded to it, contact alone can
-hold, where a zone joins it to what does not move along.
+(q, φ) about c. A weld reads both parts' motions at its point, second minus first: translations first, then rotations if
+it carries moment. Motions of a part that `rests`, and of parts welded to it, that these rows leave free can be held by
+contact alone, if a zone joins it to a body that does not move along.
 
-Whether contact can, the pairs tell before anything is factorised. With N the motions that the rows leave free,
+The pairs show whether contact can hold the part, before anything is factorised. With N the motions that the rows leave
+free,
 
-- no motion of N may be one that no pair reads, along its normal or, with friction, its tangents;
-- forces of the pairs within their friction, and of the rows, balance the clamps' forces;
-- some of them press on each part that rests, or on what is welded to it, at the end of a stage.
+- every motion of N must change the reading of some pair along its normal or, with friction, its tangents;
+- forces of the pairs within their friction, together with those of the rows, balance the clamps' forces;
+- some of them press on each part that rests, or on a part welded to it, at the end of a stage.
 
-The cones of friction are widened to pyramids there, so that nothing is refused that may hold.
+Friction cones are widened to pyramids here, so that no part is refused that contact may hold.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from mic.contact.laws import LAWS
 from mic.errors import FreeMotion, SceneError
 from mic.process.actions import Joints, Placement
 
-__all__ = ["check_resting", "free", "rested", "towards"]
+__all__ = ["check_resting", "free_motion_error", "with_resting_parts", "describe_direction"]
 
-SHARE = 1e-6  # of a motion: a part that moves less than this with it stays
-PRESSED = 1e-6  # of the largest force: contacts that may press with no more than this press on nothing
-INFEASIBLE = 2  # how SciPy calls it
-ROUGH = 10.0  # larger than any coefficient that depends on pressure
-AXIS = 0.05  # of a direction: what lies across an axis by less than this lies along it
+SHARE = 1e-6  # of a motion: parts that take less part in it do not move
+PRESSED = 1e-6  # of the largest force: smaller contact forces count as zero
+INFEASIBLE = 2  # status of scipy.optimize.linprog
+ROUGH = 10.0  # coefficient assumed where friction depends on pressure: larger than any real one
+AXIS = 0.05  # of a direction: with a smaller component across an axis it counts as along it
 
 
-def rested(scene, joints: Joints, plan):
+def with_resting_parts(scene, joints: Joints, plan):
     """A stage's plan, with the parts that rest by contact alone in each of its steps.
 
     Parameters
@@ -53,9 +54,9 @@ def rested(scene, joints: Joints, plan):
     Raises
     ------
     SceneError
-        If neither rows nor zones hold a part: naming the stage, what opens in it, the part and the remedy.
+        If neither rows nor zones hold a part: names the stage, what opens in it, the part and the remedy.
     """
-    bodies = _Bodies(scene)
+    bodies, may_rest = _RigidParts(scene), [part.name for part in scene.parts if part.rests]
     steps = []
     for step in plan.steps:
         held = bodies.held(joints, step.bilateral)
@@ -63,38 +64,38 @@ def rested(scene, joints: Joints, plan):
             completing_rows(held, np.zeros((0, held.shape[1])), bodies.size)
             resting: tuple[int, ...] = ()
         except FreeMotion as error:
-            resting = bodies.moved(error.motions)
-            # What arrives touches nothing yet, but will.
-            arrives = any(isinstance(action, Placement) for action in step.move)
-            zones = [zone for i, zone in enumerate(scene.zones) if arrives or i not in step.away]
+            resting = bodies.moving_parts(error.motions)
+            # New parts do not touch anything yet, but will.
+            placed = any(isinstance(action, Placement) for action in step.move)
+            zones = [zone for i, zone in enumerate(scene.zones) if placed or i not in step.away]
             try:
-                completing_rows(held, bodies.whole([part.name for part in scene.parts if part.rests]), bodies.size)
-                completing_rows(held, bodies.joined(zones), bodies.size)
-            except FreeMotion as lost:
-                there = [p for p in bodies.moved(lost.motions) if p not in step.parked]
-                if there:
-                    raise free(scene, plan, step, lost, bodies.most(lost.motions)) from lost
+                completing_rows(held, bodies.all_motions(may_rest), bodies.size)
+                completing_rows(held, bodies.relative_motions(zones), bodies.size)
+            except FreeMotion as unheld:
+                free_parts = [p for p in bodies.moving_parts(unheld.motions) if p not in step.parked]
+                if free_parts:
+                    raise free_motion_error(scene, plan, step, unheld, bodies.most(unheld.motions)) from unheld
         steps.append(replace(step, resting=resting, parked=tuple(p for p in step.parked if p in resting)))
     return replace(plan, steps=tuple(steps))
 
 
-def free(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
+def free_motion_error(scene, plan, step, error: FreeMotion, part: int) -> SceneError:
     """The error of a step that leaves a part free."""
     opened = [getattr(scene, f"{kind}s")[i].name for kind, i in step.released if kind != "weld"]
-    once = f" once {', '.join(opened[:4])}{' …' * (len(opened) > 4)} opened" if opened else ""
+    cause = f" once {', '.join(opened[:4])}{' …' * (len(opened) > 4)} opened" if opened else ""
     contact = (
         "it rests, but no zones lead from it to a fixture, or to a part that locators hold: add one"
         if scene.parts[part].rests
         else "where contact is to hold it, give it rests = true and a zone"
     )
     return SceneError(
-        f"stages ({plan.name}): {error}{once}, mostly of part {scene.parts[part].name!r}; keep more locators in this "
-        f"stage, or join the part by welds with moment; {contact}"
+        f"stages ({plan.name}): {error}{cause}, mostly of part {scene.parts[part].name!r}; keep more locators in "
+        f"this stage, or join the part by welds with moment; {contact}"
     )
 
 
 def check_resting(assembly, plans: Sequence, laws: Iterable[str]) -> None:
-    """Contact can hold the parts that rest, under each of the laws.
+    """Check that contact can hold the resting parts, under each of the laws.
 
     Parameters
     ----------
@@ -105,11 +106,11 @@ def check_resting(assembly, plans: Sequence, laws: Iterable[str]) -> None:
     Raises
     ------
     SceneError
-        Naming the stage, the part, the direction and the remedy.
+        Names the stage, the part, the direction and the remedy.
     """
     if not any(step.resting for plan in plans for step in plan.steps):
         return
-    bodies, joints = _Bodies(assembly.scene), Joints(tuple(assembly.weld_size))
+    bodies, joints = _RigidParts(assembly.scene), Joints(tuple(assembly.weld_size))
     for law in laws:
         for plan in plans:
             resolved = [step for step in plan.steps if step.resolves]
@@ -123,8 +124,8 @@ def check_resting(assembly, plans: Sequence, laws: Iterable[str]) -> None:
 def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
     scene, contacts = assembly.scene, assembly.contacts
     normal, tangents, mu = bodies.contacts(contacts, plan.name, law)
-    there = ~contacts.excluded(step.nuggets, step.away)
-    normal, tangents, mu = normal[there], tangents[there], mu[there]
+    active = ~contacts.excluded(step.nuggets, step.away)
+    normal, tangents, mu = normal[active], tangents[active], mu[active]
     held = bodies.held(joints, step.bilateral)
     without = f" without friction (law {law.name})" if not law.frictional else ""
     remedy = "give it locators, or a weld, there"
@@ -140,20 +141,20 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
             p = bodies.most(error.motions)
             raise SceneError(
                 f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
-                f"holds it {bodies.named(p, error.motions)}; {remedy}"
+                f"holds it {bodies.describe_motions(p, error.motions)}; {remedy}"
             ) from error
     names = ", ".join(repr(scene.parts[p].name) for p in parts)
     least, most, pushing = _loads(assembly, bodies, joints, step)
     pairs = csr_matrix(normal), csr_matrix(tangents[:, 0]), csr_matrix(tangents[:, 1])
-    found = _balanced(held, pairs, mu, least, most, pushing, bodies.size, np.zeros(len(normal)))
-    if found is None:
+    pressed = _balanced(held, pairs, mu, least, most, pushing, bodies.size, np.zeros(len(normal)))
+    if pressed is None:
         raise SceneError(
             f"stages ({plan.name}): contact alone holds {names}{without}, and no forces of it balance the clamps; "
             f"press where the part lies on something, or {remedy}"
         )
     for p in parts if last else ():
         together = sum(normal[:, 6 * q : 6 * q + 6] for q in bodies.welded(p, step.welds))
-        touching = np.abs(together).max(axis=1, initial=0.0) > 0  # of its welds' other parts as well, each other not
+        touching = np.abs(together).max(axis=1, initial=0.0) > 0  # contacts within the welded group cancel
         if not _balanced(held, pairs, mu, least, most, pushing, bodies.size, touching.astype(float)):
             raise SceneError(
                 f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
@@ -162,8 +163,11 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
 
 
 def _loads(assembly, bodies, joints: Joints, step):
-    """Between which forces (l,) and along what (l, 6P) clamps, guns and weights push: a clamp with its force, a limited
-    one with that at most; a gun is not told from the weld that it presses. Forces are told in N."""
+    """Bounds (l,) of the forces of clamps, guns and weights, N, and the motions (l, 6P) along which they push.
+
+    A limited clamp has any force up to its limit. Guns have no bounds, since a gun and the weld that it presses have
+    the same rows.
+    """
     scene = assembly.scene
     varied = {name for one in scene.deviations if one.kind == "clamp" for name in np.atleast_1d(one.target)}
     rows, least, most, weights = [], [], [], []
@@ -172,7 +176,7 @@ def _loads(assembly, bodies, joints: Joints, step):
             weights.append(_weight(assembly, bodies, i))
             continue
         clamp = scene.clamps[i]
-        any_force = clamp.name in varied and not clamp.force  # a nominal force of zero, of either sign in a sample
+        any_force = clamp.name in varied and not clamp.force  # zero on average, of either sign in a sample
         rows.append(("clamp", i))
         least.append(-np.inf if any_force else clamp.force)
         most.append(np.inf if any_force else clamp.force)
@@ -188,16 +192,16 @@ def _loads(assembly, bodies, joints: Joints, step):
 
 
 def _weight(assembly, bodies, row: int) -> tuple[float, np.ndarray]:
-    """A part's weight, N, and along what (6P,) it pulls: the clamp row that a source of gravity adds for each part."""
+    """A part's weight, N, and the motion (6P,) along which it pulls, from the clamp row of its gravity source."""
     scene, entry = assembly.scene, assembly.rows["clamp"][row].tocoo()
     sources = [one for one in scene.deviations if one.kind == "gravity"]
     number = row - len(scene.clamps)
     source, part = sources[number // len(scene.parts)], scene.parts[number % len(scene.parts)]
-    return source.mean * float(entry.data.sum()), bodies.pulled(assembly, part.name, source.direction)
+    return source.mean * float(entry.data.sum()), bodies.centre_reading(assembly, part.name, source.direction)
 
 
-def _balanced(held, pairs, mu, least, most, pushing, size, wanted) -> bool | None:
-    """Whether forces in balance may press on `wanted` (m,) contacts; None where no forces balance the loads at all.
+def _balanced(held, pairs, mu, least, most, pushing, size, pressed) -> bool | None:
+    """Whether balanced forces can press on the `pressed` (m,) contacts; None if no forces balance the loads.
 
     Unknowns are the forces of the contacts, normals first, then both tangents, those of the rows held, and the loads.
     """
@@ -218,17 +222,17 @@ def _balanced(held, pairs, mu, least, most, pushing, size, wanted) -> bool | Non
     )
     limits = [(0.0, 1e3)] * m + [(None, None)] * (2 * m + b)
     limits += [(low / scale, high / scale) for low, high in zip(least, most)]
-    aim = np.concatenate([-wanted, np.zeros(2 * m + b + len(least))])
+    aim = np.concatenate([-pressed, np.zeros(2 * m + b + len(least))])
     solved = linprog(
         aim, within, np.zeros(within.shape[0]), balance, np.zeros(balance.shape[0]), limits, method="highs"
     )
     if solved.status == INFEASIBLE:
         return None
-    return solved.x is None or bool(wanted @ solved.x[:m] > PRESSED)
+    return solved.x is None or bool(pressed @ solved.x[:m] > PRESSED)
 
 
-def towards(direction: np.ndarray) -> str:
-    """A direction in words: along an axis, or a vector."""
+def describe_direction(direction: np.ndarray) -> str:
+    """A direction in words: an axis, or a vector."""
     unit = direction / np.linalg.norm(direction)
     for axis, name in zip(np.eye(3), "xyz"):
         if np.linalg.norm(np.cross(unit, axis)) < AXIS:
@@ -236,8 +240,8 @@ def towards(direction: np.ndarray) -> str:
     return f"along [{', '.join(f'{one:.2g}' for one in unit)}]"
 
 
-class _Bodies:
-    """The rigid motions of a scene's parts, six each: three translations, three rotations about a point of its own."""
+class _RigidParts:
+    """The rigid motions of a scene's parts, six each: three translations, three rotations about a common point."""
 
     def __init__(self, scene):
         points = [item.point for table in (scene.locators, scene.clamps, scene.welds) for item in table]
@@ -249,49 +253,50 @@ class _Bodies:
         self.size = np.tile([1.0, 1.0, 1.0, arm, arm, arm], len(self.number))
 
     def held(self, joints: Joints, rows) -> np.ndarray:
-        """(b, 6P) what rows read."""
+        """(b, 6P) readings of the rows."""
         reading = np.zeros((len(rows), len(self.size)))
         for line, (kind, row) in zip(reading, rows):
             if kind == "weld":
                 number = int(np.searchsorted(joints.first, row, side="right")) - 1
                 weld, axis = self.scene.welds[number], row - int(joints.first[number])
                 for name, sign in zip(weld.parts, (-1.0, 1.0)):
-                    line[self._own(name)] = sign * self._turned(axis, weld.point)
+                    line[self._columns(name)] = sign * self._weld_reading(axis, weld.point)
             else:
                 item = getattr(self.scene, f"{kind}s")[row]
-                line[self._own(item.part)] = self._along(item.point, item.direction)
+                line[self._columns(item.part)] = self._reading(item.point, item.direction)
         return reading
 
-    def pulled(self, assembly, part: str, direction) -> np.ndarray:
-        """(6P,) what a part's centre reads along a direction, of an assembly or its reduction."""
+    def centre_reading(self, assembly, part: str, direction) -> np.ndarray:
+        """(6P,) reading of a part's centre along a direction, for an assembly or its reduction."""
         reading = np.zeros(len(self.size))
-        reading[self._own(part)] = self._along(assembly.centres[self.number[part]], direction)
+        reading[self._columns(part)] = self._reading(assembly.centres[self.number[part]], direction)
         return reading
 
-    def whole(self, parts) -> np.ndarray:
+    def all_motions(self, parts) -> np.ndarray:
         """(6 p, 6P) all motions of some parts."""
-        return np.concatenate([np.zeros((0, len(self.size))), *(np.eye(len(self.size))[self._own(p)] for p in parts)])
+        unit = np.eye(len(self.size))
+        return np.concatenate([unit[:0], *(unit[self._columns(part)] for part in parts)])
 
-    def joined(self, zones) -> np.ndarray:
-        """(6 z, 6P) all that bodies may move against each other that zones join; a fixture stays."""
+    def relative_motions(self, zones) -> np.ndarray:
+        """(6 z, 6P) all relative motions of bodies that zones join; fixtures do not move."""
         lines = []
         for zone in zones:
             lines.append(np.zeros((6, len(self.size))))
             for name, sign in zip(zone.parts, (-1.0, 1.0)):
                 if name in self.number:
-                    lines[-1][:, self._own(name)] = sign * np.eye(6)
+                    lines[-1][:, self._columns(name)] = sign * np.eye(6)
         return np.concatenate([np.zeros((0, len(self.size))), *lines])
 
     def contacts(self, contacts, stage: str, law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(m, 6P) and (m, 2, 6P) what pairs read along their normals and tangents, and their friction (m,)."""
+        """(m, 6P) and (m, 2, 6P) readings of pairs along normals and tangents, and their friction (m,)."""
         m = len(contacts)
         reading = np.zeros((m, 3, len(self.size)))
         for k, zone in enumerate(contacts.zone):
             for name, sign in zip(self.scene.zones[zone].parts, (-1.0, 1.0)):
                 if name in self.number:
                     for axis in range(3):
-                        along = self._along(contacts.point[k], contacts.frame[k, :, axis])
-                        reading[k, axis, self._own(name)] = sign * along
+                        along = self._reading(contacts.point[k], contacts.frame[k, :, axis])
+                        reading[k, axis, self._columns(name)] = sign * along
         mu = np.zeros(m)
         if law.frictional:
             friction = contacts.friction_in(stage)
@@ -301,14 +306,14 @@ class _Bodies:
         return reading[:, 0], reading[:, 1:], mu
 
     def welded(self, part: int, welds: Iterable[int]) -> set[int]:
-        """A part, and all that welds join to it."""
+        """A part, and all parts that welds join to it."""
         pairs = [{self.number[name] for name in self.scene.welds[i].parts} for i in welds]
         found = {part}
         while any(pair & found and not pair <= found for pair in pairs):
             found = found.union(*(pair for pair in pairs if pair & found))
         return found
 
-    def moved(self, motions: np.ndarray) -> tuple[int, ...]:
+    def moving_parts(self, motions: np.ndarray) -> tuple[int, ...]:
         """Parts that take part in motions (6P, k)."""
         share = np.linalg.norm((motions * self.size[:, None]).reshape(len(self.number), -1), axis=1)
         return tuple(int(p) for p in np.flatnonzero(share > SHARE * share.max()))
@@ -317,22 +322,24 @@ class _Bodies:
         """The part that moves most."""
         return int(np.argmax(np.linalg.norm(motions.reshape(len(self.number), -1), axis=1)))
 
-    def named(self, part: int, motions: np.ndarray) -> str:
-        """What is free of a part, in words: the axes along and about which it is, or the direction of one motion."""
+    def describe_motions(self, part: int, motions: np.ndarray) -> str:
+        """The free motions of a part in words: axes along and about which it moves, or the direction of one motion."""
         own = motions[6 * part : 6 * part + 6] * self.size[6 * part : 6 * part + 6, None]
         basis = np.linalg.svd(own, full_matrices=False)
         span = basis[0][:, basis[1] > SHARE * basis[1].max()]
         names = [f"{way} {axis}" for way in ("along", "about") for axis in "xyz"]
         whole = [name for name, share in zip(names, (span**2).sum(axis=1)) if share > 1 - SHARE]
-        return ", ".join(whole) or (towards(span[:3, 0]) if np.linalg.norm(span[:3, 0]) > SHARE else "against turning")
+        if whole:
+            return ", ".join(whole)
+        return describe_direction(span[:3, 0]) if np.linalg.norm(span[:3, 0]) > SHARE else "against turning"
 
-    def _own(self, name: str) -> slice:
+    def _columns(self, name: str) -> slice:
         return slice(6 * self.number[name], 6 * self.number[name] + 6)
 
-    def _along(self, point, direction) -> np.ndarray:
+    def _reading(self, point, direction) -> np.ndarray:
         return np.array([*direction, *np.cross(np.subtract(point, self.centre), direction)])
 
-    def _turned(self, axis: int, point) -> np.ndarray:
-        """What a weld's row reads of a body's motion: a translation at the weld, or a rotation."""
+    def _weld_reading(self, axis: int, point) -> np.ndarray:
+        """Reading of a weld's row of a body's motion: a translation at the weld, or a rotation."""
         unit = np.eye(3)[axis % 3]
-        return self._along(point, unit) if axis < 3 else np.array([0.0, 0.0, 0.0, *unit])
+        return self._reading(point, unit) if axis < 3 else np.array([0.0, 0.0, 0.0, *unit])

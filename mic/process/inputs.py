@@ -1,14 +1,14 @@
-"""What an assembly may be derived by: the scene's deviations, and whatever else of the scene is a number.
+"""Inputs of derivatives: the scene's deviations, and other numbers of the scene.
 
-Beside the deviations by their names, inputs are called by where they stand in the scene,
+Deviations have their names; other inputs are named by their place in the scene,
 
     ``locators.NAME``          the position of a locator along its direction, mm,
     ``clamps.NAME``            the position of a clamp with a stroke, mm, or the force of one that pushes, N,
-    ``clamps.NAME.limit``      the most that a clamp with a stroke pushes with, N,
+    ``clamps.NAME.limit``      the largest force of a clamp with a stroke, N,
     ``welds.NAME.gun``         the force of the gun, N,
-    ``zones.NAME.friction``    the coefficient of friction of a zone, in all stages alike,
-    ``welds.NAME.x``           the place of a weld, a locator or a clamp in its sheet, mm along x, y or z of the scene:
-                               where the scene's report asks for it (``positions``).
+    ``zones.NAME.friction``    the coefficient of friction of a zone, the same change in all stages,
+    ``welds.NAME.x``           the position of a weld, a locator or a clamp in its sheet, mm along x, y or z of the
+                               scene: available if the scene's report requests it (``positions``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["Inputs", "Place", "known_inputs"]
 
 
 def known_inputs(model) -> dict[str, float]:
-    """All inputs of a model, with their standard deviations; 0 of those that the scene holds fixed.
+    """All inputs of a model, with their standard deviations; 0 for inputs that the scene holds fixed.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def known_inputs(model) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Place:
-    """A row whose place in its sheet is an input.
+    """A row whose position in its sheet is an input.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a unit of each of p inputs asks more of an assembly.
+    """The change of an assembly by a unit of each of p inputs.
 
     Attributes
     ----------
@@ -72,8 +72,8 @@ class Inputs:
     target, push : dict of str to (p, r) array, (p, c) array
         Positions of rows, and forces of clamps, that no deviation moves.
     limit : dict of (str, int) to (p,) array
-        Forces of rows that are pushed by a limited one.
-    rougher : (m, p) array
+        Force limits, by row.
+    friction : (m, p) array
         Coefficients of friction.
     places : tuple of Place
     """
@@ -82,7 +82,7 @@ class Inputs:
     target: dict[str, np.ndarray]
     push: np.ndarray
     limit: dict[Row, np.ndarray]
-    rougher: np.ndarray
+    friction: np.ndarray
     places: tuple[Place, ...]
 
     @classmethod
@@ -92,7 +92,7 @@ class Inputs:
         Raises
         ------
         ValueError
-            For names that are not known, or none.
+            If a name is unknown, or none is given.
         """
         known = known_inputs(model)
         if not len(names):
@@ -100,12 +100,13 @@ class Inputs:
         for name in names:
             if name not in known:
                 raise ValueError(
-                    f"inputs: {name!r} is no input of this model{_why(model, name)}; known: {', '.join(known)}"
+                    f"inputs: {name!r} is not an input of this model{_reason(model, name)}; known inputs: "
+                    + ", ".join(known)
                 )
         p, scene, labels = len(names), model.scene, model.labels
         joints, own = Joints(tuple(model.weld_size)), [one.name for one in scene.deviations]
         target = {kind: np.zeros((p, len(labels[kind]))) for kind in ("locator", "clamp")}
-        push, rougher = np.zeros((p, len(labels["clamp"]))), np.zeros((len(model.contacts), p))
+        push, friction = np.zeros((p, len(labels["clamp"]))), np.zeros((len(model.contacts), p))
         limit: dict[Row, np.ndarray] = {}
         places = []
         for i, name in enumerate(names):
@@ -117,7 +118,7 @@ class Inputs:
             table, item = name.split(".", 1)
             if table == "zones":
                 zone = [f"{one.name}.friction" for one in scene.zones].index(item)
-                rougher[model.contacts.zone == zone, i] = 1.0
+                friction[model.contacts.zone == zone, i] = 1.0
             elif table == "welds":
                 weld = [f"{one.name}.gun" for one in scene.welds].index(item)
                 limit.setdefault(("weld", int(joints.first[weld])), np.zeros(p))[i] = 1.0
@@ -133,23 +134,23 @@ class Inputs:
             if source.changes == "friction" and name in names:
                 contacts = model.contacts
                 changed = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
-                rougher[:, [i for i, one in enumerate(names) if one == name]] = changed[:, None]
-        return cls(list(names), target, push, limit, rougher, tuple(places))
+                friction[:, [i for i, one in enumerate(names) if one == name]] = changed[:, None]
+        return cls(list(names), target, push, limit, friction, tuple(places))
 
     def drive(self, process, deviations: np.ndarray) -> Drive:
-        """What a unit of each input asks more, sample by sample of deviations (n, p'), its inputs in a row."""
+        """The change of the drive by a unit of each input, for deviations (n, p') sample by sample, inputs in a row."""
         model, n, p = process.model, len(deviations), len(self.names)
         count = len(model.parameters)
-        zero, unit = process.asked(np.zeros((1, count))), process.asked(np.eye(count))
+        zero, unit = process.drive(np.zeros((1, count))), process.drive(np.eye(count))
         own = [model.parameters.index(name) if name in model.parameters else -1 for name in self.names]
 
-        def less(one, base):
+        def difference(one, base):
             moved = np.concatenate([one - base, np.zeros_like(base)])
             return np.tile(moved[own], (n, 1))
 
-        target = {kind: less(unit.target[kind], zero.target[kind]) for kind in zero.target}
+        target = {kind: difference(unit.target[kind], zero.target[kind]) for kind in zero.target}
         rest = {
-            one.name: less(getattr(unit, one.name), getattr(zero, one.name))
+            one.name: difference(getattr(unit, one.name), getattr(zero, one.name))
             for one in fields(Drive)
             if one.name != "target"
         }
@@ -158,7 +159,7 @@ class Inputs:
         rest["push"] += np.tile(self.push, (n, 1))
         normal = set(Joints(tuple(model.weld_size)).normals)
         for place in self.places:
-            # Where the row stands then, the stress-free shape is another, and so is the gap of a weld.
+            # At the moved row the stress-free shape differs, and so does the gap of a weld.
             drawn, (kind, row) = deviations @ (model.rows["position"][place.number] @ model.shape).ravel(), place.row
             if kind != "weld":
                 target[kind][place.input :: p, row] -= drawn
@@ -168,7 +169,7 @@ class Inputs:
 
 
 def _rows_at(model, joints: Joints, name: str) -> list[tuple[Row, int]]:
-    """The rows that move with a place, and the position rows of each."""
+    """The rows that move with a position, each with its position row."""
     numbers = [i for i, label in enumerate(model.labels["position"]) if label == name]
     table, item = name.rsplit(".", 1)[0].split(".", 1)
     kind = table[:-1]
@@ -178,8 +179,8 @@ def _rows_at(model, joints: Joints, name: str) -> list[tuple[Row, int]]:
     return [((kind, model.labels[kind].index(item)), numbers[0])]
 
 
-def _why(model, name: str) -> str:
-    """What an input of this name would take."""
+def _reason(model, name: str) -> str:
+    """The reason why a name is not an input, with the remedy; empty if unclear."""
     table, _, item = name.partition(".")
     known = {one.name: one for one in getattr(model.scene, table)} if table in ("locators", "clamps", "welds") else {}
     owner, _, key = item.rpartition(".")
@@ -188,7 +189,7 @@ def _why(model, name: str) -> str:
     if key in ("x", "y", "z"):
         asked = any(label.startswith(f"{table}.{owner}.") for label in model.labels.get("position", []))
         return (
-            f" (its sheet has no way along {key} there)"
+            f" (its sheet does not extend along {key} there)"
             if asked
             else f' (give the scene positions = ["{table}.{owner}"] in [report])'
         )

@@ -1,12 +1,12 @@
-"""What of a process is linear: between the steps that solve their contacts, everything.
+"""Linear maps of a process: between the steps that solve contact, everything is linear.
 
 With deviations a and the contact forces f_1 ... f_k of the steps solved so far, ``z = (1, a, f_1, ..., f_k)``,
 
     (b⁰, b¹) = z M_k,        readings = z R,
 
-b as :mod:`mic.process.stage` has it. M and R are what the stages themselves make of the unit vectors of z, found once
-for a process; what else the stages find of an assembly, they find when it is asked for. Not where forces are limited
-or parts rest on springs: there steps are not linear in z.
+with b as in :mod:`mic.process.stage`. M and R are computed once for a process, by taking the unit vectors of z through
+the stages. Other results of an assembly are computed by the stages when requested. Steps with limited forces, or with
+parts that rest on springs, are not linear in z; such a process has no maps.
 """
 
 from __future__ import annotations
@@ -23,32 +23,31 @@ from mic.process.stage import PreparedStage
 from mic.process.state import ProcessState
 from mic.system.matrix_product import product
 
-__all__ = ["Linear", "Staged"]
+__all__ = ["Linear", "StagedProcess"]
 
-#: Numbers that the maps of a process hold, about, 4 MB: beside larger problems the stages' own work is little.
-MOST = 500_000
+MAX_NUMBERS = 500_000  # in the maps of a process, about 4 MB; larger problems gain little from them
 
 
-class Staged(Protocol):
-    """What is needed of a :class:`mic.process.process.Process`."""
+class StagedProcess(Protocol):
+    """The interface of :class:`mic.process.process.Process` used here."""
 
     @property
     def stages(self) -> Sequence[PreparedStage]: ...
 
-    def asked(self, deviations: np.ndarray) -> Drive: ...
+    def drive(self, deviations: np.ndarray) -> Drive: ...
 
     def start(self, n: int) -> ProcessState: ...
 
 
-class Map:
-    """Linear in z.
+class LinearMap:
+    """A linear function of z.
 
     Parameters
     ----------
     table : (q, c) array
-        What the first q entries of z make.
+        Coefficients of the first q entries of z.
     edges : sequence of int
-        Where (1, a), f_1, f_2 ... end in z, as far as q.
+        Ends of (1, a), f_1, f_2 ... in z, up to q.
     """
 
     def __init__(self, table: np.ndarray, edges: Sequence[int]):
@@ -57,7 +56,7 @@ class Map:
         self._width = table.shape[1]
 
     def __call__(self, z: Sequence[np.ndarray]) -> np.ndarray:
-        """(n, c) from the parts (n, ...) of z, as many as there are or more."""
+        """(n, c) values from the parts (n, ...) of z; parts beyond q are ignored."""
         found = np.zeros((len(z[0]), self._width))
         for part, own in zip(self._parts, z):
             if part is not None:
@@ -66,59 +65,61 @@ class Map:
 
 
 @dataclass(frozen=True)
-class Before:
-    """A step that solves its contacts, as a function of all that was before it.
+class SolvedStep:
+    """A step that solves contact, as a function of the deviations and all earlier contact forces.
 
     Attributes
     ----------
     stage, step : int
-        Which of the process's stages, and of the steps that it needs.
-    way : Map to 2 d m
-        b where the step begins and where it ends.
-    overlap : Map to m, or None
-        By how much its contacts overlap at the beginning, where the step lets them settle.
-    anchor : Map to m (d - 1), or None
-        Where slip is measured from; None where the step solved before tells.
+        Number of the process's stage, and of its required step.
+    unloaded : LinearMap to 2 d m
+        b at the start and at the end of the step.
+    overlap : LinearMap to m, or None
+        Overlap of its contacts at the start, if the step resolves overlaps.
+    anchor : LinearMap to m (d - 1), or None
+        Anchors of slip; None if the previous solved step determines them.
     """
 
     stage: int
     step: int
-    way: Map
-    overlap: Map | None
-    anchor: Map | None
+    unloaded: LinearMap
+    overlap: LinearMap | None
+    anchor: LinearMap | None
 
 
 @dataclass(frozen=True)
 class Linear:
-    """The maps of a process.
+    """The linear maps of a process.
 
     Attributes
     ----------
-    steps : list of Before
+    steps : list of SolvedStep
         In order.
-    readings : Map to r
-        What measurements read, the parts' shapes included; to nothing where nothing is measured.
+    readings : LinearMap to r
+        Readings of the measurements, the parts' shapes included; empty if nothing is measured.
     shape : (int, int)
         m and d.
     """
 
-    steps: list[Before]
-    readings: Map
+    steps: list[SolvedStep]
+    readings: LinearMap
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, process: Staged, deviations: int) -> Linear | None:
-        """Of a process with so many deviations; None where it is not linear, or too large to be kept."""
+    def of(cls, process: StagedProcess, deviations: int) -> Linear | None:
+        """The maps of a process with this number of deviations; None if it is not linear, or if they are too large."""
         state = process.start(0)
         (m, d), solved = state.force.shape[1:], 0
         for stage in process.stages:
-            if stage.plan.judged or any(each.step.stops or each.rest.soft.any() for each in stage.needed):
+            if stage.plan.checked_limits or any(
+                each.step.stops or each.rest.soft.any() for each in stage.required_steps
+            ):
                 return None
-            solved += sum(map(stage.solved, stage.needed))
+            solved += sum(map(stage.solves_contact, stage.required_steps))
         rows = 1 + deviations + solved * m * d
-        if not solved or rows * solved * m * d > MOST:
+        if not solved or rows * solved * m * d > MAX_NUMBERS:
             return None
-        return Probe(process, deviations, rows, (m, d)).found()
+        return _UnitVectors(process, deviations, rows, (m, d)).maps()
 
     def follow(
         self, stages: Sequence[PreparedStage], deviations: np.ndarray
@@ -128,13 +129,13 @@ class Linear:
         Parameters
         ----------
         stages : sequence of PreparedStage
-            Of the process, or of one whose contacts differ by their friction alone.
+            Of the process, or of one whose contacts differ only by their friction.
         deviations : (n, p) array
 
         Returns
         -------
         solutions : list of PathSolution
-            Of the steps that solve their contacts, in order.
+            Of the steps that solve contact, in order.
         readings : (n, r) array
         failed : (n,) bool array
         """
@@ -142,14 +143,14 @@ class Linear:
         z = [np.concatenate([np.ones((n, 1)), deviations], axis=1)]
         force, anchor, failed = np.zeros((n, m * d)), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool)
         solutions = []
-        for before in self.steps:
-            stage = stages[before.stage]
-            way = before.way(z).reshape(n, 2, m * d)
-            if before.overlap is not None:
-                way[:, 0, ::d] += np.maximum(0.0, before.overlap(z))
-            if before.anchor is not None:
-                anchor = before.anchor(z).reshape(n, m, d - 1)
-            solution = stage.solver(stage.needed[before.step]).follow(way, force, anchor, stage.path)
+        for solved_step in self.steps:
+            stage = stages[solved_step.stage]
+            unloaded = solved_step.unloaded(z).reshape(n, 2, m * d)
+            if solved_step.overlap is not None:
+                unloaded[:, 0, ::d] += np.maximum(0.0, solved_step.overlap(z))
+            if solved_step.anchor is not None:
+                anchor = solved_step.anchor(z).reshape(n, m, d - 1)
+            solution = stage.solver(stage.required_steps[solved_step.step]).follow(unloaded, force, anchor, stage.path)
             force, anchor = solution.force, solution.anchor
             failed |= ~solution.converged
             solutions.append(solution)
@@ -157,52 +158,56 @@ class Linear:
         return solutions, self.readings(z), failed
 
 
-class Probe:
-    """Unit vectors of z, one a sample, taken through all stages.
+class _UnitVectors:
+    """Unit vectors of z, one for each sample, taken through all stages.
 
     Parameters
     ----------
-    process : Staged
+    process : StagedProcess
     deviations : int
     rows : int
-        Of z in all.
+        Length of z.
     shape : (int, int)
         m and d.
     """
 
-    def __init__(self, process: Staged, deviations: int, rows: int, shape: tuple[int, int]):
+    def __init__(self, process: StagedProcess, deviations: int, rows: int, shape: tuple[int, int]):
         self._process, self._shape, self._rows = process, shape, rows
-        self._drive = linear_part(process.asked(np.eye(1 + deviations, deviations, -1)), rows)
-        self._edges = [1 + deviations]  # of the parts of z that are known so far
-        self._steps: list[Before] = []
+        self._drive = linear_part(process.drive(np.eye(1 + deviations, deviations, -1)), rows)
+        self._edges = [1 + deviations]  # ends of the parts of z known so far
+        self._steps: list[SolvedStep] = []
 
-    def found(self) -> Linear:
-        """What the stages make of them."""
+    def maps(self) -> Linear:
+        """Take the unit vectors through the stages."""
         process, drive = self._process, self._drive
         state, readings, moved = process.start(self._rows), np.zeros((self._rows, 0)), True
         for i, stage in enumerate(process.stages):
-            for j, eliminated in enumerate(stage.needed):
-                self._at, self._stands = (i, j), moved  # whether anchors are where parts were put, not where they slid
+            for j, eliminated in enumerate(stage.required_steps):
+                self._at, self._anchors_follow_parts = (i, j), moved
                 state, solution = stage.step(eliminated, state, drive, self._resolve(stage))
                 moved = solution is None and (moved or eliminated.step.sets_down)
             if stage.plan.reads:
                 readings = state.reading["measurement"] + drive.measured
-        return Linear(self._steps, Map(readings, self._edges), self._shape)
+        return Linear(self._steps, LinearMap(readings, self._edges), self._shape)
 
     def _resolve(self, stage: PreparedStage):
-        """Keeps what a step begins from, and answers with the unit vectors of its forces."""
+        """Record the start of a step; its solution has the unit vectors of its forces."""
 
         def resolve(eliminated, state, drive, ramp, place):
             (m, d), n, edges = self._shape, self._rows, list(self._edges)
             start, end = (stage.unloaded(eliminated, drive, ramp, place, s) for s in (0.0, 1.0))
             overlap = stage.overlap(eliminated, state, drive, start)[:, ::d] if eliminated.step.settles else None
-            parts = np.concatenate([start, end], axis=1), overlap, state.anchor.reshape(n, -1) if self._stands else None
-            way, *others = (None if one is None else Map(one, edges) for one in parts)
-            self._steps.append(Before(*self._at, way, *others))
+            parts = (
+                np.concatenate([start, end], axis=1),
+                overlap,
+                state.anchor.reshape(n, -1) if self._anchors_follow_parts else None,
+            )
+            unloaded, *others = (None if one is None else LinearMap(one, edges) for one in parts)
+            self._steps.append(SolvedStep(*self._at, unloaded, *others))
             force, none = np.zeros((n, m * d)), np.zeros(n)
             force[edges[-1] : edges[-1] + m * d] = np.eye(m * d)
             self._edges.append(edges[-1] + m * d)
-            blank = np.zeros(n, dtype=int), np.full(n, "", dtype=object), np.full(n, "", dtype=object)
+            text = np.zeros(n, dtype=int), np.full(n, "", dtype=object), np.full(n, "", dtype=object)
             solution = PathSolution(
                 force,
                 np.zeros_like(force),
@@ -210,7 +215,7 @@ class Probe:
                 Trace.start(n, m),
                 none,
                 np.ones(n, dtype=bool),
-                *blank,
+                *text,
             )
             return solution, np.zeros((n, 0)), place
 
@@ -218,15 +223,14 @@ class Probe:
 
 
 def linear_part(drive: Drive, rows: int) -> Drive:
-    """Of what no deviation (first) and each unit deviation ask, the first and the others less the first, and nothing
-    of so many rows more."""
+    """The drive without deviations (first), and its change by each unit deviation, padded with zeros to `rows` rows."""
 
-    def part(asked):
-        found = np.zeros((rows, asked.shape[1]))
-        found[: len(asked)] = asked
-        found[1 : len(asked)] -= asked[0]
+    def part(values_of):
+        found = np.zeros((rows, values_of.shape[1]))
+        found[: len(values_of)] = values_of
+        found[1 : len(values_of)] -= values_of[0]
         return found
 
     values = {field.name: getattr(drive, field.name) for field in fields(Drive)}
-    target = {kind: part(asked) for kind, asked in values.pop("target").items()}
-    return Drive(target, **{name: part(asked) for name, asked in values.items()})
+    target = {kind: part(values_of) for kind, values_of in values.pop("target").items()}
+    return Drive(target, **{name: part(values_of) for name, values_of in values.items()})

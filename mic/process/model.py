@@ -1,4 +1,4 @@
-"""The reduced model that users hold: a reduction that evaluates itself."""
+"""The reduced model that users work with: a reduction that evaluates itself."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
-from mic.contact.working_set import Foreseen
+from mic.contact.working_set import PathForecast
 from mic.errors import SceneError
 from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
@@ -21,32 +21,32 @@ from mic.process.evaluation import Evaluation
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
-from mic.process.stiffness import carrying, following
+from mic.process.stiffness import with_derivatives, with_shape
 from mic.scene import Scene
 from mic.system.matrix_product import one_thread
 
 if TYPE_CHECKING:
-    from mic.process.sensitivity import Sensitivities, Steps
+    from mic.process.sensitivity_results import PathSteps, Sensitivities
 
 __all__ = ["ReducedModel"]
 
 
 class ReducedModel(Reduction):
-    """The reduced model of an assembly; attributes as :class:`mic.model.reduction.Reduction`.
+    """The reduced model of an assembly; attributes as in :class:`mic.model.reduction.Reduction`.
 
-    What is prepared for a contact law is prepared once and kept.
+    Everything prepared for a contact law is cached.
     """
 
     @classmethod
     def build(cls, assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> Self:
-        """As :meth:`mic.model.reduction.Reduction.build`, with the stiffness that the scene asks for.
+        """As :meth:`mic.model.reduction.Reduction.build`, with the stiffness that the scene requests.
 
         Raises
         ------
         ValueError
             As there.
         SceneError
-            If the coefficients lack that stiffness: not all that builds models looks for it.
+            If the coefficients do not include that stiffness.
         """
         nominal = super().build(assembly, influence)
         if assembly.scene.stiffness == "nominal":
@@ -56,26 +56,26 @@ class ReducedModel(Reduction):
         for part in assembly.parts:
             deviated, along = influence[part.name].deviated, influence[part.name].slopes
             if deviated is None or len(deviated[1].H) != len(part.functionals) or (follows and along is None):
-                raise SceneError('stiffness: what is asked for here knows "nominal" alone; leave the key out for it')
+                raise SceneError('stiffness: only "nominal" is available here; leave the key out')
             fields[part.name], own[part.name] = deviated
             slopes[part.name] = along or {}
         mean = nominal.deviations({})[0]
-        model = carrying(nominal, assembly, fields, own, mean)
-        return following(model, assembly, fields, slopes, mean) if follows else model
+        model = with_shape(nominal, assembly, fields, own, mean)
+        return with_derivatives(model, assembly, fields, slopes, mean) if follows else model
 
     @property
     def joints(self) -> Joints:
-        """Which rows the welds have."""
+        """The rows of each weld."""
         return Joints(tuple(self.weld_size))
 
     @cached_property
     def plans(self) -> list[StagePlan]:
-        """The stages of the scene; what each part rests on takes a while to see."""
+        """The stages of the scene; cached, since finding the resting parts takes time."""
         return plan_stages(self.scene, self.weld_size)
 
     @cached_property
     def rest(self) -> RestRows:
-        """Where the parts are that rest by contact alone in some step."""
+        """Rest rows of the parts that rest by contact alone in some step."""
         steps = [step for plan in self.plans for step in plan.steps]
         return RestRows.of(self, self.compliance, {part for step in steps for part in step.resting})
 
@@ -87,9 +87,9 @@ class ReducedModel(Reduction):
 
     @cached_property
     @one_thread
-    def foreseen(self) -> dict[tuple[str, Step], Foreseen]:
-        """What samples are likely to go through, by stage and step, for all contact laws alike."""
-        return Process.look_ahead(self)
+    def forecast(self) -> dict[tuple[str, Step], PathForecast]:
+        """Results of a few fixed samples, by stage and step, for all contact laws."""
+        return Process.predict_working_sets(self)
 
     @cached_property
     def _processes(self) -> dict[tuple, Process]:
@@ -108,17 +108,17 @@ class ReducedModel(Reduction):
         return self._processes[key]
 
     def varied(self, scene: Scene) -> ReducedModel:
-        """The model of a scene that differs in its deviations alone: further ones, which give no part another shape,
-        follow its own. What is eliminated is shared.
+        """The model of a scene with further deviations that do not change any shape; the eliminations are shared.
 
         Parameters
         ----------
         scene : Scene
+            Its first deviations are those of this model.
         """
         none = np.zeros((len(self.shape), len(scene.deviations) - len(self.scene.deviations)))
         shape, forces = (np.column_stack([known, none]) for known in (self.shape, self.shape_forces))
         found = replace(self, scene=scene, shape=shape, shape_forces=forces)
-        vars(found).update({name: getattr(self, name) for name in ("eliminations", "foreseen", "rest")})
+        vars(found).update({name: getattr(self, name) for name in ("eliminations", "forecast", "rest")})
         return found
 
     def evaluate(self, deviations: Any, law: str | None = None) -> Evaluation:
@@ -143,29 +143,29 @@ class ReducedModel(Reduction):
         deviations: Any,
         law: str | None = None,
         inputs: Sequence[str] | Mapping[str, float] | None = None,
-        steps: Steps | None = None,
+        steps: PathSteps | None = None,
     ) -> Sensitivities:
-        """Exact derivatives of what :meth:`evaluate` finds (:mod:`mic.process.sensitivity`).
+        """Exact derivatives of the results of :meth:`evaluate` (:mod:`mic.process.sensitivity`).
 
         Parameters
         ----------
         deviations, law
-            As :meth:`evaluate` takes them.
+            As in :meth:`evaluate`.
         inputs : sequence of str, or mapping of str to float, optional
-            With respect to what: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction`` and
-            others (:mod:`mic.process.inputs`); with standard deviations of their own, or those of the scene. Default:
-            all deviations.
+            Inputs of the derivatives: names of deviations, ``locators.NAME``, ``clamps.NAME``, ``zones.NAME.friction``
+            and others (:mod:`mic.process.inputs`); with standard deviations of their own, or those of the scene.
+            Default: all deviations.
         steps : mapping, optional
-            Steps of the paths, frozen: :attr:`mic.process.sensitivity.Sensitivities.steps` of samples nearby.
+            Path steps to be retraced: :attr:`mic.process.sensitivity_results.Sensitivities.steps` of samples nearby.
 
         Raises
         ------
         ValueError
-            As :meth:`evaluate`; for inputs that are not known.
+            As :meth:`evaluate`; if an input is unknown.
         SceneError
-            Where parts rest by contact alone, and places in sheets are inputs.
+            If parts rest by contact alone, and positions in sheets are inputs.
         """
-        from mic.process.sensitivity import sensitivities  # whose compiled code a run need not load
+        from mic.process.sensitivity import sensitivities  # its compiled code is not needed by a run
 
         return sensitivities(self.process(law), self.deviations(deviations), inputs, steps)
 
@@ -187,7 +187,7 @@ class ReducedModel(Reduction):
 
     def _dense(self, name, index):
         warnings.warn(
-            f"ReducedModel.{name} is kept by parts now: use ReducedModel.compliance (its dense() has the whole)",
+            f"ReducedModel.{name} is stored by parts: use ReducedModel.compliance (its dense() has the whole)",
             DeprecationWarning,
             stacklevel=3,
         )

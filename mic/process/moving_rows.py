@@ -1,10 +1,10 @@
-"""Rows whose places in their sheets are inputs, in a step: what moves with them.
+"""Effects of rows inputs positions in their sheets are inputs, in one step.
 
-With position rows a' (:class:`mic.process.inputs.Place`), a row ℓ that holds a value reads ``ℓ·y + δ a'·y`` where it
-has moved by δ, and its reaction λ acts on ``ℓ + δ a'``. To first order it holds ``a'·y`` less where it was, and λ
-pushes on a' besides. A row that is pushed by a load p pushes on a' with p; a stop, a contact row ``-σ ℓ``, reads ``-σ
-a'·y`` more, and its force f pushes on a' with ``-σ f``. All of ``a'·y`` and λ follow contact forces, values and loads
-linearly.
+With position rows a' (:class:`mic.process.inputs.Place`), a row ℓ that holds a value reads ``ℓ·y + δ a'·y`` when it has
+moved by δ, and its reaction λ acts on ``ℓ + δ a'``. To first order it holds ``a'·y`` less than before, and λ also
+pushes on a'. A row that is pushed by a load p also pushes on a' with p; a stop, a contact row ``-σ ℓ``, reads ``-σ
+a'·y`` more, and its force f pushes on a' with ``-σ f``. All ``a'·y`` and λ depend linearly on contact forces, values
+and loads.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mic.contact.tangent import Bend
+from mic.contact.tangent import ComplianceDerivative
 from mic.process.inputs import Place
 from mic.process.stage import EliminatedStep
 from mic.process.state import ProcessState
@@ -24,7 +24,7 @@ __all__ = ["MovingRows"]
 
 @dataclass(frozen=True)
 class MovingRows:
-    """The places that count in a step.
+    """The positions in sheets that affect a step.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class MovingRows:
 
     @classmethod
     def of(cls, places: Sequence[Place], stage, eliminated) -> MovingRows:
-        """Of a step of a :class:`mic.process.stage.PreparedStage`."""
+        """The positions that affect a step of a :class:`mic.process.stage.PreparedStage`."""
         step = eliminated.step
         rows = {*step.bilateral, *step.load_rows, *(stop.row for stop in step.stops)}
         return cls(tuple(one for one in places if one.row in rows), eliminated, stage.output["position"].start)
@@ -49,11 +49,13 @@ class MovingRows:
         return len(self.places)
 
     def load(self, b: np.ndarray, inputs: int, v: np.ndarray, p: np.ndarray) -> None:
-        """Add to b (n inputs, d m + s), in place, what values (n, b) and loads (n, l) move, the contacts' forces
-        aside."""
+        """Add the effect of values v (n, b) and loads p (n, l) to b (n inputs, d m + s), in place.
+
+        The contact forces are left out.
+        """
         response = self.eliminated.response
         for place in self.places:
-            own, α = b[place.input :: inputs], self._beside("L", place)
+            own, α = b[place.input :: inputs], self._position_map("L", place)
             reads = self._reads(place, v, p)
             for column in self._held(place):
                 pushed = v @ response.reaction_T[column] + p @ response.reaction_L[column]
@@ -63,26 +65,26 @@ class MovingRows:
             for row, sign in self._stops(place):
                 own[:, row] -= sign * reads
 
-    def bend(self) -> Bend | None:
-        """What the places change of the compliance (d m + s, d m + s) of contacts and stops; None where nothing."""
+    def compliance_slope(self) -> ComplianceDerivative | None:
+        """The change of the compliance (d m + s, d m + s) of contacts and stops; None if there is none."""
         response = self.eliminated.response
         left: list[np.ndarray] = []
-        lean: list[np.ndarray] = []
-        whose: list[int] = []
+        right: list[np.ndarray] = []
+        inputs: list[int] = []
         for place in self.places:
-            α = self._beside("L", place)
+            α = self._position_map("L", place)
             for column in self._held(place):
                 left += [-response.T[:, column], -α]
-                lean += [α, response.T[:, column]]
+                right += [α, response.T[:, column]]
             for row, sign in self._stops(place):
                 unit = np.zeros(len(α))
                 unit[row] = -sign
                 left += [unit, α]
-                lean += [α, unit]
-            whose += [place.input] * (len(left) - len(whose))
-        if not whose:
+                right += [α, unit]
+            inputs += [place.input] * (len(left) - len(inputs))
+        if not inputs:
             return None
-        return Bend(np.array(left), np.array(lean), np.array(whose))
+        return ComplianceDerivative(np.array(left), np.array(right), np.array(inputs))
 
     def read(
         self,
@@ -94,9 +96,8 @@ class MovingRows:
         p: np.ndarray,
         solved: bool,
     ) -> None:
-        """Add to the slopes of the state at the step's end, in place, what the places move of readings, reactions and,
-        where parts were set down, of the contacts."""
-        step, response, beside = self.eliminated.step, self.eliminated.response, self.eliminated.beside
+        """Add the effect on readings, reactions and, where parts were placed, contacts to the slope state, in place."""
+        step, response, maps = self.eliminated.step, self.eliminated.response, self.eliminated.position_maps
         contacts = slope.left.shape[1] * slope.left.shape[2]
         for place in self.places:
             own, number = slice(place.input, None, inputs), place.number
@@ -105,7 +106,7 @@ class MovingRows:
             acts = [state.reaction[place.row]] if terms else []
             acts += [p[:, j] for j in self._loads(place)]
             acts += [-sign * state.stop[place.row] for _, sign in self._stops(place)]
-            terms += [(beside["L_out"][:, number], beside["reaction_L"][:, number], force) for force in acts]
+            terms += [(maps["L_out"][:, number], maps["reaction_L"][:, number], force) for force in acts]
             for out, reaction, share in terms:
                 for kind, rows in stage.output.items():
                     slope.reading[kind][own] += share[:, None] * out[rows]
@@ -120,12 +121,12 @@ class MovingRows:
                 slope.anchor[:] += moved[:, :, 1:]
 
     def _reads(self, place: Place, v: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """(n,) ``a'·y`` but for the contacts' forces."""
+        """(n,) ``a'·y`` without the contact forces."""
         response, row = self.eliminated.response, self.first + place.number
         return v @ response.T_out[row] + p @ response.L_out[row]
 
-    def _beside(self, name: str, place: Place) -> np.ndarray:
-        return self.eliminated.beside[name][:, place.number]
+    def _position_map(self, name: str, place: Place) -> np.ndarray:
+        return self.eliminated.position_maps[name][:, place.number]
 
     def _held(self, place: Place) -> list[int]:
         return [j for j, row in enumerate(self.eliminated.step.bilateral) if row == place.row]
@@ -134,7 +135,7 @@ class MovingRows:
         return [j for j, row in enumerate(self.eliminated.step.load_rows) if row == place.row]
 
     def _stops(self, place: Place) -> list[tuple[int, int]]:
-        """The contact rows of its stops, and the way they push."""
+        """The contact rows of its stops, and the direction in which they push."""
         step, rows = self.eliminated.step, len(self.eliminated.response.T)
         first = rows - len(step.stops)
         return [(first + j, stop.sign) for j, stop in enumerate(step.stops) if stop.row == place.row]

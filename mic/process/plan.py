@@ -1,7 +1,7 @@
-"""The plan of a process: its stages, their steps, and which rows each step holds, loads, lets go and makes.
+"""The plan of a process: its stages, their steps, and the rows that each step holds, loads, releases and makes.
 
-It follows from the scene alone, and nothing is solved, so that the reduced model and the full finite-element reference
-share what the stages mean, and nothing of how they are solved.
+It follows from the scene alone, and nothing is solved. The reduced model and the full finite-element reference
+therefore share the meaning of the stages, but not how they are solved.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from mic.process.actions import (
     stage_moves,
     together,
 )
-from mic.process.free_motions import check_resting, rested
+from mic.process.free_motions import check_resting, with_resting_parts
 from mic.scene.stages import set_down_in
 
-__all__ = ["Limit", "StagePlan", "Step", "plan_assembly", "plan_stages", "yielding"]
+__all__ = ["Limit", "StagePlan", "Step", "plan_assembly", "plan_stages", "row_compliance"]
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A row that is pushed towards its position, by a limited force.
+    """A row that is pushed towards its position by a limited force.
 
-    It is a load F along the row, against a stop at the position that carries what is not needed to get there: with f
-    the stop's force and u the way that is left,
+    It is a load F along the row, against a stop at the position that carries the force not needed to get there: with f
+    the stop's force and u the remaining distance,
 
         0 <= u  ⟂  f >= 0,        the force on the row is F - f.
 
-    The position is reached, by F − f, or the force is at its limit.
+    Either the position is reached, by F − f, or the force is at its limit.
 
     Attributes
     ----------
     row : (str, int)
-        A clamp's, or the first of a weld: its gun.
+        A clamp's row, or the first row of a weld: its gun.
     sign : {1, -1}
-        Whether it pushes along the row, or against it, as a gun does: it closes the gap that the row reads.
+        1 if it pushes along the row; -1 if against it, like a gun, which closes the gap that the row reads.
     force : float
         F, N.
     """
@@ -59,13 +59,13 @@ class Limit:
 
     @property
     def load(self) -> float:
-        """Force along the row when nothing stops it, N."""
+        """Force along the row without the stop, N."""
         return self.sign * self.force
 
 
 @dataclass(frozen=True)
 class Step:
-    """What moves together within a stage, contact active throughout.
+    """Actions that happen together within a stage, with contact active throughout.
 
     Attributes
     ----------
@@ -73,9 +73,9 @@ class Step:
     bilateral : tuple of (str, int)
         Rows held: kind (``"locator"``, ``"clamp"`` with a stroke, ``"weld"``) and row number.
     loads : tuple of int
-        Clamp rows that push with a force; the parts' weights lie behind the clamps'.
+        Clamp rows that push with a force; the parts' weights follow the clamps.
     released : tuple of (str, int)
-        Rows held before that this step lets go.
+        Rows held before that this step releases.
     dropped_loads : tuple of int
         Clamp rows whose force ends here.
     limits : tuple of Limit
@@ -83,23 +83,24 @@ class Step:
     dropped_limits : tuple of Limit
         Those that open here.
     made : tuple of int
-        Weld rows that freeze here what they find.
+        Weld rows that freeze their reading here.
     closing : tuple of int
         Welds that close their gap here.
     welds : tuple of int
-        Welds that hold, those made here among them.
+        Welds that hold, including those made here.
     away : tuple of int
-        Zones one of whose bodies is not there: a part of a later station, a fixture of another.
+        Zones with an absent body: a part of a later station, a fixture of another one.
     sets_down : bool
-        Whether the parts are set down one by one, touching nothing yet.
+        Whether the parts are placed one by one, without contact.
     settles : bool
-        Whether overlaps close meanwhile, from touching to what they are at its end; of its own, nothing else moves.
+        Whether overlaps close during the step, from touching to their value at its end; in a step of its own nothing
+        else moves.
     resolves : bool
-        Whether contact is resolved.
+        Whether contact is solved.
     resting : tuple of int
-        Parts, by their numbers, that these rows leave a motion: they rest by contact alone.
+        Numbers of the parts that rest by contact alone: these rows leave them a motion.
     parked : tuple of int
-        Those of them that are not there yet: they stay where they are drawn.
+        Resting parts that are not placed yet: they stay in their nominal position.
     """
 
     move: Move
@@ -121,22 +122,25 @@ class Step:
 
     @property
     def stops(self) -> tuple[Limit, ...]:
-        """Limits that may be reached: all, unless the plan was made without them."""
+        """Limits with a stop: all, unless the plan was made without limits."""
         return tuple(limit for limit in self.limits if limit.row not in self.bilateral)
 
     def closed(self, joints: Joints) -> list[int]:
-        """Weld rows that close their gap here: of a weld that is made all along its normal, for electrodes press the
-        sheets flush; of one that a gun without a limit presses its mean alone."""
+        """Weld rows that close their gap here.
+
+        A weld closes it along its whole normal, for electrodes press the sheets flush; a gun without a limit closes the
+        mean only.
+        """
         return [row for i in self.closing for row in joints.normal(i) if ("weld", row) in self.bilateral]
 
     @property
     def nuggets(self) -> tuple[int, ...]:
-        """Welds in whose nuggets no contact is left: those made, and those that a gun without a limit closes."""
+        """Welds whose nuggets have no contact: those made, and those that a gun without a limit closes."""
         return self.welds + (self.closing if len(self.stops) < len(self.limits) else ())
 
     @property
     def load_rows(self) -> tuple[Row, ...]:
-        """Rows that carry a load during the step: clamp forces, limited ones, and rows let go, whose reactions fade."""
+        """Rows that carry a load in the step: clamp forces, limited ones, and released rows, whose reactions fade."""
         limited = tuple(limit.row for limit in self.stops + self.dropped_limits)
         return tuple(("clamp", i) for i in self.loads + self.dropped_loads) + limited + self.released
 
@@ -151,9 +155,9 @@ class StagePlan:
     steps : tuple of Step
         At least one.
     path : {"followed", "increments", "one-step"}
-        How the steps are followed, where the law has friction; ``"one-step"`` has no more than one step.
+        How the steps are followed if the law has friction; ``"one-step"`` has at most one step.
     increments : int
-        Of each step, where the path has increments.
+        Of each step, if the path has increments.
     reads : bool
         Whether the measurements are read at its end.
     """
@@ -167,24 +171,24 @@ class StagePlan:
 
     @property
     def resolves(self) -> bool:
-        """Whether contact is resolved."""
+        """Whether contact is solved."""
         return any(step.resolves for step in self.steps)
 
     def solves(self, law) -> int:
-        """Least number of contact problems that a sample takes; a path that is followed takes as many as it needs.
+        """Least number of contact problems for each sample; a followed path takes as many as it needs.
 
         Parameters
         ----------
         law : mic.contact.laws.Law
-            Without friction nothing remembers the way, and only the steps count that leave a weld behind.
+            Without friction the solution does not depend on the path, and only the steps before and after welds count.
         """
         if law.frictional:
             return self.increments * sum(step.resolves for step in self.steps)
-        return sum(self.steps[i].resolves for i in self.remembered)
+        return sum(self.steps[i].resolves for i in self.memory_steps)
 
     @property
-    def remembered(self) -> tuple[int, ...]:
-        """The steps that leave something behind even without friction: the last, and those before and of welds made."""
+    def memory_steps(self) -> tuple[int, ...]:
+        """The steps that matter even without friction: the last, and those before and at which welds are made."""
         after = (*self.steps[1:], None)
         return tuple(
             i for i, (step, next_) in enumerate(zip(self.steps, after)) if next_ is None or step.made or next_.made
@@ -195,18 +199,20 @@ class StagePlan:
         """Rows held at its end."""
         return self.steps[-1].bilateral
 
-    def judged_names(self, scene, weld_size) -> list[str]:
-        """Names of the clamps, and of the welds whose guns, :attr:`judged` lists."""
+    def limit_names(self, scene, weld_size) -> list[str]:
+        """Names of the clamps, and of the welds whose guns, :attr:`checked_limits` lists."""
         first = Joints(tuple(weld_size)).first.tolist()
         return [
             scene.clamps[limit.row[1]].name if limit.row[0] == "clamp" else scene.welds[first.index(limit.row[1])].name
-            for _, limit in self.judged
+            for _, limit in self.checked_limits
         ]
 
     @property
-    def judged(self) -> tuple[tuple[int, Limit], ...]:
-        """Where a limited force must have sufficed: clamps at the stage's end, guns when their weld is made; by the
-        number of the step."""
+    def checked_limits(self) -> tuple[tuple[int, Limit], ...]:
+        """Limited forces that must reach their position, with the number of the step in which they are checked.
+
+        Clamps are checked at the end of the stage, guns when their weld is made.
+        """
         last = len(self.steps) - 1
         return tuple(
             (i, limit)
@@ -219,10 +225,11 @@ class StagePlan:
 def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     """The stages of a scene.
 
-    Parts are set down first and touch nothing; what overlaps then settles at the start of the first stage that closes
-    anything, before it does or (`settle` of the locate stage) while it does, or in a clamp stage before it in which
-    nothing closes, which is how a scene without clamps resolves contact.  ``path = "one-step"`` does everything
-    that a stage does at once, what overlaps included. So it is in every later station, for what is new there.
+    Parts are placed first, without contact. Overlaps are resolved at the start of the first stage that closes anything:
+    before the first closing step, or (`settle` of the locate stage) together with it, or in an earlier clamp stage in
+    which nothing closes, which is how a scene without clamps solves contact. ``path = "one-step"`` does everything in a
+    stage at once, overlaps included. The same holds in every later station, for the parts and fixtures that are new
+    there.
 
     Parameters
     ----------
@@ -230,12 +237,12 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     weld_size : sequence of int
         Rows of each weld.
     limited : bool
-        Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
+        Whether force limits apply; if not, clamps and guns hold the position that they push towards.
 
     Raises
     ------
     SceneError
-        If a step leaves a part free to move, and no zone joins it to what stays (`mic.process.free_motions`).
+        If a step leaves a part free to move, and no zone joins it to a body that is held (`mic.process.free_motions`).
     """
     rows = _Rows(scene, Joints(tuple(weld_size)), limited)
     plans: list[StagePlan] = []
@@ -243,7 +250,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     waiting = (i for i, one in enumerate(scene.locators) if one.stage == there[one.part] != scene.stages[0].name)
     fixture = Fixture(waiting=tuple(waiting))
     away = tuple(range(len(scene.zones)))
-    due, first, standing = False, True, set[str]()
+    pending, first, fixtures = False, True, set[str]()
     for stage, moves in stage_moves(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
         if path == "one-step":
@@ -253,13 +260,15 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             after = fixture
             for action in move:
                 after = action.apply(after)
-            if any(isinstance(action, MoveAssembly) for action in move):  # on its way the assembly touches no fixture
-                standing = set()
-                away = _away(scene, _parts_of(scene, fixture))
+            if any(
+                isinstance(action, MoveAssembly) for action in move
+            ):  # while it moves, the assembly touches no fixture
+                fixtures = set()
+                away = _inactive_zones(scene, _parts_of(scene, fixture))
             step = replace(_step(move, rows, fixture, after), away=away, parked=_parked(scene, after))
-            if due and stage.kind == "clamp" and not any(moves):
-                due, step = False, replace(step, move=(ResolveOverlap(),), settles=True, resolves=True)
-            elif due and step.resolves:
+            if pending and stage.kind == "clamp" and not any(moves):
+                pending, step = False, replace(step, move=(ResolveOverlap(),), settles=True, resolves=True)
+            elif pending and step.resolves:
                 if first and path != "one-step":
                     steps.append(
                         Step(
@@ -276,22 +285,22 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
                     )
                 else:
                     step = replace(step, move=(ResolveOverlap(), *move), settles=True)
-                due = False
+                pending = False
             steps.append(step)
             if any(isinstance(action, Placement) for action in move):
                 first, before = stage.settle, away
-                standing |= _standing(scene, stage)
-                away = _away(scene, _parts_of(scene, after) | standing)
-                due = due or not plans or not set(before) <= set(away)
+                fixtures |= _station_fixtures(scene, stage)
+                away = _inactive_zones(scene, _parts_of(scene, after) | fixtures)
+                pending = pending or not plans or not set(before) <= set(away)
             fixture = after
         reads = any(isinstance(action, Read) for move in moves for action in move)
         plan = StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads)
-        plans.append(rested(scene, rows.joints, plan))
+        plans.append(with_resting_parts(scene, rows.joints, plan))
     return plans
 
 
 def plan_assembly(assembly) -> list[StagePlan]:
-    """The stages of a scene that is put on its meshes, once contact is seen to hold what rests by it.
+    """The stages of an assembly with its meshes, after checking that contact can hold the resting parts.
 
     Parameters
     ----------
@@ -300,15 +309,15 @@ def plan_assembly(assembly) -> list[StagePlan]:
     Raises
     ------
     SceneError
-        If a step leaves a part free, or no contacts can hold what it leaves them, under a law that the report names.
+        If a step leaves a part free, or no contacts can hold a resting part under a law that the report names.
     """
     plans = plan_stages(assembly.scene, assembly.weld_size)
     check_resting(assembly, plans, assembly.scene.report.laws)
     return plans
 
 
-def yielding(scene, bilateral: Sequence[Row]) -> np.ndarray | None:
-    """(b,) by how much bilateral rows yield under their force, mm/N; None where none does."""
+def row_compliance(scene, bilateral: Sequence[Row]) -> np.ndarray | None:
+    """(b,) compliance of the bilateral rows' supports, mm/N; None if all are rigid."""
     soft = [
         1 / stiffness if kind == "locator" and (stiffness := scene.locators[i].stiffness) is not None else 0.0
         for kind, i in bilateral
@@ -317,31 +326,31 @@ def yielding(scene, bilateral: Sequence[Row]) -> np.ndarray | None:
 
 
 def _parts_of(scene, fixture: Fixture) -> set[str]:
-    """Names of the parts that are there."""
+    """Names of the parts that are placed."""
     waiting = {scene.locators[i].part for i in fixture.waiting}
     return {part.name for part in scene.parts} - waiting
 
 
 def _parked(scene, fixture: Fixture) -> tuple[int, ...]:
-    """Numbers of the parts that are not there yet."""
+    """Numbers of the parts that are not placed yet."""
     there = _parts_of(scene, fixture)
     return tuple(i for i, part in enumerate(scene.parts) if part.name not in there)
 
 
-def _standing(scene, stage) -> set[str]:
-    """Names of the fixtures that stand in the station of a stage."""
+def _station_fixtures(scene, stage) -> set[str]:
+    """Names of the fixtures in the station of a stage."""
     first = scene.stages[0].name
     return {fixture.name for fixture in scene.fixtures if (fixture.stage or first) == stage.name}
 
 
-def _away(scene, bodies: set[str]) -> tuple[int, ...]:
-    """Zones that these bodies leave without a partner."""
+def _inactive_zones(scene, bodies: set[str]) -> tuple[int, ...]:
+    """Zones of which a body is not among these."""
     return tuple(i for i, zone in enumerate(scene.zones) if not set(zone.parts) <= bodies)
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Which rows a fixture holds, and which it pushes by a limited force."""
+    """The rows that a fixture holds, and those that it pushes by a limited force."""
 
     scene: Any
     joints: Joints
@@ -363,14 +372,14 @@ def _step(move, rows: _Rows, before: Fixture, after: Fixture) -> Step:
     held, now = rows.held(before), rows.held(after)
     limits, limits_now = rows.limits(before), rows.limits(after)
     welded = {row for weld in after.welds for row in rows.joints.rows(weld)}
-    added = [row for row in now if row not in held and row not in welded]  # a weld that is made moves nothing
+    added = [row for row in now if row not in held and row not in welded]  # a new weld moves nothing
     released = tuple(row for row in held if row not in now)
     dropped = tuple(limit for limit in limits if limit not in limits_now and rows.limited)
     closing = tuple(i for action in move if isinstance(action, Close) for i in action.gap)
     if not rows.limited:  # a gun without a limit closes the gap
         closing += tuple(i for i in after.guns if i not in before.guns)
     sets_down = any(isinstance(action, PlaceParts) for action in move)
-    opened = any(limit.row not in now for limit in dropped)  # a weld takes its gun's force over, and nothing moves
+    opened = any(limit.row not in now for limit in dropped)  # a weld takes over its gun's force, and nothing moves
     pressed = any(limit not in limits for limit in limits_now)
     changed = bool(added or released or closing or opened or pressed or set(after.forces) != set(before.forces))
     return Step(

@@ -1,4 +1,4 @@
-"""The process: stages in order, the assembly's state handed from one to the next."""
+"""The process: the stages in order, through which the assembly's state is passed."""
 
 from __future__ import annotations
 
@@ -12,79 +12,76 @@ from mic.contact import ContactSolver, laws
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, PathSolution, Trace
-from mic.contact.working_set import Foreseen, WatchedSolver
+from mic.contact.working_set import PathForecast, WorkingSetSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
 from mic.process.drive import Drive, DriveTerms, drive
 from mic.process.evaluation import Evaluation, LazyResolutions, ProcessHistory, Resolution
 from mic.process.free_motions import check_resting
 from mic.process.linear_maps import Linear
-from mic.process.plan import StagePlan, Step, plan_stages, yielding
+from mic.process.plan import StagePlan, Step, plan_stages, row_compliance
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
 from mic.system.matrix_product import one_thread, product
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
 
-#: The paper's solvers reach this residual.
-PAPER_TOLERANCE = 1e-5
-#: What the contact certificate of a run reaches, unless another is asked for.
-TOLERANCE = 1e-10
-#: Samples by which the candidates are guessed that carry force.
-AHEAD = 16
-#: Spacings between two candidates that join a working set together.
-APART = 2.0
-#: Processes that are kept whose deviations have changed the contacts.
-KEPT = 8
+PAPER_TOLERANCE = 1e-5  #: residual that the paper's solvers reach
+TOLERANCE = 1e-10  #: default tolerance of the contact certificate
+TRIAL_SAMPLES = 16  # samples that predict which candidates carry force
+CLUSTER_SPACING = 2.0  # spacings between two candidates that join a working set together
+CACHED_PROCESSES = 8  # processes kept in memory for deviations that change the contacts
 
 
 def contact_solver(
     contacts,
     S: Columns,
-    own: np.ndarray,
+    diagonal: np.ndarray,
     friction: Friction,
     step: Step,
-    foreseen: Foreseen | None = None,
-    guessing: bool = False,
+    forecast: PathForecast | None = None,
+    screening: bool = False,
     **settings,
 ):
-    """What solves the contacts of a step: a :class:`mic.contact.working_set.WatchedSolver` where any is a candidate, or
-    takes no part.
+    """The solver of a step's contacts.
+
+    A :class:`mic.contact.working_set.WorkingSetSolver` if any contact is a candidate or takes no part, otherwise a
+    :class:`mic.contact.ContactSolver`.
 
     Parameters
     ----------
     contacts : mic.model.assembly.Contacts
     S : (d m + s, d m + s) Columns
         Compliance at the contacts and at the step's stops, mm/N.
-    own : (d m + s,) array
+    diagonal : (d m + s,) array
         Its diagonal.
     friction : Friction
         Of the contacts.
     step : Step
-    foreseen : Foreseen, optional
-        What this step did to a few samples; default: nothing is known.
-    guessing : bool
-        As :class:`mic.contact.working_set.WatchedSolver` has it.
+    forecast : PathForecast, optional
+        Results of this step for a few samples; default: none.
+    screening : bool
+        As in :class:`mic.contact.working_set.WorkingSetSolver`.
     **settings
-        Law and others, as :class:`mic.contact.ContactSolver` takes them.
+        Law and others, as in :class:`mic.contact.ContactSolver`.
     """
-    settings["semidefinite"] = True  # as a compliance is that bilateral rows were eliminated from
+    settings["semidefinite"] = True  # elimination of bilateral rows leaves a semidefinite compliance
     stops = stops_of(contacts, step)
-    S, friction = stops.compliance(S, own), stops.friction(friction)
-    out = contacts.excluded(step.nuggets, step.away)
-    if not (contacts.watched.any() or out.any()):
+    S, friction = stops.compliance(S, diagonal), stops.friction(friction)
+    excluded = contacts.excluded(step.nuggets, step.away)
+    if not (contacts.watched.any() or excluded.any()):
         return ContactSolver(S.block(np.arange(len(S))), friction, **settings)
     always = np.ones(stops.count, dtype=bool)
-    foreseen = foreseen or Foreseen.nothing(len(contacts) + stops.count, contacts.dimension)
-    return WatchedSolver(
+    forecast = forecast or PathForecast.empty(len(contacts) + stops.count, contacts.dimension)
+    return WorkingSetSolver(
         S,
         friction,
         np.concatenate([contacts.point, np.zeros((stops.count, 3))]),
-        np.concatenate([APART * np.sqrt(contacts.area), np.zeros(stops.count)]),
-        np.concatenate([~contacts.watched, always]) | foreseen.touching,
-        np.concatenate([~out, always]),
-        guessing=guessing,
-        foreseen=foreseen,
+        np.concatenate([CLUSTER_SPACING * np.sqrt(contacts.area), np.zeros(stops.count)]),
+        np.concatenate([~contacts.watched, always]) | forecast.touching,
+        np.concatenate([~excluded, always]),
+        screening=screening,
+        forecast=forecast,
         **settings,
     )
 
@@ -100,21 +97,20 @@ class Process:
     tol : float
         Tolerance of the contact certificate; the paper's solvers get `PAPER_TOLERANCE` if that is larger.
     backend : {"native", "paper"}
-        Who solves the contacts: the native solver, or the paper's (OSQP for (12), ECOS for (13)).
+        Contact solver: the native one, or the paper's (OSQP for (12), ECOS for (13)).
     threads : int
         Threads of the native solver over the samples of a batch.
     path_tolerance : float, optional
-        Of the paths that are followed, see :class:`mic.contact.path.Followed`; default: the scene's.
-    foreseen : mapping, optional
-        What a few samples went through, by stage and step; default: :attr:`mic.process.model.ReducedModel.foreseen`.
+        Tolerance of followed paths, see :class:`mic.contact.path.Followed`; default: the scene's.
+    forecast : mapping, optional
+        Results for a few samples, by stage and step; default: :attr:`mic.process.model.ReducedModel.forecast`.
     limited : bool
-        Whether limits of forces are kept; without, clamps and guns hold the position that they push towards.
+        Whether force limits apply; if not, clamps and guns hold the position that they push towards.
     plans : sequence of StagePlan, optional
-        Those of the model's scene, where it is known that contact holds what rests; default: made and looked at.
-
-    like : Process, optional
-        Of the same plans under the same law, whose contacts differ by their friction alone: what does not hang on that
-        is taken over.
+        Of the model's scene, if contact is known to hold the resting parts; default: computed and checked.
+    template : Process, optional
+        Of the same plans under the same law, with contacts that differ only by their friction: everything that does not
+        depend on friction is shared with it.
 
     Attributes
     ----------
@@ -124,7 +120,7 @@ class Process:
     Raises
     ------
     SceneError
-        If a stage leaves a part free to move, or to contact that cannot hold it under the law.
+        If a stage leaves a part free to move, or contact cannot hold a resting part under the law.
     """
 
     @one_thread
@@ -136,19 +132,19 @@ class Process:
         backend: str = "native",
         threads: int = 1,
         path_tolerance: float | None = None,
-        foreseen: Mapping[tuple[str, Step], Foreseen] | None = None,
+        forecast: Mapping[tuple[str, Step], PathForecast] | None = None,
         limited: bool = True,
         plans: Sequence[StagePlan] | None = None,
-        like: Process | None = None,
+        template: Process | None = None,
     ):
-        self.model, self.law, self._like = model, law, like
+        self.model, self.law, self._template = model, law, template
         contacts = model.contacts
-        # Without friction anywhere every law is the frictionless one, and the model may hold no tangential rows.
+        # Without any friction all laws are equal, and the model may have no tangential rows.
         smooth = contacts.dimension == 1 and not contacts.frictional
-        obeyed = laws.FRICTIONLESS if smooth else laws.find(law)
+        applied_law = laws.FRICTIONLESS if smooth else laws.find(law)
         solver_name = laws.find(law).paper_backend if backend == "paper" else "native"
         self._settings = {
-            "law": obeyed,
+            "law": applied_law,
             "backend": solver_name,
             "tol": tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
             "threads": threads,
@@ -159,26 +155,26 @@ class Process:
         else:
             self._plans = model.plans if limited else plan_stages(model.scene, model.weld_size, limited)
         if plans is None:
-            check_resting(model, self._plans, [obeyed.name])
+            check_resting(model, self._plans, [applied_law.name])
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
-        rubs, slopes = obeyed.frictional, model.slopes
-        #: By the deviations that change contacts or parts, at which values these are as the model has them.
+        frictional, slopes = applied_law.frictional, model.slopes
+        # Deviations that change contacts or parts, with their values in the model.
         changing = {
             j: 0.0
             for j, source in enumerate(sources(model.scene))
-            if source.changes == "compliance" or (source.changes and rubs)
+            if source.changes == "compliance" or (source.changes and frictional)
         }
         if slopes is not None:
             changing |= dict(zip(slopes.source.tolist(), slopes.about.tolist()))
         self._changing = list(changing)
         self._changed_by, self._limited = np.array(list(changing.values())), limited
-        self._varied: dict[bytes, Process] = {}
-        self._own_parts = False  # whether its parts' compliance is one sample's own
-        self._solvers: dict[tuple, ContactSolver | WatchedSolver] = {}
-        self._foreseen, self._guessing = model.foreseen if foreseen is None else foreseen, False
+        self._process_cache: dict[bytes, Process] = {}
+        self._sample_compliance = False  # whether the compliance belongs to one sample
+        self._solvers: dict[tuple, ContactSolver | WorkingSetSolver] = {}
+        self._forecast, self._guessing = model.forecast if forecast is None else forecast, False
         path_tolerance = path_tolerance or model.scene.path.tolerance
         self._path_tolerance = path_tolerance
-        self.stages = self._prepared([path_of(plan, obeyed, path_tolerance) for plan in self._plans])
+        self.stages = self._prepared([path_of(plan, applied_law, path_tolerance) for plan in self._plans])
 
     def _prepared(self, paths: Sequence[Path]) -> list[PreparedStage]:
         model = self.model
@@ -187,54 +183,54 @@ class Process:
             for plan, path in zip(self._plans, paths)
         ]
 
-    def _solver(self, stage: str, eliminated: EliminatedStep) -> ContactSolver | WatchedSolver:
-        """Of a step; those that hold the same rows under the same friction share it, where nothing is watched."""
+    def _solver(self, stage: str, eliminated: EliminatedStep) -> ContactSolver | WorkingSetSolver:
+        """The solver of a step; steps with the same rows and friction share it if there are no candidates."""
         contacts, step = self.model.contacts, eliminated.step
         friction = contacts.friction_in(stage)
         own = (stage, step) if contacts.watched.any() else None
         key = step.bilateral, step.parked, step.stops, step.away, friction.coefficient.tobytes(), own
         if key in self._solvers:
             return self._solvers[key]
-        if self._like is not None:
-            known = self._like._solver(stage, eliminated)
-            self._solvers[key] = known.under(stops_of(contacts, step).friction(friction))
+        if self._template is not None:
+            known = self._template._solver(stage, eliminated)
+            self._solvers[key] = known.with_friction(stops_of(contacts, step).friction(friction))
         else:
-            foreseen = self._foreseen.get((stage, step))
+            forecast = self._forecast.get((stage, step))
             self._solvers[key] = contact_solver(
-                contacts, *eliminated.compliance, friction, step, foreseen, self._guessing, **self._settings
+                contacts, *eliminated.compliance, friction, step, forecast, self._guessing, **self._settings
             )
         return self._solvers[key]
 
     @classmethod
-    def look_ahead(cls, model) -> dict[tuple[str, Step], Foreseen]:
-        """What a few samples, always the same, go through where there are candidates, by stage and step: under
-        Coulomb's law where tangents are modelled, with one increment a step, all on one working set.
+    def predict_working_sets(cls, model) -> dict[tuple[str, Step], PathForecast]:
+        """Results of a few fixed samples for models with candidate contacts, by stage and step.
 
-        A sample starts from it, whatever samples it is evaluated with.
+        They are computed under Coulomb's law if tangents are modelled, with one increment for each step and one working
+        set for all samples. Every sample starts from them, whatever samples it is evaluated with.
         """
         if not model.contacts.watched.any():
             return {}
-        ahead = cls(model, "coulomb" if model.contacts.dimension == 3 else "frictionless", foreseen={})
+        trial = cls(model, "coulomb" if model.contacts.dimension == 3 else "frictionless", forecast={})
         mean, sigma = np.array([[one.mean, one.sigma] for one in model.scene.deviations]).reshape(-1, 2).T
-        draws = np.random.default_rng(0).standard_normal((AHEAD, len(mean)))
+        draws = np.random.default_rng(0).standard_normal((TRIAL_SAMPLES, len(mean)))
         draws[0] = 0.0
-        if model.slopes is not None:  # shapes vary, with the stiffness of their mean for all
-            still = ~np.isin(ahead._changing, model.slopes.source)
-            ahead._changing = np.array(ahead._changing)[still].tolist()
-            ahead._changed_by = ahead._changed_by[still]
-        draws[:, ahead._changing] = 0.0
-        ahead.stages, ahead._guessing = ahead._prepared([Increments(1)] * len(ahead.stages)), True
-        ahead.attempt(mean + sigma * draws)
-        return ahead.seen
+        if model.slopes is not None:  # shapes vary; all samples have the stiffness of the mean shape
+            still = ~np.isin(trial._changing, model.slopes.source)
+            trial._changing = np.array(trial._changing)[still].tolist()
+            trial._changed_by = trial._changed_by[still]
+        draws[:, trial._changing] = 0.0
+        trial.stages, trial._guessing = trial._prepared([Increments(1)] * len(trial.stages)), True
+        trial.attempt(mean + sigma * draws)
+        return trial.seen
 
     @property
-    def seen(self) -> dict[tuple[str, Step], Foreseen]:
-        """What samples went through so far, by stage and step."""
-        return {key[-1]: one.seen for key, one in self._solvers.items() if isinstance(one, WatchedSolver)}
+    def seen(self) -> dict[tuple[str, Step], PathForecast]:
+        """Results of all samples so far, by stage and step."""
+        return {key[-1]: one.observed for key, one in self._solvers.items() if isinstance(one, WorkingSetSolver)}
 
     @property
     def redundant(self) -> list[str]:
-        """One sentence for each row that a stage holds in vain, since its others hold it already."""
+        """One sentence for each row of a stage that its other rows make redundant."""
         return [
             f"stage {stage}: {kind} row {self.model.labels[kind][i]} repeats other rows of the stage; "
             "its value has no effect"
@@ -255,146 +251,144 @@ class Process:
         deviations : (n, p) array
             As :meth:`mic.model.reduction.Reduction.deviations` returns it.
         at : str, optional
-            The stage at whose end all forces and the parts' motions are told; default: the last.
+            The stage at whose end forces and motions of the parts are evaluated; default: the last.
         """
         if (deviations[:, self._changing] != self._changed_by).any():
-            by_model = self.by_model(deviations)
-            return Evaluation.join([process.evaluate(deviations[part], at) for part, process in by_model])
-        told = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1
-        asked, solutions = deviations.copy(), None
+            groups = self.by_model(deviations)
+            return Evaluation.join([process.evaluate(deviations[part], at) for part, process in groups])
+        number = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1
+        amplitudes, solutions = deviations.copy(), None
         if self._linear is not None:
             solutions, readings, failed = self._linear.follow(self.stages, deviations)
         names = [stage.plan.name for stage in self.stages if stage.resolves]
-        resolutions = LazyResolutions(names, partial(self._through, asked, told, solutions))
+        resolutions = LazyResolutions(names, partial(self._run, amplitudes, number, solutions))
         if solutions is None:
             readings, failed = resolutions.history.readings, resolutions.history.failed
         read = self.model.characteristics.values(readings) if readings.size else readings
-        equilibrium = partial(self._equilibrium, self.stages[told], resolutions, asked)
+        equilibrium = partial(self._equilibrium, self.stages[number], resolutions, amplitudes)
         found = Evaluation(self.law, deviations, resolutions, read, readings, failed, equilibrium)
         if solutions is None and any(resolution.left.size for resolution in resolutions.values()):
-            short = np.flatnonzero(~found.built)
-            if short.size:
-                self._tell_needs(found, short)
+            unreached = np.flatnonzero(~found.built)
+            if unreached.size:
+                self._fill_needed_forces(found, unreached)
         return found
 
     @one_thread
-    def _through(
-        self, deviations: np.ndarray, told: int, solutions: Sequence[PathSolution] | None = None
+    def _run(
+        self, deviations: np.ndarray, number: int, solutions: Sequence[PathSolution] | None = None
     ) -> ProcessHistory:
-        """Take samples through all stages, one by one; where the contacts' paths are known, by these."""
-        asked, state = self.asked(deviations), self.start(len(deviations))
+        """Take samples through all stages, with the contacts' paths if they are known."""
+        loading, state = self.drive(deviations), self.start(len(deviations))
         resolutions, readings, resolve = {}, np.zeros((len(deviations), 0)), None
         if solutions is not None:
-            left, nothing = iter(solutions), np.zeros((len(deviations), 0))
-            resolve = lambda eliminated, state, drive, ramp, place: (next(left), nothing, place)
+            paths, no_stops = iter(solutions), np.zeros((len(deviations), 0))
+            resolve = lambda eliminated, state, drive, ramp, place: (next(paths), no_stops, place)
         for i, stage in enumerate(self.stages):
-            state, resolution = stage.advance(state, asked, resolve)
+            state, resolution = stage.advance(state, loading, resolve)
             if resolution is not None:
                 resolutions[stage.plan.name] = resolution
             if stage.plan.reads:
-                readings = state.reading["measurement"] + asked.measured
-            if i == told:
+                readings = state.reading["measurement"] + loading.measured
+            if i == number:
                 end = state
         return ProcessHistory(resolutions, readings, state.failed, end)
 
     @cached_property
     def _linear(self) -> Linear | None:
-        """What is linear in the process; not worth it where compliance is one sample's own."""
-        if self._guessing or self._own_parts:
+        """The linear maps of the process; None if the compliance belongs to one sample, which is not worth it."""
+        if self._guessing or self._sample_compliance:
             return None
         return Linear.of(self, len(self.model.scene.deviations))
 
-    def asked(self, deviations: np.ndarray) -> Drive:
-        """What deviations (n, p) ask of the assembly, affine in them."""
-        every, own = self._unit_shapes
-        shapes = product(deviations, every)
-        return drive(self.model, deviations, {kind: shapes[:, rows] for kind, rows in own.items()}, self._drive_terms)
+    def drive(self, deviations: np.ndarray) -> Drive:
+        """The drive for deviations (n, p), affine in them."""
+        readings, slices = self._unit_shapes
+        shapes = product(deviations, readings)
+        return drive(
+            self.model, deviations, {kind: shapes[:, rows] for kind, rows in slices.items()}, self._drive_terms
+        )
 
     def start(self, n: int) -> ProcessState:
-        """The state of n assemblies before anything happens."""
+        """The initial state of n assemblies."""
         model = self.model
         rows = {kind: model.rows[kind].shape[0] for kind in OUTPUTS} | {"rest": len(model.rest)}
         return ProcessState.start(n, len(model.contacts), model.contacts.dimension, rows)
 
     def by_model(self, deviations: np.ndarray) -> Iterator[tuple[slice, Process]]:
-        """Samples in runs (slices of them) whose deviations change contacts and parts alike, and the process of each,
-        one by one: this one where nothing changes them."""
+        """Slices of samples whose deviations change contacts and parts alike, each with its process.
+
+        The process is this one if nothing changes.
+        """
         own = deviations[:, self._changing]
         edges = [0, *(np.flatnonzero((own[1:] != own[:-1]).any(axis=1)) + 1).tolist(), len(own)]
         for a, b in zip(edges, edges[1:]):
-            yield slice(a, b), self if (own[a:b] == self._changed_by).all() else self._changed(own[a])
+            yield slice(a, b), self if (own[a:b] == self._changed_by).all() else self._process_for(own[a])
 
-    def _changed(self, amplitudes: np.ndarray) -> Process:
-        """The process with contacts and parts as these deviations change them; shapes stay as they are."""
+    def _process_for(self, amplitudes: np.ndarray) -> Process:
+        """The process with the contacts and parts of these deviations; shapes are unchanged."""
         key = amplitudes.tobytes()
-        if key not in self._varied:
+        if key not in self._process_cache:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
             model = self.model.with_deviations(deviations)
-            vars(model).update({name: getattr(self.model, name) for name in ("foreseen", "rest", "characteristics")})
-            if model.compliance is self.model.compliance:
+            vars(model).update({name: getattr(self.model, name) for name in ("forecast", "rest", "characteristics")})
+            template = self if model.compliance is self.model.compliance else None
+            if template is not None:
                 vars(model)["eliminations"] = self.model.eliminations
             elif self._limited:
                 vars(model)["eliminations"] = eliminate_steps(model, self._plans)
-            same = (model.contacts.friction == self.model.contacts.friction).all()
-            backend = "native" if self._settings["backend"] == "native" else "paper"
-            how: dict[str, Any] = {name: self._settings[name] for name in ("tol", "threads")}
-            how |= {"path_tolerance": self._path_tolerance, "foreseen": self._foreseen, "limited": self._limited}
-            how["plans"] = self._plans
-            how["like"] = self if model.compliance is self.model.compliance else None
             try:
-                if not same:  # what rests under one friction may not under another
+                if (model.contacts.friction != self.model.contacts.friction).any():
                     check_resting(model, self._plans, [self._settings["law"].name])
-                process = Process(model, self.law, backend=backend, **how)
+                process = self._copy(
+                    model, forecast=self._forecast, limited=self._limited, plans=self._plans, template=template
+                )
             except SceneError as problem:
                 raise ImpossibleSample(str(problem)) from problem
-            process._changed_by, process._own_parts = amplitudes, how["like"] is None
+            process._changed_by, process._sample_compliance = amplitudes, template is None
             vars(process)["_unit_motions"] = self._unit_motions
-            if how["like"] is not None:
+            if template is not None:
                 vars(process).update(
-                    {name: getattr(self, name) for name in ("_held", "_unit_shapes", "_drive_terms", "_linear")}
+                    {name: getattr(self, name) for name in ("_motion_fits", "_unit_shapes", "_drive_terms", "_linear")}
                 )
-            if len(self._varied) >= (KEPT if model.compliance is self.model.compliance else 1):  # compliance is large
-                self._varied.clear()
-            self._varied[key] = process
-        return self._varied[key]
+            # Other compliances are large: only one is cached.
+            if len(self._process_cache) >= (1 if template is None else CACHED_PROCESSES):
+                self._process_cache.clear()
+            self._process_cache[key] = process
+        return self._process_cache[key]
 
-    def _tell_needs(self, found: Evaluation, short: np.ndarray) -> None:
-        """What the forces of these samples would be if none had a limit, into ``needed``; NaN where that fails."""
-        without = self._unlimited.attempt(found.deviations[short])
+    def _fill_needed_forces(self, found: Evaluation, unreached: np.ndarray) -> None:
+        """Fill ``needed`` with the forces of these samples without any limit; NaN if that evaluation fails."""
+        without = self._unlimited.attempt(found.deviations[unreached])
         for stage, resolution in found.resolutions.items():
-            known = ~resolution.reached[short] & ~without.failed[:, None]
-            resolution.needed[short] = np.where(known, without.resolutions[stage].pushed, np.nan)
+            known = ~resolution.reached[unreached] & ~without.failed[:, None]
+            resolution.needed[unreached] = np.where(known, without.resolutions[stage].pushed, np.nan)
 
     @cached_property
     def _unlimited(self) -> Process:
-        """The same process without limits of forces."""
-        settings = {name: self._settings[name] for name in ("tol", "threads")}
-        backend = "native" if self._settings["backend"] == "native" else "paper"
-        process = Process(
-            self.model,
-            self.law,
-            backend=backend,
-            path_tolerance=self._path_tolerance,
-            foreseen={},
-            limited=False,
-            **settings,
-        )
-        # The model's contacts and parts are changed already, or stay as they are.
+        """The same process without force limits."""
+        process = self._copy(self.model, forecast={}, limited=False)
+        # The model has the changed contacts and parts already.
         process._changing, process._changed_by = self._changing, self._changed_by
         return process
 
+    def _copy(self, model, **options: Any) -> Process:
+        """A process of another model or with other options, under the same law with the same solver."""
+        backend = "native" if self._settings["backend"] == "native" else "paper"
+        tol, threads = self._settings["tol"], self._settings["threads"]
+        return Process(model, self.law, tol, backend, threads, self._path_tolerance, **options)
+
     def attempt(self, deviations: np.ndarray, at: str | None = None) -> Evaluation:
-        """As :meth:`evaluate`; should it break, sample by sample, so that only the samples at fault are lost."""
+        """As :meth:`evaluate`; after a numerical error sample by sample, so that only the faulty samples fail."""
         try:
             return self.evaluate(deviations, at)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             if len(deviations) == 1:
-                return self.blank(deviations, str(error))
+                return self.failed_evaluation(deviations, str(error))
             return Evaluation.join([self.attempt(row[None], at) for row in deviations])
 
-    def blank(self, deviations: np.ndarray, reason: str) -> Evaluation:
-        """The evaluation of samples that could not be computed: failed, all values NaN, the reason as their status."""
+    def failed_evaluation(self, deviations: np.ndarray, reason: str) -> Evaluation:
+        """The evaluation of samples that could not be computed: all values NaN, with the reason as status."""
         model = self.model
         n, m, d = len(deviations), len(model.contacts), model.contacts.dimension
 
@@ -416,9 +410,9 @@ class Process:
                 reaction=nan(len(stage.plan.bilateral)),
                 unseen=nan(),
                 unseen_at=np.full(n, -1),
-                pushed=nan(len(stage.plan.judged)),
-                left=nan(len(stage.plan.judged)),
-                needed=nan(len(stage.plan.judged)),
+                pushed=nan(len(stage.plan.checked_limits)),
+                left=nan(len(stage.plan.checked_limits)),
+                needed=nan(len(stage.plan.checked_limits)),
             )
             for stage in self.stages
             if stage.resolves
@@ -436,7 +430,7 @@ class Process:
 
     @cached_property
     def _unit_shapes(self) -> tuple[np.ndarray, dict[str, slice]]:
-        """What all rows read of the shape that each unit deviation gives (p, R), and which of them are of each kind."""
+        """Readings by all rows of the shape of each unit deviation (p, R), and the slice of each kind of rows."""
         rows = {**self.model.rows, "rest": self.model.rest.rows}
         edges = np.cumsum([0, *(own.shape[0] for own in rows.values())])
         every = np.concatenate([own @ self.model.shape for own in rows.values()])
@@ -448,33 +442,32 @@ class Process:
 
     @cached_property
     def _unit_motions(self) -> np.ndarray:
-        """(p, 6P) rigid motions of these shapes, beside the elastic readings of the forces that make them."""
+        """(p, 6P) rigid motions of the unit shapes, beyond the elastic readings of the forces that make them."""
         model = self.model
-        moved = [not source.thickening() for source in sources(model.scene)]  # where faces move, the middle does not
+        # A thickness moves the faces, not the middle surface.
+        moved = [not source.thickening() for source in sources(model.scene)]
         shape = model.shape * np.array(moved, dtype=float)
         return model.compliance.fit(shape.T - model.compliance.displace(model.shape_forces.T))
 
     @cached_property
-    def _held(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _motion_fits(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return {}
 
-    def _held_by(self, stage: PreparedStage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers of the rows A that a stage holds, or knows of resting parts, and that are not redundant, ``A H``, and
-        the inverse of ``A G``."""
+    def _motion_fit(self, stage: PreparedStage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Non-redundant rows A that a stage holds or reads of resting parts: numbers, ``A H``, inverse of ``A G``."""
         name, compliance = stage.plan.name, self.model.compliance
-        if name not in self._held:
+        if name not in self._motion_fits:
             own = np.setdiff1d(np.arange(stage.bilateral.shape[0]), stage.response.redundant)
             A = stage.bilateral[own]
-            self._held[name] = own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
-        return self._held[name]
+            self._motion_fits[name] = own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
+        return self._motion_fits[name]
 
     @one_thread
     def _equilibrium(self, last: PreparedStage, resolutions: LazyResolutions, deviations):
-        """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end of a stage, the shape deviation
-        included.
+        """Forces (n, F) on the functionals and rigid motions (n, 6P) at the end of a stage, shape deviation included.
 
         The motions put the bilateral rows A at their values v: least squares over ``A G q = v − A H f``. Redundant rows
-        take no part: their values have no effect, and may contradict the others.
+        are left out: their values have no effect, and may contradict the others.
         """
         model, n, state = self.model, len(deviations), resolutions.history.state
         reaction, value = (one.take(last.plan.bilateral) for one in (state.reaction, state.value))
@@ -485,8 +478,8 @@ class Process:
             push[:, limit.row[1]] = limit.force - state.stop[limit.row]
         force = reaction @ last.bilateral[: reaction.shape[1]] + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
-        own, AH, inverse = self._held_by(last)
-        soft = yielding(model.scene, last.plan.bilateral)
+        own, AH, inverse = self._motion_fit(last)
+        soft = row_compliance(model.scene, last.plan.bilateral)
         if soft is not None:
             value -= soft * reaction  # what the rows read
         value = np.column_stack([value, state.reading["rest"][:, last.steps[-1].rest.row]])

@@ -1,7 +1,7 @@
-"""The path by which the load of a step grows: friction depends on it.
+"""The ramp of a step: how its load grows, on which friction depends.
 
-With s from 0 to 1 over a step, bilateral rows go from what they read before to their targets, ``v(s) = v⁰ + s (v¹ −
-v⁰)``; clamp forces grow from what they were; rows let go and forces taken away fade, ``p(s) = p⁰ + s (p¹ − p⁰)``.
+With s from 0 to 1 over a step, bilateral rows go from their previous readings to their targets, ``v(s) = v⁰ + s (v¹ −
+v⁰)``; clamp forces grow from their previous values; released rows and removed forces fade, ``p(s) = p⁰ + s (p¹ − p⁰)``.
 """
 
 from __future__ import annotations

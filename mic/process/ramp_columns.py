@@ -1,6 +1,6 @@
-"""What a step takes over from the state before it: where its rows begin, and which forces act or fade.
+"""Columns of the previous state and of the drive from which a step's ramp is assembled.
 
-All of it are columns of a few arrays; which, the plans of the two steps decide, whatever the samples.
+The plans of the two steps determine these columns, whatever the samples.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from mic.process.drive import Drive
 from mic.process.plan import Step
 from mic.process.ramp import Ramp
 from mic.process.row_values import Names, Values
-from mic.process.state import KEPT, ProcessState
+from mic.process.state import ROW_VALUES, ProcessState
 
-__all__ = ["RampColumns", "known"]
+__all__ = ["RampColumns", "row_names"]
 
 
 @dataclass(frozen=True)
 class RampColumns:
-    """From states of one kind to a step.
+    """Columns of states with the same rows that lead to a step.
 
     Attributes
     ----------
     step : Step
     known : tuple of Names
-        What the states before know: values, reactions, pushes, stops, what welds keep.
+        Rows of the states before: values, reactions, pushes, stops, frozen weld rows.
     rows, loads, stops, frozen : Names
-        What the state after knows: the step's bilateral rows, clamp rows that push, stops, and weld rows that keep
-        what they find.
+        Rows of the state after: the step's bilateral rows, clamp rows that push, stops, and frozen weld rows.
     welded : (w,) int array
-        Columns of what welds kept, of what weld rows read, and of the gaps that welds close: what they keep now.
+        For each frozen weld row, its column among the values frozen before, the readings of weld rows, and the gaps
+        that welds close.
     start, end : (b,) int array
-        Columns of values and readings before, and of what welds keep now and the targets: the bilateral rows'.
+        For each bilateral row, its column among values and readings before, and among frozen weld values and targets.
     before, after : (l,) int array
-        Columns of nothing, pushes and reactions before, and of nothing and pushes now: the load rows'.
+        For each load row, its column among zero, pushes and reactions before, and among zero and pushes now.
     """
 
     step: Step
@@ -53,42 +53,42 @@ class RampColumns:
 
     @classmethod
     def of(cls, step: Step, state: ProcessState, drive: Drive, joints: Joints) -> RampColumns:
-        """Of a state like this."""
+        """The columns for states with the rows of this one."""
         value, reaction, push, frozen = state.value, state.reaction, state.push, state.frozen
-        read = _edges([value.table, *(state.reading[kind] for kind in READ)])
-        weld = _edges([frozen.table, state.reading["weld"], drive.weld_gap])
-        kept = dict(frozen.names.place)
-        kept |= {row: weld[1] + row for row in step.made}
-        kept |= {row: weld[2] + row for row in step.closed(joints)}
-        names = frozen.names if not (step.made or step.closing) else Names(kept)
-        asked = np.cumsum([0, len(names), *(drive.target[kind].shape[1] for kind in ASKED)])
-        acts = np.cumsum([1, push.table.shape[1]])
+        read = _first_columns([value.table, *(state.reading[kind] for kind in HELD)])
+        weld = _first_columns([frozen.table, state.reading["weld"], drive.weld_gap])
+        frozen_columns = dict(frozen.names.column)
+        frozen_columns |= {row: weld[1] + row for row in step.made}
+        frozen_columns |= {row: weld[2] + row for row in step.closed(joints)}
+        names = frozen.names if not (step.made or step.closing) else Names(frozen_columns)
+        targets = np.cumsum([0, len(names), *(drive.target[kind].shape[1] for kind in PRESCRIBED)])
+        pushes = np.cumsum([1, push.table.shape[1]])
 
         def start(row):
-            return value.names.place[row] if row in value else read[1 + READ.index(row[0])] + row[1]
+            return value.names.column[row] if row in value else read[1 + HELD.index(row[0])] + row[1]
 
         def end(row):
-            return names.place[row[1]] if row[0] == "weld" else asked[1 + ASKED.index(row[0])] + row[1]
+            return names.column[row[1]] if row[0] == "weld" else targets[1 + PRESCRIBED.index(row[0])] + row[1]
 
-        limited = [0] * len(step.stops + step.dropped_limits)
-        before = [acts[0] + push.names.place[i] if i in push else 0 for i in step.loads + step.dropped_loads]
+        zeros = [0] * len(step.stops + step.dropped_limits)
+        before = [pushes[0] + push.names.column[i] if i in push else 0 for i in step.loads + step.dropped_loads]
         after = [1 + i for i in step.loads] + [0] * len(step.dropped_loads)
         return cls(
             step,
-            known(state),
+            row_names(state),
             Names(step.bilateral),
             Names(step.loads),
             Names(limit.row for limit in step.stops),
             names,
-            _integers(kept.values()),
+            _integers(frozen_columns.values()),
             _integers(start(row) for row in step.bilateral),
             _integers(end(row) for row in step.bilateral),
-            _integers([*before, *limited, *(acts[1] + reaction.names.place[row] for row in step.released)]),
-            _integers([*after, *limited, *(0 for _ in step.released)]),
+            _integers([*before, *zeros, *(pushes[1] + reaction.names.column[row] for row in step.released)]),
+            _integers([*after, *zeros, *(0 for _ in step.released)]),
         )
 
-    def keeps(self, state: ProcessState, drive: Drive) -> Values:
-        """What every weld row keeps: rows made here freeze what they find, unless the weld closes its gap first."""
+    def weld_values(self, state: ProcessState, drive: Drive) -> Values:
+        """The frozen value of every weld row: a row made in this step freezes its reading, or closes its gap first."""
         frozen = state.frozen
         if self.frozen is frozen.names:
             return frozen
@@ -96,12 +96,12 @@ class RampColumns:
         return Values(self.frozen, found[:, self.welded])
 
     def ramp(self, state: ProcessState, drive: Drive) -> Ramp:
-        """From what the rows read, and the forces that act, to what the step asks for."""
+        """From the current readings and forces to the values and loads that the step prescribes."""
         value, reaction, push, stop = state.value, state.reaction, state.push, state.stop
-        frozen = self.keeps(state, drive).table[:, : len(self.frozen)]
-        read = np.concatenate([value.table, *(state.reading[kind] for kind in READ)], axis=1)
-        asked = np.concatenate([frozen, *(drive.target[kind] for kind in ASKED)], axis=1)
-        start, end = read[:, self.start], asked[:, self.end]
+        frozen = self.weld_values(state, drive).table[:, : len(self.frozen)]
+        read = np.concatenate([value.table, *(state.reading[kind] for kind in HELD)], axis=1)
+        targets = np.concatenate([frozen, *(drive.target[kind] for kind in PRESCRIBED)], axis=1)
+        start, end = read[:, self.start], targets[:, self.end]
         if not len(self.before):
             none = np.zeros((len(start), 0))
             return Ramp(start, end, none, none)
@@ -117,17 +117,17 @@ class RampColumns:
         return Ramp(start, end, before, after)
 
 
-#: kinds of rows that a step may hold, and those of them whose position the deviations ask for
-READ, ASKED = ("locator", "clamp", "weld"), ("locator", "clamp")
+#: kinds of rows that a step may hold, and those of them whose position the drive prescribes
+HELD, PRESCRIBED = ("locator", "clamp", "weld"), ("locator", "clamp")
 
 
-def known(state: ProcessState) -> tuple[Names, ...]:
-    """What a state knows: values, reactions, pushes, stops, what welds keep."""
-    return tuple(getattr(state, name).names for name in KEPT)
+def row_names(state: ProcessState) -> tuple[Names, ...]:
+    """Rows of a state: values, reactions, pushes, stops, frozen weld rows."""
+    return tuple(getattr(state, name).names for name in ROW_VALUES)
 
 
-def _edges(tables) -> np.ndarray:
-    """Where the columns of each table begin when they stand side by side."""
+def _first_columns(tables) -> np.ndarray:
+    """The first column of each table when they are placed side by side."""
     return np.cumsum([0, *(table.shape[1] for table in tables)])
 
 

@@ -81,37 +81,37 @@ def sensitivities(
     known = inputs if isinstance(inputs, Mapping) else known_inputs(model)
     sigma = np.array([known[name] for name in names])
     half_steps = _inputs_by_differences(model, names)
-    thick = [i for i, (j, _) in half_steps.items() if model.scene.deviations[j].kind == "thickness"]
-    reach_sigma = np.where(np.isin(np.arange(len(names)), thick), 0.0, sigma)
-    found = _in_blocks(process, deviations, names, reach_sigma, steps)
+    thicknesses = [i for i, (j, _) in half_steps.items() if model.scene.deviations[j].kind == "thickness"]
+    reach_sigma = np.where(np.isin(np.arange(len(names)), thicknesses), 0.0, sigma)
+    result = _in_blocks(process, deviations, names, reach_sigma, steps)
     if not half_steps:
-        return found
-    found = replace(
-        found,
+        return result
+    result = replace(
+        result,
         sigma=sigma,
-        **{name: getattr(found, name).copy() for name in ("jacobian", "sides", "reach_along")},
+        **{name: getattr(result, name).copy() for name in ("jacobian", "sides", "reach_along")},
     )
     for i, (j, step) in half_steps.items():
-        _fill_by_differences(process, deviations, found, i, j, step)
-        if i in thick:
-            found.reach_along[:, i] = np.nan
+        _fill_by_differences(process, deviations, result, i, j, step)
+        if i in thicknesses:
+            result.reach_along[:, i] = np.nan
         else:
-            at_change = (found.reach <= AT_CHANGE) & (found.reach_along[:, i] <= BESIDE)
-            found.sides[:, :, i] = np.where(at_change[:, None], np.nan, found.jacobian[:, :, i])[..., None]
-    return found
+            at_change = (result.reach <= AT_CHANGE) & (result.reach_along[:, i] <= BESIDE)
+            result.sides[:, :, i] = np.where(at_change[:, None], np.nan, result.jacobian[:, :, i])[..., None]
+    return result
 
 
 def _inputs_by_differences(model, names: Sequence[str]) -> dict[int, tuple[int, float]]:
     """Inputs that change the compliance, by number: the deviation's number and half the difference step."""
-    follows = [] if model.slopes is None else model.slopes.source.tolist()
-    found = {}
-    for j, one in enumerate(model.scene.deviations):
-        if one.name in names and one.kind == "thickness":
-            thickness = next(part.sheet[0] for part in model.scene.parts if part.name == one.part)
-            found[names.index(one.name)] = j, THICKNESS_STEP * thickness
-        elif one.name in names and j in follows:
-            found[names.index(one.name)] = j, SHAPE_STEP * one.sigma
-    return found
+    followed = [] if model.slopes is None else model.slopes.source.tolist()
+    half_steps = {}
+    for j, deviation in enumerate(model.scene.deviations):
+        if deviation.name in names and deviation.kind == "thickness":
+            thickness = next(part.sheet[0] for part in model.scene.parts if part.name == deviation.part)
+            half_steps[names.index(deviation.name)] = j, THICKNESS_STEP * thickness
+        elif deviation.name in names and j in followed:
+            half_steps[names.index(deviation.name)] = j, SHAPE_STEP * deviation.sigma
+    return half_steps
 
 
 def _in_blocks(process, deviations, names, sigma, steps) -> Sensitivities:
@@ -120,45 +120,47 @@ def _in_blocks(process, deviations, names, sigma, steps) -> Sensitivities:
     size = sum(rows.shape[0] for rows in model.rows.values()) * (len(names) + 1)
     block = max(1, BLOCK_NUMBERS // max(size, 1))
     pieces = []
-    for run, each in process.by_model(deviations):
+    for run, changed_process in process.by_model(deviations):
         for first in range(run.start, run.stop, block):
-            some = slice(first, min(first + block, run.stop))
-            given = None if steps is None else {key: record[some] for key, record in steps.items()}
-            piece = DifferentiatedProcess(each, deviations[some], names, sigma, given).sensitivities()
-            _fill_one_sided(each, deviations[some], piece)
+            samples = slice(first, min(first + block, run.stop))
+            block_steps = None if steps is None else {key: record[samples] for key, record in steps.items()}
+            piece = DifferentiatedProcess(
+                changed_process, deviations[samples], names, sigma, block_steps
+            ).sensitivities()
+            _fill_one_sided(changed_process, deviations[samples], piece)
             pieces.append(piece)
     return Sensitivities.join(pieces)
 
 
-def _fill_by_differences(process, deviations: np.ndarray, found: Sensitivities, i: int, j: int, half: float) -> None:
+def _fill_by_differences(process, deviations: np.ndarray, result: Sensitivities, i: int, j: int, half: float) -> None:
     """Fill in the derivatives by input i, which is deviation j and changes the compliance: central differences."""
     step = np.where(np.arange(deviations.shape[1]) == j, half, 0.0)
     low, high = (
-        _in_blocks(process, deviations + way * step, found.inputs[i : i + 1], np.zeros(1), found.steps)
-        for way in (-1.0, 1.0)
+        _in_blocks(process, deviations + sign * step, result.inputs[i : i + 1], np.zeros(1), result.steps)
+        for sign in (-1.0, 1.0)
     )
-    found.jacobian[:, :, i] = (high.measurements - low.measurements) / (2 * half)
-    found.jacobian[found.failed, :, i] = np.nan
-    for stage, own in found.contacts.items():
+    result.jacobian[:, :, i] = (high.measurements - low.measurements) / (2 * half)
+    result.jacobian[result.failed, :, i] = np.nan
+    for stage, contacts in result.contacts.items():
         slope = high.contacts[stage].force - low.contacts[stage].force
-        own.force_slope[..., i] = slope / (2 * half)
-        own.slip_slope[..., i] = np.nan
+        contacts.force_slope[..., i] = slope / (2 * half)
+        contacts.slip_slope[..., i] = np.nan
 
 
-def _fill_one_sided(process, deviations: np.ndarray, found: Sensitivities) -> None:
+def _fill_one_sided(process, deviations: np.ndarray, result: Sensitivities) -> None:
     """Fill in one-sided derivatives of samples at a change of state, along the same path steps."""
-    at_change = np.flatnonzero(~found.failed & (found.reach <= AT_CHANGE))
-    for i, (name, σ) in enumerate(zip(found.inputs, found.sigma)) if at_change.size else ():
-        own = at_change[found.reach_along[at_change, i] <= BESIDE]
-        if not own.size:
+    at_change = np.flatnonzero(~result.failed & (result.reach <= AT_CHANGE))
+    for i, (name, σ) in enumerate(zip(result.inputs, result.sigma)) if at_change.size else ():
+        samples = at_change[result.reach_along[at_change, i] <= BESIDE]
+        if not samples.size:
             continue
-        way = σ * (BESIDE + 2 * found.reach_along[own, i])
-        both, offset = np.tile(own, 2), np.concatenate([-way, way])
-        steps = {key: record[both] for key, record in found.steps.items()}
-        beside = DifferentiatedProcess(process, deviations[both], [name], np.array([σ]), steps, offset)
-        if beside.inputs.places:
-            found.sides[own, :, i] = np.nan
+        distance = σ * (BESIDE + 2 * result.reach_along[samples, i])
+        both, offset = np.tile(samples, 2), np.concatenate([-distance, distance])
+        steps = {key: record[both] for key, record in result.steps.items()}
+        shifted = DifferentiatedProcess(process, deviations[both], [name], np.array([σ]), steps, offset)
+        if shifted.inputs.places:
+            result.sides[samples, :, i] = np.nan
             continue
-        sides = beside.sensitivities()
+        sides = shifted.sensitivities()
         slope = np.where((sides.exact & ~sides.failed)[:, None], sides.jacobian[:, :, 0], np.nan)
-        found.sides[own, :, i] = slope.reshape(2, len(own), -1).transpose(1, 2, 0)
+        result.sides[samples, :, i] = slope.reshape(2, len(samples), -1).transpose(1, 2, 0)

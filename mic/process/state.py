@@ -1,7 +1,8 @@
-"""The state that one stage hands to the next.
+"""The state that one stage passes to the next.
 
-Every stage is solved in total displacements from the stress-free parts, so only friction and welds carry memory: a weld
-keeps the relative displacement that it found, and slip is measured from where the contact was left.
+Every stage is solved in total displacements from the stress-free parts, so only friction and welds have memory: a weld
+keeps the relative displacement at which it was made, and slip is measured from the contact's position at the end of the
+previous step.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from mic.process.row_values import Names, Values
 
 __all__ = ["ProcessState"]
 
-NONE = Names(())  # of rows, before anything happens
-KEPT = ("value", "reaction", "push", "stop", "frozen")
+NO_ROWS = Names(())
+ROW_VALUES = ("value", "reaction", "push", "stop", "frozen")
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,13 @@ class ProcessState:
     Attributes
     ----------
     reading : dict of str to (n, r) array
-        What the rows of each kind read of the displacement, mm and rad.
+        Readings of the displacement by the rows of each kind, mm and rad.
     force : (n, m, d) array
         Contact forces, N.
     left : (n, m, d) array
-        Relative displacement δ at which each contact was left, mm.
+        Relative displacement δ of each contact at the end, mm.
     anchor : (n, m, d - 1) array
-        Where its slip goes on from, mm (`mic.contact.path`).
+        Anchor of each contact's slip, mm (`mic.contact.path`).
     value : Values, or any mapping of (str, int) to (n,) array
         Values that the bilateral rows hold.
     reaction : Values of (str, int)
@@ -44,10 +45,10 @@ class ProcessState:
     frozen : Values of int
         Relative displacement that each weld row keeps.
     failed : (n,) bool array
-        Samples whose contact missed its tolerance in some stage.
+        Samples whose contact did not meet its tolerance in some stage.
     path_error : (n,) array
-        Estimate of the error that the paths of all stages so far left in the anchors, root mean square over the
-        contacts, mm (:class:`mic.contact.path.Trace`); NaN once one of them estimated none.
+        Estimated error of the anchors due to the paths of all stages so far, root mean square over the contacts, mm
+        (:class:`mic.contact.path.Trace`); NaN once one of them has no estimate.
     """
 
     reading: Mapping[str, np.ndarray]
@@ -63,14 +64,14 @@ class ProcessState:
     frozen: Values
 
     def __post_init__(self):
-        for name in KEPT:
+        for name in ROW_VALUES:
             values = getattr(self, name)
             if not isinstance(values, Values):
                 object.__setattr__(self, name, Values.of(values, len(self.failed)))
 
     @classmethod
     def start(cls, n: int, m: int, d: int, rows: Mapping[str, int]) -> ProcessState:
-        """Free, unloaded parts: n assemblies, m contacts of dimension d, and so many rows of each kind."""
+        """Free, unloaded parts: n assemblies, m contacts of dimension d, and the number of rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
-        none, empty = np.zeros((n, m, d)), dict.fromkeys(KEPT, Values(NONE, np.zeros((n, 0))))
-        return cls(reading, none, none.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n), **empty)
+        zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(NO_ROWS, np.zeros((n, 0))))
+        return cls(reading, zero, zero.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n), **empty)

@@ -1,19 +1,19 @@
-"""The stiffness of the mean shape, or of each sample's to first order, in place of that of the nominal one.
+"""Stiffness of the mean shape, or of each sample's shape to first order, instead of the nominal stiffness.
 
-Parts stand on meshes that carry the shape m which the means of the deviations give them; normals, frames and gaps of
-contacts and welds go with them:
+The meshes of the parts carry the mean shape m, which the means of the deviations give them; normals, frames and gaps of
+contacts and welds follow:
 
     H = L(m) K(m)⁻¹ L(m)ᵀ,      g = g⁰ + (g(m) − g⁰ − N y⁰(m)),
 
-for all samples alike. What the deviations themselves read, y⁰ = Σ a_i y⁰_i, is counted from nominal as before: the
-bracket is what that leaves out of the gaps of the mesh at m. What the fixture prescribes, and what is measured, keeps
-its direction in space.
+for all samples. The readings of the deviations themselves, y⁰ = Σ a_i y⁰_i, are relative to nominal as before: the
+bracket is the part of the mesh's gaps at m that they do not contain. Directions that the fixture prescribes, and of
+measurements, stay fixed in space.
 
-To first order each sample has a compliance and gaps of its own: those at m, and their derivatives with the sources that
-turn the sheets most (:mod:`mic.model.shape_derivatives`), by differences between the shapes at m ± s_i e_i. The pins of each H are
-chosen by conditioning, and others on the next mesh, by which differences would be off by as much as the derivative:
-of ``U = P H P`` with ``P = 1 − G (GᵀG)⁻¹ Gᵀ``, which differs from H by rigid motions alone under forces that balance,
-they are taken. On the pins of H(m), ``H(m) = U(m) + G(m) A + Aᵀ G(m)ᵀ``,
+To first order each sample has its own compliance and gaps: those at m, and their derivatives with respect to the
+sources that turn the sheets most (:mod:`mic.model.shape_derivatives`), by differences between the shapes at m ± s_i
+e_i. The pins of each H are chosen by conditioning, and differ from mesh to mesh; differences of H would then be wrong
+by as much as the derivative. They are therefore taken of ``U = P H P`` with ``P = 1 − G (GᵀG)⁻¹ Gᵀ``, which differs
+from H only by rigid motions under balanced forces. On the pins of H(m), ``H(m) = U(m) + G(m) A + Aᵀ G(m)ᵀ``,
 
     ∂_i H = ∂_i U + ∂_i G A + Aᵀ ∂_i Gᵀ.
 """
@@ -40,49 +40,60 @@ from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import sources
 from mic.process.actions import Joints
 
-__all__ = ["Shapes", "carrying", "coefficients", "following", "listed", "most", "shape_fields", "wanted"]
+__all__ = [
+    "Shapes",
+    "with_shape",
+    "coefficients",
+    "with_derivatives",
+    "list_sources",
+    "derivative_sets",
+    "shape_fields",
+    "select_shapes",
+]
 
 Model = TypeVar("Model", bound=Reduction)
 
-LEFT = 0.1  # of how the samples' shapes turn the sheets, root mean square: what sources without derivatives may make
-LISTED = 6  # sources that are told by name
-REACH = 6.0  # standard deviations about the mean for which derivatives are believed
+OMITTED = 0.1  # root mean square of the rotations of the sheets: share that sources without derivatives may have
+MAX_NAMES = 6  # longer lists of sources are shortened
+REACH = 6.0  # standard deviations about the mean within which derivatives are used
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Shapes whose stiffness is wanted, by displacements and rotations of each part's vertices (v, 6), mm and rad.
+    """Shapes whose stiffness is needed, as displacements and rotations of each part's vertices (v, 6), mm and rad.
 
     Attributes
     ----------
     mean : dict of str to array
-        That which the means of the deviations give, by part.
+        The shape given by the means of the deviations, by part.
     along : dict of str to dict of str to array
-        What one standard deviation adds, by the deviation's name and by part, of the sources along which derivatives
-        are wanted.
-    left : int
-        How many sources vary the shapes besides.
+        Change by one standard deviation, by the deviation's name and by part, for the sources with derivatives.
+    omitted : int
+        Number of further sources that vary the shapes.
     share : float
-        What these make of how the samples' shapes turn the sheets.
+        Their share of the rotations of the sheets.
     """
 
     mean: dict[str, np.ndarray]
     along: dict[str, dict[str, np.ndarray]]
-    left: int = 0
+    omitted: int = 0
     share: float = 0.0
 
-    def beside(self, name: str, sign: float) -> dict[str, np.ndarray]:
-        """A standard deviation of a source beside the mean."""
+    def shape_at(self, name: str, sign: float) -> dict[str, np.ndarray]:
+        """The shape one standard deviation of a source away from the mean."""
         return {part: field + sign * self.along[name][part] for part, field in self.mean.items()}
 
     def parts(self, assembly: Assembly) -> tuple[list[Part], dict[str, dict[str, tuple[Part, Part]]]]:
-        """All parts as they carry the mean shape; and by the deviation's name and by part those that are others a
-        standard deviation above and below it, by their mesh or by the normals of their contacts."""
+        """All parts with the mean shape; and those that differ one standard deviation above and below it.
+
+        The latter are given by the deviation's name and by part; they differ in their mesh or in the normals of their
+        contacts.
+        """
         middle = deviated_parts(assembly, self.mean)
         whole = [part.fingerprint() for part in middle]
         ends = {}
         for name in self.along:
-            both = zip(whole, *(deviated_parts(assembly, self.beside(name, sign)) for sign in (1.0, -1.0)))
+            both = zip(whole, *(deviated_parts(assembly, self.shape_at(name, sign)) for sign in (1.0, -1.0)))
             ends[name] = {
                 plus.name: tuple(
                     replace(one, name=f"{one.name} at {name} {sign} 1 σ") for one, sign in ((plus, "+"), (minus, "−"))
@@ -92,60 +103,65 @@ class Shapes:
             }
         return middle, ends
 
-    def further(self, assembly: Assembly) -> list[Part]:
-        """All parts whose coefficients are wanted beside the nominal ones."""
+    def additional_parts(self, assembly: Assembly) -> list[Part]:
+        """All parts whose coefficients are needed in addition to the nominal ones."""
         (middle, ends), known = self.parts(assembly), {part.fingerprint() for part in assembly.parts}
         every = [*middle, *(end for pairs in ends.values() for pair in pairs.values() for end in pair)]
         return [part for part in every if part.fingerprint() not in known]
 
     def __str__(self) -> str:
-        """The sources in words."""
-        told = listed(list(self.along))
-        if self.left:
-            told += f" ({self.left} more, which make {self.share:.1%} of how samples turn the sheets, are left out)"
-        return told
+        """List the sources in words."""
+        text = list_sources(list(self.along))
+        if self.omitted:
+            text += f" ({self.omitted} more, with {self.share:.1%} of the rotations of the sheets, are left out)"
+        return text
 
 
 def coefficients(
     assembly: Assembly, cache: Path, progress=None, comm: Any = None
 ) -> tuple[dict[str, InfluenceCoefficients], dict[str, bool]]:
-    """Influence coefficients of all parts as the scene's ``stiffness`` asks for them, from the cache where they fit.
+    """Influence coefficients of all parts for the scene's ``stiffness``, from the cache if they fit.
 
-    Arguments, results and errors are those of :func:`mic.compliance.cache.influence_coefficients`. Where the stiffness
-    of the mean shape is asked for, each has that besides (:attr:`InfluenceCoefficients.deviated`), and where it is to
-    follow samples to first order, their derivatives (:attr:`InfluenceCoefficients.slopes`).
+    Arguments, results and errors are those of :func:`mic.compliance.cache.influence_coefficients`. If the stiffness of
+    the mean shape is needed, each has that too (:attr:`InfluenceCoefficients.deviated`); if the stiffness follows the
+    samples to first order, also their derivatives (:attr:`InfluenceCoefficients.slopes`).
     """
     found, cached = influence_coefficients(assembly, cache, progress, comm)
     if assembly.scene.stiffness == "nominal":
         return found, cached
-    first = comm is None or comm.rank == 0
-    shapes = wanted(assembly, Reduction.build(assembly, found)) if first else None
+    first_rank = comm is None or comm.rank == 0
+    shapes = select_shapes(assembly, Reduction.build(assembly, found)) if first_rank else None
     shapes = shapes if comm is None else comm.bcast(shapes)
-    assert shapes is not None  # told by the first
+    assert shapes is not None  # sent by the first rank
     parts, ends = shapes.parts(assembly)
     if progress and assembly.scene.stiffness == "first-order":
         progress(f"stiffness to first order in {shapes}")
-    beside = [end for pairs in ends.values() for pair in pairs.values() for end in pair]
-    own, known = influence_coefficients(replace(assembly, parts=(*parts, *beside)), cache, progress, comm)
-    both = {name: replace(one, deviated=(shapes.mean[name], own[name])) for name, one in found.items() if name in own}
-    if first and assembly.scene.stiffness == "first-order":
+    shifted = [end for pairs in ends.values() for pair in pairs.values() for end in pair]
+    shaped, shaped_cached = influence_coefficients(replace(assembly, parts=(*parts, *shifted)), cache, progress, comm)
+    both = {
+        name: replace(nominal, deviated=(shapes.mean[name], shaped[name]))
+        for name, nominal in found.items()
+        if name in shaped
+    }
+    if first_rank and assembly.scene.stiffness == "first-order":
         sigma = {item.name: item.sigma for item in assembly.scene.deviations}
         for part, one in both.items():
             slopes = {}
             for name, pairs in ends.items():
                 if part in pairs:
-                    plus, minus = (own[end.name] for end in pairs[part])
-                    slopes[name] = _slope(own[part], plus, minus, sigma[name], shapes.along[name][part])
+                    plus, minus = (shaped[end.name] for end in pairs[part])
+                    slopes[name] = _slope(shaped[part], plus, minus, sigma[name], shapes.along[name][part])
             both[part] = replace(one, slopes=slopes)
     for pairs in ends.values():
         for part, pair in pairs.items():
-            known[part] = known[part] and all(known[end.name] for end in pair)
-    return both, {name: cached[name] and known[name] for name in cached}
+            shaped_cached[part] = shaped_cached[part] and all(shaped_cached[end.name] for end in pair)
+    return both, {name: cached[name] and shaped_cached[name] for name in cached}
 
 
-def most(assembly: Assembly) -> tuple[list[str], int]:
-    """The sources that vary shapes, and how many sets of coefficients beside the nominal ones it takes at most to
-    follow them to first order; known before any coefficients are.
+def derivative_sets(assembly: Assembly) -> tuple[list[str], int]:
+    """The sources that vary shapes, and an upper bound of additional sets of coefficients for first-order stiffness.
+
+    Both are known before any coefficients are.
 
     Parameters
     ----------
@@ -153,32 +169,31 @@ def most(assembly: Assembly) -> tuple[list[str], int]:
     """
     scene, names = assembly.scene, [part.name for part in assembly.parts]
     joined = [{*zone.parts} & {*names} for zone in scene.zones] + [{*weld.parts} for weld in scene.welds]
-    sets, found = len(names), []
+    sets, shaping = len(names), []
     for item, source in zip(scene.deviations, sources(scene)):
         control = source.known_shape(assembly.labels, assembly.rows)
         rows = source.load(assembly.labels, assembly.rows) if control is None else control.rows
-        own = set(source.expansion())
+        changed = set(source.expansion())
         if rows is not None:
-            own |= {names[p] for p in np.searchsorted(assembly.offsets, rows.indices, side="right") - 1}
-        if own and item.sigma > 0:
-            found.append(item.name)
-            sets += 2 * len(own.union(*(both for both in joined if both & own)))
-    return found, sets
+            changed |= {names[p] for p in np.searchsorted(assembly.offsets, rows.indices, side="right") - 1}
+        if changed and item.sigma > 0:
+            shaping.append(item.name)
+            sets += 2 * len(changed.union(*(both for both in joined if both & changed)))
+    return shaping, sets
 
 
-def listed(names: Sequence[str]) -> str:
-    """Sources in words, the first of many by name."""
-    told = ", ".join(names[:LISTED])
-    return f"{len(names)} sources: {told} …" if len(names) > LISTED else told or "no source"
+def list_sources(names: Sequence[str]) -> str:
+    """Sources in words; a long list is shortened."""
+    text = ", ".join(names[:MAX_NAMES])
+    return f"{len(names)} sources: {text} …" if len(names) > MAX_NAMES else text or "no source"
 
 
-def wanted(assembly: Assembly, nominal: Reduction) -> Shapes:
-    """The shapes at which the scene's ``stiffness`` wants coefficients, beside the nominal one.
+def select_shapes(assembly: Assembly, nominal: Reduction) -> Shapes:
+    """The shapes at which the scene's ``stiffness`` needs coefficients, in addition to the nominal one.
 
-    Of the sources that vary shapes those are left out that turn the sheets least, as long as they turn them by no more
-    than :data:`LEFT` of what all do, by the root mean square of rotations over the vertices, all parts alike. What
-    stretches a sheet, as warmth does, hardly changes its stiffness. Correlated ones, of which squares do not add up,
-    stay.
+    The sources that turn the sheets least are left out, as long as their share of all rotations is at most
+    :data:`OMITTED`, by the root mean square over the vertices with equal weight for all parts. Stretching a sheet, as
+    temperature does, hardly changes its stiffness. Correlated sources, whose squares do not add up, are never left out.
 
     Parameters
     ----------
@@ -195,20 +210,20 @@ def wanted(assembly: Assembly, nominal: Reduction) -> Shapes:
     fields = _fields(assembly, nominal, np.diag(sigma)[:, shaping])
     turned = sum(np.mean(np.sum(field[:, 3:] ** 2, axis=1), axis=0) for field in fields.values())
     order = np.argsort(turned, kind="stable")
-    left = np.zeros(len(shaping), dtype=bool)
-    left[order] = np.cumsum(turned[order]) <= LEFT**2 * turned.sum()
+    omitted = np.zeros(len(shaping), dtype=bool)
+    omitted[order] = np.cumsum(turned[order]) <= OMITTED**2 * turned.sum()
     together = {name for table in scene.correlations for name in table.deviations}
     names = [scene.deviations[j].name for j in shaping]
-    left &= [name not in together for name in names]
+    omitted &= [name not in together for name in names]
     along = {
-        name: {part: field[:, :, k] for part, field in fields.items()} for k, name in enumerate(names) if not left[k]
+        name: {part: field[:, :, k] for part, field in fields.items()} for k, name in enumerate(names) if not omitted[k]
     }
-    share = np.sqrt(turned[left].sum() / turned.sum()) if left.any() and turned.any() else 0.0
-    return Shapes(mean, along, int(left.sum()), float(share))
+    share = np.sqrt(turned[omitted].sum() / turned.sum()) if omitted.any() and turned.any() else 0.0
+    return Shapes(mean, along, int(omitted.sum()), float(share))
 
 
 def shape_fields(assembly: Assembly, model: Reduction, deviations: np.ndarray) -> dict[str, np.ndarray]:
-    """Displacements and rotations (v, 6) that deviations (p,) of shape give the vertices of each part, mm and rad.
+    """Displacements and rotations (v, 6) of the vertices of each part for deviations (p,) of shape, mm and rad.
 
     Parameters
     ----------
@@ -221,8 +236,8 @@ def shape_fields(assembly: Assembly, model: Reduction, deviations: np.ndarray) -
 
 
 def _fields(assembly: Assembly, model: Reduction, deviations: np.ndarray) -> dict[str, np.ndarray]:
-    """(v, 6, k) of k sets of deviations (p, k)."""
-    forces, read, found = model.shape_forces @ deviations, model.shape @ deviations, {}
+    """(v, 6, k) displacements and rotations for k sets of deviations (p, k)."""
+    forces, read, fields = model.shape_forces @ deviations, model.shape @ deviations, {}
     for p, part in enumerate(assembly.parts):
         own, surface = model.compliance.functionals[p], part.surface
         H, G = model.compliance.H[p], model.compliance.G[p]
@@ -230,7 +245,7 @@ def _fields(assembly: Assembly, model: Reduction, deviations: np.ndarray) -> dic
             a * source.expansion().get(part.name, 0.0) for a, source in zip(deviations, sources(assembly.scene))
         )
         shaped = np.flatnonzero(read[own].any(axis=0))
-        found[part.name] = np.zeros((len(surface.points), 6, deviations.shape[1]))
+        fields[part.name] = np.zeros((len(surface.points), 6, deviations.shape[1]))
         if not shaped.size:
             continue
         f, y, strain = forces[own][:, shaped], read[own][:, shaped], strain[shaped]
@@ -238,18 +253,18 @@ def _fields(assembly: Assembly, model: Reduction, deviations: np.ndarray) -> dic
         motion = np.linalg.lstsq(G, y - H @ f - np.outer(dilation(part), strain), rcond=None)[0]
         field = solved + rigid @ motion
         field[:, :3] += surface.points[:, :, None] * strain
-        found[part.name][:, :, shaped] = field
-    return found
+        fields[part.name][:, :, shaped] = field
+    return fields
 
 
-def carrying(
+def with_shape(
     model: Model,
     assembly: Assembly,
     fields: Mapping[str, np.ndarray],
     own: Mapping[str, InfluenceCoefficients],
     deviations: np.ndarray,
 ) -> Model:
-    """The model with the stiffness and the gaps of parts that carry a shape.
+    """The model with the stiffness and the gaps of parts that have a given shape.
 
     Parameters
     ----------
@@ -264,34 +279,34 @@ def carrying(
     deviations : (p,) array
         Those that give the shape.
     """
-    gap, weld_gap = _beyond(model, assembly, fields, deviations)
-    found = [own[part.name] for part in assembly.parts]
+    gap, weld_gap = _gap_changes(model, assembly, fields, deviations)
+    coefficients_by_part = [own[part.name] for part in assembly.parts]
     return replace(
         model,
-        compliance=Blocks(tuple(one.H for one in found), tuple(one.G for one in found)),
+        compliance=Blocks(tuple(one.H for one in coefficients_by_part), tuple(one.G for one in coefficients_by_part)),
         contacts=replace(model.contacts, gap=assembly.contacts.gap + gap),
         weld_gap=assembly.weld_gap + weld_gap,
         slopes=None,
     )
 
 
-def following(
+def with_derivatives(
     model: Model,
     assembly: Assembly,
     fields: Mapping[str, np.ndarray],
     slopes: Mapping[str, Mapping[str, InfluenceDerivative]],
     deviations: np.ndarray,
 ) -> Model:
-    """The model with compliance and gaps that go with the sources, about the shape that it carries.
+    """The model with compliance and gaps that follow the sources to first order, about its shape.
 
     Parameters
     ----------
     model : Reduction
-        As :func:`carrying` makes it.
+        As :func:`with_shape` returns it.
     assembly : Assembly
         With nominal gaps.
     fields : mapping of str to (v, 6) array
-        The shape that it carries, by part.
+        Its shape, by part.
     slopes : mapping of str to mapping of str to InfluenceDerivative
         By part, and by the deviation's name.
     deviations : (p,) array
@@ -309,8 +324,8 @@ def following(
                 for part, field in fields.items()
             }
             moved = np.where(np.arange(len(deviations)) == j, sign * step[i], 0.0)
-            for told, values in zip((gap, weld_gap), _beyond(model, assembly, at, deviations + moved)):
-                told[i] += sign * values / (2 * step[i])
+            for slope, values in zip((gap, weld_gap), _gap_changes(model, assembly, at, deviations + moved)):
+                slope[i] += sign * values / (2 * step[i])
     changing = [np.array([i for i, name in enumerate(names) if name in slopes[part]], dtype=int) for part in fields]
     H, G = (
         tuple(
@@ -324,11 +339,13 @@ def following(
     return replace(model, slopes=ShapeDerivatives(source, about, low, high, tuple(changing), H, G, gap, weld_gap))
 
 
-def _beyond(
+def _gap_changes(
     model: Reduction, assembly: Assembly, fields: Mapping[str, np.ndarray], deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """By how much gaps (m,) of the contacts and (r,) of the welds' rows change with a shape, mm and rad, beyond what
-    its readings say: g(a) − g⁰ − N y⁰(a)."""
+    """Changes of the gaps (m,) of contacts and (r,) of welds' rows with a shape, mm and rad: g(a) − g⁰ − N y⁰(a).
+
+    These are the changes that the readings of the shape do not contain.
+    """
     parts = deviated_parts(assembly, fields)
     gap, weld_gap = (
         gap_change(assembly, kind, parts, read) - read
@@ -349,12 +366,12 @@ def _slope(
 ) -> InfluenceDerivative:
     """Derivatives by central differences over a step, on the pins of the middle."""
     G = (plus.G - minus.G) / (2 * step)
-    U = (_unpinned(plus)[0] - _unpinned(minus)[0]) / (2 * step)
-    pinned = G @ _unpinned(middle)[1]
+    U = (_without_pins(plus)[0] - _without_pins(minus)[0]) / (2 * step)
+    pinned = G @ _without_pins(middle)[1]
     return InfluenceDerivative(step, field, U + pinned + pinned.T, G)
 
 
-def _unpinned(one: InfluenceCoefficients) -> tuple[np.ndarray, np.ndarray]:
+def _without_pins(one: InfluenceCoefficients) -> tuple[np.ndarray, np.ndarray]:
     """U (n, n) and A (6, n), with H = U + G A + Aᵀ Gᵀ and Gᵀ U = 0."""
     size = np.linalg.norm(one.G, axis=0)
     Q, R = np.linalg.qr(one.G / size)

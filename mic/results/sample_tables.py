@@ -98,7 +98,7 @@ def _profiles(model, readings: np.ndarray, number: np.ndarray):
 
 def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: list[str]):
     """Clamps and guns of limited force, stage by stage."""
-    judged = {plan.name: plan.judged_names(model.scene, model.weld_size) for plan in model.plans}
+    judged = {plan.name: plan.limit_names(model.scene, model.weld_size) for plan in model.plans}
     names = list(dict.fromkeys(name for stage in stages for name in judged[stage]))
     rows = [(i, names.index(name), j) for i, stage in enumerate(stages) for j, name in enumerate(judged[stage])]
     columns = {
